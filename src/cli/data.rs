@@ -1,9 +1,11 @@
-//! `coseg data`: checks or describes a scene folder.
+//! `coseg data`: checks or describes a scene folder, or suggests photos to label.
 
+use super::scene_file::{read_scene, scene_path};
 use super::{Settings, fault_list, terminal};
 use clap::{Args, Subcommand};
 use coseg::data::{self, Info, LoadOptions, atomic};
 use coseg::error::{Error, Result};
+use coseg::pipeline::suggest;
 use coseg::report::pictures;
 use coseg::report::sheet::contact_sheet;
 use std::path::PathBuf;
@@ -18,7 +20,18 @@ ScanNet exports. The files in the folder decide, or --set data.layout=NAME.
 Examples:
   coseg data check scenes/living
   coseg data info scenes/living --sheet living.png
-  coseg data info scans/scene0000_00 --set data.stride=20 --json";
+  coseg data info scans/scene0000_00 --set data.stride=20 --json
+  coseg data suggest scenes/living --count 6";
+
+const SUGGEST_HELP: &str = "\
+Each photo is the one that adds most to those before it. Without --scene, what counts are the initial points, opaque and as
+large as the distance between them; where the scene has none, points are looked for on which the photos agree. With --scene,
+it is the Gaussians. Only training photos are named: held-out ones are not learned from. A share of the scene is a share of
+the pixels of all training photos.
+
+Example:
+  coseg data suggest --data scenes/living --count 6       # label these in LabelMe, see docs/from-photos.md
+  coseg train --data scenes/living --set data.raw_labels=FOLDER";
 
 /// Arguments of `coseg data`.
 #[derive(Args, Debug)]
@@ -34,6 +47,8 @@ enum Action {
     Check(CheckArgs),
     /// Show counts, splits, image sizes, camera extent and classes
     Info(InfoArgs),
+    /// Name the photos that together show most of the scene, to label these by hand
+    Suggest(SuggestArgs),
 }
 
 #[derive(Args, Debug)]
@@ -63,12 +78,35 @@ struct InfoArgs {
     settings: Settings,
 }
 
+#[derive(Args, Debug)]
+#[command(after_help = SUGGEST_HELP)]
+struct SuggestArgs {
+    /// Scene folder
+    #[arg(value_name = "DIR", required_unless_present = "data")]
+    dir: Option<PathBuf>,
+    /// The same, as `coseg train` has it
+    #[arg(long, value_name = "DIR", conflicts_with = "dir")]
+    data: Option<PathBuf>,
+    /// Number of photos
+    #[arg(long, default_value_t = 6)]
+    count: usize,
+    /// Scene in the 3DGS PLY convention, or a run folder, whose Gaussians are to be shown
+    #[arg(long, value_name = "FILE.ply|RUN")]
+    scene: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    settings: Settings,
+}
+
 impl DataArgs {
-    /// Checks or describes the folder.
+    /// Runs the action.
     pub fn run(self) -> Result<()> {
         match self.action {
             Action::Check(args) => args.run(),
             Action::Info(args) => args.run(),
+            Action::Suggest(args) => args.run(),
         }
     }
 }
@@ -118,6 +156,39 @@ impl InfoArgs {
         print(&info);
         if let Some(path) = &self.sheet {
             terminal::say(&format!("contact sheet: {}", path.display()));
+        }
+        Ok(())
+    }
+}
+
+impl SuggestArgs {
+    fn run(self) -> Result<()> {
+        let dir = self.dir.or(self.data).unwrap_or_default();
+        let config = self.settings.load(Some(&dir), None)?;
+        let mut scene = data::load(&dir, &LoadOptions::from(&config))?;
+        let given = self.scene.as_deref().map(scene_path).transpose()?;
+        let given = given.map(|path| read_scene(&path)).transpose()?;
+        if let Some(ply) = &given {
+            scene = scene.with_origin(ply.origin);
+        }
+        let gaussians = given.as_ref().map(|ply| &ply.gaussians);
+        let suggestions = suggest(&scene, gaussians, self.count, &config)?;
+        if self.json {
+            terminal::say(&serde_json::json!(suggestions).to_string());
+            return Ok(());
+        }
+        let longest = suggestions.iter().map(|s| s.photo.chars().count()).max();
+        let width = longest.unwrap_or(0).max(5);
+        terminal::say(&format!("{:<width$}   adds  together", "photo"));
+        for s in &suggestions {
+            let (adds, together) = (100.0 * s.adds, 100.0 * s.together);
+            terminal::say(&format!(
+                "{:<width$}  {adds:>4.1}%     {together:>4.1}%",
+                s.photo
+            ));
+        }
+        if suggestions.len() < self.count {
+            terminal::note("note: no other photo shows more");
         }
         Ok(())
     }

@@ -37,7 +37,8 @@ pub struct DataConfig {
     /// proportion: cameras are scaled to them.
     #[default("images".into())]
     pub images: String,
-    /// Folder of raw labels within `dir`; replaces the folder named in the frames. Empty: as the frames say.
+    /// Folder of raw labels within `dir`, or a COCO file of instances; replaces what the frames name. Photos without a label file
+    /// are unlabelled. Empty: as the frames say.
     pub raw_labels: String,
     /// Folder of masks within `dir`, PNG named as their photos, black where a photo is left out; replaces those that the
     /// frames name. Empty: as the frames say, or `masks`, of layout `colmap`, unless raw labels lie there. [`NO_MASKS`]: photos
@@ -48,6 +49,9 @@ pub struct DataConfig {
     pub raw_labels_note: String,
     /// How raw labels are stored.
     pub raw_format: RawFormat,
+    /// Who made the raw labels. Those made by hand are trusted: `ours` is trained under cross-entropy and from plain votes, instead of
+    /// the default loss and pooled votes.
+    pub labels_by: LabelsBy,
     /// Whether ids of raw labels are class ids, or hold within their view only and are associated after stage one.
     pub association: Association,
     /// Every how many frames of each split one is used; 1 uses all.
@@ -130,6 +134,24 @@ pub enum RawFormat {
     Ade20k,
     /// A folder of binary masks for each photo, as Segment Anything's `amg.py` writes them.
     Masks,
+    /// A JSON file of LabelMe for each labelled photo: shapes with labels.
+    Labelme,
+    /// COCO instances: one JSON file with polygons or run lengths for all photos.
+    CocoInstances,
+}
+
+/// Who made the raw labels, which decides how far they are trusted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LabelsBy {
+    /// A person where they are shapes (LabelMe, COCO instances), or where at most a quarter of the training photos have labels
+    /// and none has scores; else a network.
+    #[default]
+    Auto,
+    /// A network, whose errors training has to withstand.
+    Network,
+    /// A person, who makes few errors and labels few photos.
+    Hand,
 }
 
 /// Class tables for ScanNet.

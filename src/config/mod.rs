@@ -20,7 +20,7 @@ mod variant;
 pub use self::association::{Association, AssociationConfig};
 pub use self::building::{AdcConfig, BuildingConfig, McmcConfig, RasterConfig, Strategy};
 pub(crate) use self::data::same_folder;
-pub use self::data::{DataConfig, Layout, NO_MASKS, RawFormat, ScannetClasses};
+pub use self::data::{DataConfig, LabelsBy, Layout, NO_MASKS, RawFormat, ScannetClasses};
 pub use self::features::{
     Encode, FeatureConfig, FeatureSource, Normalisation, Resolution, SpatialConfig, SpatialSource,
     UnprojectionConfig,

@@ -133,6 +133,8 @@ pub struct Scene {
     pub classes: Classes,
     /// Initial cloud, relative to [`Scene::origin`].
     pub points: Points,
+    /// Whether the raw labels are shapes that somebody drew (LabelMe, COCO instances).
+    pub drawn: bool,
     /// The offset that was subtracted from every world position (f64); exports add it back.
     pub origin: DVec3,
     /// World direction that points up, unit length.
@@ -218,6 +220,15 @@ pub struct Segment {
 }
 
 impl View {
+    /// The file name of the photo, or the name of the view where it lies in no file.
+    pub fn file_name(&self) -> String {
+        let name = self.image.file().and_then(Path::file_name);
+        name.map_or_else(
+            || self.name.clone(),
+            |name| name.to_string_lossy().into_owned(),
+        )
+    }
+
     /// The photo as `[H, W, 3]` row-major sRGB in 0..1.
     ///
     /// # Errors
@@ -323,5 +334,17 @@ impl Classes {
             table[c.id as usize] = i as u16;
         }
         table
+    }
+}
+
+/// Names that a notice lists.
+const NAMES: usize = 3;
+
+/// The first few names, and how many more there are.
+pub(crate) fn first_names(names: &[impl AsRef<str>]) -> String {
+    let first: Vec<&str> = names.iter().take(NAMES).map(AsRef::as_ref).collect();
+    match names.len() - first.len() {
+        0 => first.join(", "),
+        more => format!("{} and {more} more", first.join(", ")),
     }
 }

@@ -16,6 +16,7 @@ mod initial_scene;
 pub(crate) mod lift;
 mod reconstruct;
 mod run;
+mod suggest;
 pub(crate) mod variants;
 mod vote_share;
 
@@ -25,4 +26,5 @@ pub use self::evaluate::{HeldOut, HeldOutScores, Pictures, score_images};
 pub use self::initial_scene::compare_with_photos;
 pub use self::lift::{LiftedFeatures, Pruned};
 pub use self::run::{Outcome, Seconds, load_scene, run};
+pub use self::suggest::{Suggestion, suggest};
 pub use self::variants::{VariantOutcome, decoder_training};

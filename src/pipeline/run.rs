@@ -6,7 +6,7 @@ use super::evaluate::score_images;
 use super::lift::{Pruned, lift};
 use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
 use super::variants::{VariantOutcome, train_variants};
-use crate::config::{Association, Config, Variant};
+use crate::config::{Association, Config, LabelLoss, LabelsBy, Prior, Variant};
 use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
 use crate::error::Result;
 use crate::metrics::ImageScores;
@@ -139,7 +139,7 @@ pub fn run(
 ) -> Result<Outcome> {
     let start = Instant::now();
     let scene = load(config, LoadOptions::for_training)?;
-    let config = &with_variants(config, &scene);
+    let config = &settled(config, &scene);
     if !config.segmentation.rows().is_empty() && !has_raw_labels(&scene) {
         tracing::warn!(
             "no training view has raw labels: only the Gaussians are built (raw_label_path in transforms.json or the folder \
@@ -230,9 +230,13 @@ impl Outcome {
     }
 }
 
-/// `config` with the variants to train: the default ones where it names none.
-fn with_variants(config: &Config, scene: &Scene) -> Config {
+/// `config` with everything that follows from the scene: who made the labels, and with them the loss; the variants to train, where
+/// it names none.
+fn settled(config: &Config, scene: &Scene) -> Config {
     let mut config = config.clone();
+    if has_raw_labels(scene) {
+        trust_labels(&mut config, scene);
+    }
     if config.segmentation.rows.is_none() {
         // The semantics of stage two: association has yet to come.
         let semantics = Semantics::of(scene);
@@ -247,7 +251,97 @@ fn with_variants(config: &Config, scene: &Scene) -> Config {
     config
 }
 
+/// Share of labelled training photos up to which labels are taken for hand-made: a network labels all of them.
+const FEW: f64 = 0.25;
+
+/// Decides who made the labels. Where a person did, cross-entropy and the votes of each Gaussian take the place of the default loss
+/// and of the pooled votes, which withstand and correct errors that such labels do not have.
+fn trust_labels(config: &mut Config, scene: &Scene) {
+    if config.data.labels_by == LabelsBy::Auto {
+        let views = || scene.split(Split::Train);
+        let labelled = views().filter(|view| view.raw.is_some()).count() as f64;
+        let has_scores = views().any(|view| view.scores.is_some());
+        let is_few = labelled <= FEW * views().count() as f64;
+        config.data.labels_by = if scene.drawn || (is_few && !has_scores) {
+            LabelsBy::Hand
+        } else {
+            LabelsBy::Network
+        };
+    }
+    if config.data.labels_by == LabelsBy::Hand {
+        if config.segmentation.loss == LabelLoss::GCE {
+            config.segmentation.loss = LabelLoss::Ce;
+        }
+        if config.segmentation.prior == Prior::Pooled {
+            config.segmentation.prior = Prior::Votes;
+        }
+        tracing::info!(
+            "labels made by hand are trusted: `ours` is trained under {:?} from the prior {:?} (data.labels_by)",
+            config.segmentation.loss,
+            config.segmentation.prior
+        );
+    }
+}
+
 /// Whether stage two has something to train on.
 fn has_raw_labels(scene: &Scene) -> bool {
     scene.split(Split::Train).any(|view| view.raw.is_some()) && !scene.classes.is_empty()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::data::builtin::{BuiltinOptions, scene_with};
+
+    /// A scene in which `labelled` of eight training photos have raw labels.
+    fn scene(labelled: usize) -> Scene {
+        let options = BuiltinOptions {
+            width: 32,
+            height: 24,
+            train_views: 8,
+            test_views: 1,
+            points: 100,
+            ..BuiltinOptions::default()
+        };
+        let mut scene = scene_with(&options).expect("scene");
+        let train = scene.views.iter_mut().filter(|v| v.split == Split::Train);
+        train.skip(labelled).for_each(|view| view.raw = None);
+        scene
+    }
+
+    fn decided(scene: &Scene, change: impl Fn(&mut Config)) -> (LabelsBy, LabelLoss, Prior) {
+        let mut config = Config::default();
+        change(&mut config);
+        let settled = settled(&config, scene);
+        (
+            settled.data.labels_by,
+            settled.segmentation.loss,
+            settled.segmentation.prior,
+        )
+    }
+
+    #[test]
+    fn labels_by_hand_are_trusted() {
+        let hand = (LabelsBy::Hand, LabelLoss::Ce, Prior::Votes);
+        let network = (LabelsBy::Network, LabelLoss::GCE, Prior::Pooled);
+        assert_eq!(decided(&scene(2), |_| ()), hand);
+        assert_eq!(decided(&scene(3), |_| ()), network);
+        let mut drawn = scene(8);
+        assert_eq!(decided(&drawn, |_| ()), network);
+        assert_eq!(decided(&drawn, |c| c.data.labels_by = LabelsBy::Hand), hand);
+        drawn.drawn = true;
+        assert_eq!(decided(&drawn, |_| ()), hand);
+        assert_eq!(
+            decided(&drawn, |c| c.data.labels_by = LabelsBy::Network),
+            network
+        );
+        // What the user chose stays.
+        let chosen = decided(&drawn, |c| {
+            c.segmentation.loss = LabelLoss::Mae;
+            c.segmentation.prior = Prior::None;
+        });
+        assert_eq!(chosen, (LabelsBy::Hand, LabelLoss::Mae, Prior::None));
+        // Nothing is decided without labels.
+        assert_eq!(decided(&scene(0), |_| ()).0, LabelsBy::Auto);
+    }
 }

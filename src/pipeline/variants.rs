@@ -64,6 +64,13 @@ pub struct VariantOutcome {
 }
 
 impl VariantOutcome {
+    /// Replaces the held-out scores.
+    fn take_scores(&mut self, scores: HeldOutScores) {
+        self.scores = scores.labels;
+        self.instances = scores.instances;
+        self.semantic = scores.semantic;
+    }
+
     /// A variant without identities or training.
     fn new(row: Variant, scores: HeldOutScores) -> Self {
         Self {

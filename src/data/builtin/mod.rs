@@ -177,6 +177,7 @@ fn assemble(options: &BuiltinOptions) -> Scene {
         views: views.collect(),
         classes: classes(),
         points,
+        drawn: false,
         origin: DVec3::ZERO,
         up: DVec3::Z,
     }

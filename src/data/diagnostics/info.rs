@@ -256,7 +256,7 @@ pub struct Thumbnail {
     pub truth: Option<LabelMap>,
 }
 
-/// At most `count` views, evenly chosen, `width` pixels wide, and the class table for their labels.
+/// At most `count` views, evenly chosen among those with raw labels where there are any, `width` pixels wide, and the class table for their labels.
 ///
 /// # Errors
 /// As [`crate::data::load`].
@@ -269,9 +269,15 @@ pub fn thumbnails(
     let listing = listing(dir, options)?;
     let known = listing.classes.lookup();
     let limits = &options.limits;
-    let chosen = evenly(listing.frames.len(), count);
+    // Where a few photos are labelled, those are what one looks for.
+    let is_raw = |i: &usize| listing.frames[*i].raw.is_some();
+    let mut shown: Vec<usize> = (0..listing.frames.len()).filter(is_raw).collect();
+    if shown.is_empty() {
+        shown.extend(0..listing.frames.len());
+    }
+    let chosen = evenly(shown.len(), count);
     let made = in_order(chosen.into_par_iter().map(|i| {
-        let frame = &listing.frames[i];
+        let frame = &listing.frames[shown[i]];
         let (file, geometry) = frame.open(&listing.file, limits)?;
         let geometry = geometry.limited_to(options.max_side);
         let mut photo = geometry.photo(&file)?;

@@ -1,9 +1,10 @@
 //! Notices on poses, intrinsics, labels and the initial cloud: input that loads but is probably a mistake.
 
 use crate::config::Layout;
+use crate::data::first_names;
 use crate::data::formats::frame::{Frame, reduced};
 use crate::data::formats::layout;
-use crate::data::formats::listing::{Cloud, Listing, Problems, first_names};
+use crate::data::formats::listing::{Cloud, Listing, Problems};
 use crate::data::formats::mask_file;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{LoadOptions, MapGeometry, Scene, Split};
@@ -36,6 +37,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let mut notices: Vec<String> = of_scene.into_iter().flatten().collect();
     notices.extend(cameras(&listing));
     notices.extend(without_raw(&listing));
+    notices.extend(drawn_in_vain(&listing));
     listing.notices.extend(notices);
     Ok(listing)
 }
@@ -233,8 +235,23 @@ fn without_raw(listing: &Listing) -> Option<String> {
     let (count, all) = (without.len(), without.len() + labelled.len());
     (!without.is_empty() && !labelled.is_empty()).then(|| {
         format!(
-            "{count} of {all} training frames have no raw labels: {}",
-            frame_names(&without)
+            "{count} of {all} training frames have no raw labels: {}; {} have some",
+            frame_names(&without),
+            labelled.len()
+        )
+    })
+}
+
+/// Held-out photos whose labels somebody drew.
+fn drawn_in_vain(listing: &Listing) -> Option<String> {
+    let is_drawn = |frame: &&Frame| frame.split == Split::Test && frame.raw.is_some();
+    let drawn: Vec<&Frame> = listing.frames.iter().filter(is_drawn).collect();
+    (listing.raw.are_drawn() && !drawn.is_empty()).then(|| {
+        format!(
+            "{} photos with drawn labels are held out, and nothing learns from them: {}; `coseg data suggest` names photos that \
+             are trained on",
+            drawn.len(),
+            frame_names(&drawn)
         )
     })
 }

@@ -28,8 +28,10 @@ pub(crate) struct Frame {
     /// Mask of the pixels that are used; without one, all are used.
     pub mask: Option<PathBuf>,
     pub truth: Option<PathBuf>,
-    /// Raw labels: a map, or a folder of masks.
+    /// Raw labels: a map, a folder of masks, or a file of shapes.
     pub raw: Option<PathBuf>,
+    /// A JSON file where the raw labels are looked for, named as the photo: LabelMe's, perhaps.
+    pub drawn: Option<PathBuf>,
     /// True instance ids.
     pub instances: Option<PathBuf>,
 }
@@ -56,6 +58,7 @@ impl Frame {
             mask: None,
             truth: None,
             raw: None,
+            drawn: None,
             instances: None,
         }
     }

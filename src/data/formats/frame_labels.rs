@@ -71,7 +71,7 @@ impl<'a> FrameLabels<'a> {
         let camera = &self.geometry.camera;
         let check_size = |file: &ImageFile| self.check_size(path, file);
         let raw = self.listing.raw.read(
-            path,
+            (&self.frame.name, path),
             (camera.width, camera.height),
             (&self.listing.classes, self.known),
             self.limits,

@@ -3,8 +3,9 @@
 use super::frame::{Frame, joined_name};
 use super::listing::Problems;
 use super::mask_file::Masks;
-use crate::config::Layout;
+use crate::config::{Layout, RawFormat};
 use crate::data::LoadOptions;
+use crate::data::labels::raw::{coco_instances, labelme};
 use std::path::{Path, PathBuf};
 
 /// Folders of label maps and masks for layouts whose frames name no such files: `labels`, `labels_raw`, `instances`, masks.
@@ -22,7 +23,7 @@ impl SideFolders {
             truth: LabelFolder::new(dir.join("labels")),
             raw: LabelFolder {
                 folder: dir.join(raw.unwrap_or("labels_raw")),
-                // Each photo must have a map in a folder that the user names.
+                // Some photo must have a map in a folder that the user names.
                 required: raw.is_some(),
             },
             instances: LabelFolder::new(dir.join("instances")),
@@ -36,6 +37,7 @@ impl SideFolders {
             mask: self.masks.of_photo(photo),
             truth: self.truth.map(photo),
             raw: self.raw.map(photo),
+            drawn: self.raw.drawn(photo),
             instances: self.instances.map(photo),
             ..frame
         }
@@ -70,6 +72,14 @@ impl LabelFolder {
         self.file(photo).or_else(masks).or_else(usual)
     }
 
+    /// The JSON file of a photo, named as [`LabelFolder::file`].
+    fn drawn(&self, photo: &Path) -> Option<PathBuf> {
+        let names = self.names(photo).into_iter();
+        names
+            .map(|path| path.with_extension("json"))
+            .find(|path| path.is_file())
+    }
+
     /// The file of a photo: its path with `.png` for its extension or behind it, the name of its view, or its stem.
     pub fn file(&self, photo: &Path) -> Option<PathBuf> {
         self.names(photo).into_iter().find(|path| path.is_file())
@@ -84,4 +94,44 @@ impl LabelFolder {
             png(&photo.file_stem().unwrap_or_default().to_string_lossy()),
         ]
     }
+}
+
+/// Decides which files hold the raw labels of `frames`: label maps, shapes of LabelMe, or a COCO file for all. Photos without a
+/// file in the folder that the options name are unlabelled, unless none has one.
+pub(super) fn choose_raw_files(dir: &Path, options: &LoadOptions, frames: &mut [Frame]) {
+    let labelme_fits = matches!(options.raw_format, RawFormat::Auto | RawFormat::Labelme);
+    let is_json = |path: &PathBuf| path.extension().is_some_and(|e| e == "json");
+    for frame in frames.iter_mut().filter(|_| options.raw_labels.is_none()) {
+        // A frame may name the file.
+        frame.drawn = frame.raw.clone().filter(is_json).or(frame.drawn.take());
+    }
+    if labelme_fits && labelme_is_used(frames) {
+        frames
+            .iter_mut()
+            .for_each(|frame| frame.raw = frame.drawn.clone());
+        return;
+    }
+    frames.iter_mut().for_each(|frame| frame.drawn = None);
+    let exists = |frame: &Frame| frame.raw.as_ref().is_some_and(|path| path.exists());
+    let has_maps = frames.iter().any(exists);
+    let is_coco = match options.raw_format {
+        RawFormat::Auto => !has_maps,
+        format => format == RawFormat::CocoInstances,
+    };
+    if let Some(file) = coco_instances::find(dir, options).filter(|_| is_coco) {
+        // Which photos it labels is known once it was read.
+        frames
+            .iter_mut()
+            .for_each(|frame| frame.raw = Some(file.clone()));
+    } else if has_maps && options.raw_labels.is_some() {
+        let without = frames.iter_mut().filter(|frame| !exists(frame));
+        without.for_each(|frame| frame.raw = None);
+    }
+}
+
+/// Whether the JSON files beside the raw labels of `frames` are LabelMe's: there are no other labels, or the first one has shapes.
+fn labelme_is_used(frames: &[Frame]) -> bool {
+    let first = frames.iter().find_map(|frame| frame.drawn.as_ref());
+    let is_map = |frame: &Frame| frame.raw.as_ref().is_some_and(|map| map.exists());
+    first.is_some_and(|first| labelme::has_shapes(first) || !frames.iter().any(is_map))
 }

@@ -4,9 +4,10 @@ use super::colmap;
 use super::depth::Depth;
 use super::frame::Frame;
 use super::frame_labels::FrameLabels;
+use super::label_folder::choose_raw_files;
 use crate::config::Layout;
 use crate::data::labels::map_geometry::MapGeometries;
-use crate::data::labels::raw::{self, RawLabels};
+use crate::data::labels::raw::{self, RawFile, RawLabels};
 use crate::data::{
     Classes, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, Split, View,
 };
@@ -97,14 +98,15 @@ impl Listing {
         options: &LoadOptions,
         layout: Layout,
         file: PathBuf,
-        frames: Vec<Frame>,
+        mut frames: Vec<Frame>,
         dataset: Option<Classes>,
         problems: &mut Problems,
     ) -> Self {
+        choose_raw_files(dir, options, &mut frames);
         let labelled = if frames.iter().any(|frame| frame.truth.is_some()) {
             Some("")
         } else {
-            raw::needs_classes(dir, options, &raw_maps(&frames))
+            raw::needs_classes(dir, options, &raw_files(&frames))
         };
         let own = dir.join("classes.json").is_file();
         let dataset = dataset.filter(|_| labelled.is_some() && !own);
@@ -133,9 +135,14 @@ impl Listing {
         options: &LoadOptions,
         problems: &mut Problems,
     ) -> Self {
-        let settled = RawLabels::settle(dir, options, &raw_maps(&self.frames), &self.classes);
+        let settled = RawLabels::settle(dir, options, &raw_files(&self.frames), &self.classes);
         match problems.keep(settled) {
             Some((raw, vocabulary)) => {
+                // One file may hold the shapes of all photos.
+                let is_empty =
+                    |frame: &&mut Frame| raw.are_drawn() && !raw.has_drawing(&frame.name);
+                let without = self.frames.iter_mut().filter(is_empty);
+                without.for_each(|frame| frame.raw = None);
                 self.raw = raw;
                 if let Some(vocabulary) = vocabulary {
                     self.occurring_classes |= self.classes.is_empty();
@@ -215,6 +222,7 @@ impl Listing {
             classes: self.classes_of(&views),
             views,
             points: self.points(origin, &options.limits)?,
+            drawn: self.raw.are_drawn(),
             origin,
             up: self.up(),
         };
@@ -285,23 +293,17 @@ impl Listing {
 }
 
 /// The raw labels of the frames that have some.
-fn raw_maps(frames: &[Frame]) -> Vec<&Path> {
-    frames
+fn raw_files(frames: &[Frame]) -> Vec<RawFile<'_>> {
+    let labelled = frames
         .iter()
-        .filter_map(|frame| frame.raw.as_deref())
-        .collect()
-}
-
-/// Names that a notice lists.
-const NAMES: usize = 3;
-
-/// The first few names, and how many more there are.
-pub(crate) fn first_names(names: &[impl AsRef<str>]) -> String {
-    let first: Vec<&str> = names.iter().take(NAMES).map(AsRef::as_ref).collect();
-    match names.len() - first.len() {
-        0 => first.join(", "),
-        more => format!("{} and {more} more", first.join(", ")),
-    }
+        .filter_map(|frame| Some((frame, frame.raw.as_deref()?)));
+    let files = labelled.map(|(frame, path)| RawFile {
+        name: &frame.name,
+        photo: &frame.image,
+        path,
+        is_labelme: frame.drawn.is_some(),
+    });
+    files.collect()
 }
 
 pub(crate) fn scene_name(dir: &Path) -> String {

@@ -8,7 +8,7 @@ use serde_json::Value;
 use std::collections::HashSet;
 use std::path::Path;
 
-/// The id that `classes.json` maps to a name in [`VOID_NAMES`].
+/// The id that `classes.json` maps to a name that [`is_void`].
 const VOID: u16 = 0;
 /// Names of id 0 that mean 'unlabelled', separated by blanks.
 const VOID_NAMES: &str = "void ignore ignored unlabelled unlabeled unknown undefined";
@@ -87,10 +87,7 @@ impl Classes {
                     invalid!(path, "id {id}"; found "{value}"; expected "a name"; help "put it in quotes"),
                 );
             };
-            let is_void = VOID_NAMES
-                .split(' ')
-                .any(|void| void == name.trim().to_lowercase());
-            if id == VOID && !is_void {
+            if id == VOID && !is_void(&name) {
                 return Err(invalid!(path, "id 0"; found "{name:?}";
                     expected "\"void\": id 0 is the ignored one in this form of the file";
                     help "use the form with \"ignore\" and \"classes\", or add one to all ids"));
@@ -118,6 +115,12 @@ impl Classes {
         // Plain data always has a JSON form.
         serde_json::to_string_pretty(&file).unwrap_or_default()
     }
+}
+
+/// Whether a name means 'unlabelled'.
+pub(crate) fn is_void(name: &str) -> bool {
+    let name = name.trim().to_lowercase();
+    VOID_NAMES.split(' ').any(|void| void == name)
 }
 
 fn check_unique(path: &Path, ids: impl Iterator<Item = u16>) -> Result<()> {

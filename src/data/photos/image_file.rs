@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 /// 1296x968 and 640x480, differ by 0.4 %.
 const PROPORTION: f64 = 0.02;
 /// Help for a picture that lies across.
-const ACROSS: &str = "it is turned by a quarter: some programs turn photos by their EXIF orientation and others do not; \
+pub(crate) const ACROSS: &str = "it is turned by a quarter: some programs turn photos by their EXIF orientation and others do not; \
     apply it to the photos or strip it (docs/from-photos.md, 1), before COLMAP and the segmenter see them";
 /// Help for a picture of another size.
 const SCALE: &str = "scale the image to that size (label maps without blending), or correct the size with focal length \

@@ -7,7 +7,7 @@ use crate::error::{Result, invalid};
 use image::{RgbImage, imageops};
 use sha2::{Digest, Sha256};
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// The photo of a view, 8-bit sRGB.
@@ -67,6 +67,14 @@ impl Photo {
             transparent,
             source: Source::File(Arc::new(file)),
         })
+    }
+
+    /// The file that it lies in.
+    pub fn file(&self) -> Option<&Path> {
+        match &self.source {
+            Source::Pixels(_) => None,
+            Source::File(file) => Some(&file.path),
+        }
     }
 
     /// Pixels across.

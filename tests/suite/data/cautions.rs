@@ -155,7 +155,10 @@ fn raw_labels_that_say_nothing_are_told() {
     }
     let found = check(dir, &LoadOptions::default()).notices;
     assert_eq!(found.len(), 2, "{found:?}");
-    assert_eq!(found[0], "1 of 4 training frames have no raw labels: v3");
+    assert_eq!(
+        found[0],
+        "1 of 4 training frames have no raw labels: v3; 3 have some"
+    );
     assert_eq!(
         found[1],
         "raw labels of 1 of 3 training frames are unlabelled in every pixel: v1"

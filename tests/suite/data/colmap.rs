@@ -320,16 +320,6 @@ fn colmap_options_thin_scale_and_name_folders() {
             .points
             .is_empty()
     );
-    // A folder of raw labels that is named must have all of them.
-    let named = LoadOptions {
-        raw_labels: Some("labels_raw".into()),
-        ..LoadOptions::default()
-    };
-    expect_error(
-        dir.path(),
-        &named,
-        &["labels_raw/cam1/photo 3.png", "no such file"],
-    );
     // Photos in nerfstudio's way: the model it was made from does not make the folder ambiguous.
     fs::create_dir(dir.path().join("colmap")).expect("folder");
     fs::rename(dir.path().join("sparse"), dir.path().join("colmap/sparse")).expect("move");

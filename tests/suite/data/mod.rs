@@ -8,6 +8,7 @@ pub mod classes;
 pub mod colmap;
 pub mod colmap_models;
 pub mod data_check;
+pub mod drawn_labels;
 pub mod lens;
 pub mod map_geometry;
 pub mod mask_folders;

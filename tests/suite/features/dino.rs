@@ -372,6 +372,7 @@ fn extraction_reduces_the_maps_and_names_the_file() {
         views: (0..4).map(view).collect(),
         classes: Classes::default(),
         points: Points::default(),
+        drawn: false,
         origin: DVec3::ZERO,
         up: DVec3::Z,
     };

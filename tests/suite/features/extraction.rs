@@ -50,6 +50,7 @@ fn scene(views: Vec<View>, classes: Classes) -> Scene {
         views,
         classes,
         points: Points::default(),
+        drawn: false,
         origin: DVec3::ZERO,
         up: DVec3::Z,
     }

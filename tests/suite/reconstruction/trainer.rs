@@ -94,6 +94,7 @@ pub fn scene() -> Scene {
         views,
         classes: Classes::default(),
         points: Points { positions, colors },
+        drawn: false,
         origin: DVec3::ZERO,
         up: DVec3::Z,
     }

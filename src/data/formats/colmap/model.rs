@@ -2,7 +2,7 @@
 
 use super::images::{self, PosedImage};
 use crate::data::Limits;
-use crate::data::formats::listing::first_names;
+use crate::data::first_names;
 use crate::data::photos::is_photo;
 use crate::error::{Error, Result, invalid};
 use crate::files::names;

@@ -179,9 +179,11 @@ impl<'a> LabelFiles<'a> {
             Some(folder) => Some(folder.file_or_masks(fields, &frame.name)),
             None => given(&fields.raw_label_path),
         };
+        let folder = self.raw_folder.as_ref();
         Frame {
             mask,
             truth: given(&fields.label_path),
+            drawn: folder.and_then(|folder| folder.drawn(fields, &frame.name)),
             raw,
             instances: given(&fields.instance_path),
             ..frame

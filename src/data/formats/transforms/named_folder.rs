@@ -55,6 +55,14 @@ impl NamedFolder {
             .find(|path| path.is_file())
     }
 
+    /// The JSON file of a frame, if it exists.
+    pub fn drawn(&self, frame: &Frame, name: &str) -> Option<PathBuf> {
+        let files = self.files(frame, name).into_iter();
+        files
+            .map(|path| path.with_extension("json"))
+            .find(|path| path.is_file())
+    }
+
     /// The file of a frame, or a folder of masks of that name without extension; without both, the path of the missing file.
     pub fn file_or_masks(&self, frame: &Frame, name: &str) -> PathBuf {
         let found = self.files(frame, name).into_iter().find_map(|file| {

@@ -2,15 +2,20 @@
 
 mod ade20k;
 mod coco;
+pub(crate) mod coco_instances;
+mod drawing;
+pub(crate) mod labelme;
 mod masks;
 mod named;
 
+use self::drawing::Drawing;
 use super::label_map::expect_file;
 use crate::config::{Association, RawFormat};
 use crate::data::labels::scores::ScoreIds;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap, Limits, LoadOptions, Segment};
 use crate::error::{Error, Result, invalid};
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -35,6 +40,20 @@ enum Source {
     /// With the class id of each class of ADE20K.
     Ade20k(Vec<Option<u16>>),
     Masks,
+    /// Shapes, by the names of the frames.
+    Drawn(HashMap<String, Drawing>),
+}
+
+/// Where the raw labels of a photo are.
+#[derive(Clone, Copy)]
+pub(crate) struct RawFile<'a> {
+    /// Name of the frame.
+    pub name: &'a str,
+    pub photo: &'a Path,
+    /// A map, a folder of masks, or a file of shapes.
+    pub path: &'a Path,
+    /// It is a file of LabelMe.
+    pub is_labelme: bool,
 }
 
 /// A decoded map, of the size of its file.
@@ -52,7 +71,7 @@ pub(crate) struct Vocabulary {
     pub classes: Classes,
     /// Class id of each of the segmenter's classes, in its order.
     ids: Vec<Option<u16>>,
-    /// Which classes are left out.
+    /// What is left out.
     pub notice: Option<String>,
 }
 
@@ -70,7 +89,6 @@ impl Vocabulary {
                 notice: None,
             });
         }
-        let plain = |name: &str| name.trim().to_lowercase().replace(['-', '_'], " ");
         let find = |(_, name): &(u16, &str)| {
             let class = classes
                 .entries
@@ -88,9 +106,12 @@ impl Vocabulary {
                 help "rename the classes of classes.json, or remove it where there are no true labels"),
             );
         }
+        let others = names.iter().zip(&ids).filter(|(_, id)| id.is_none());
+        let others: Vec<&str> = others.map(|((_, name), _)| *name).collect();
         let notice = format!(
-            "{found} of the {all} classes of {} are in the class table by name; pixels of the others are unlabelled",
-            file.display()
+            "{found} of the {all} classes of {} are in the class table by name; pixels of the others are unlabelled: {}",
+            file.display(),
+            crate::data::first_names(&others)
         );
         Ok(Self {
             classes: classes.clone(),
@@ -100,22 +121,27 @@ impl Vocabulary {
     }
 }
 
-/// Whether the raw labels `maps` need a class table: all but those that bring their own or have none. The answer is what to add
+/// A name of a class as it is compared.
+fn plain(name: &str) -> String {
+    name.trim().to_lowercase().replace(['-', '_'], " ")
+}
+
+/// Whether the raw labels `files` need a class table: all but those that bring their own or have none. The answer is what to add
 /// to the help where the table is missing.
 pub(crate) fn needs_classes(
     dir: &Path,
     options: &LoadOptions,
-    maps: &[&Path],
+    files: &[RawFile],
 ) -> Option<&'static str> {
-    let is_named = named::table(dir, &folder(dir, options, maps.first()?)).is_some();
+    let is_named = named::table(dir, &folder(dir, options, files.first()?.path)).is_some();
     let is_grey =
-        options.association == Association::None && detect(dir, options, maps) == RawFormat::Grey;
+        options.association == Association::None && detect(dir, options, files) == RawFormat::Grey;
     (is_grey && !is_named).then_some(IF_SEGMENTS)
 }
 
 /// The format that the options name, or that of the first map.
-fn detect(dir: &Path, options: &LoadOptions, maps: &[&Path]) -> RawFormat {
-    let Some(first) = maps.iter().find(|map| map.exists()) else {
+fn detect(dir: &Path, options: &LoadOptions, files: &[RawFile]) -> RawFormat {
+    let Some(first) = files.iter().find(|file| file.path.exists()) else {
         return if options.raw_format == RawFormat::Auto {
             RawFormat::Grey
         } else {
@@ -125,8 +151,15 @@ fn detect(dir: &Path, options: &LoadOptions, maps: &[&Path]) -> RawFormat {
     if options.raw_format != RawFormat::Auto {
         return options.raw_format;
     }
+    if first.is_labelme {
+        return RawFormat::Labelme;
+    }
+    let first = first.path;
     if first.is_dir() {
         return RawFormat::Masks;
+    }
+    if coco_instances::find(dir, options).as_deref() == Some(first) {
+        return RawFormat::CocoInstances;
     }
     // A file that cannot be read is reported where it is read.
     let Ok(file) = ImageFile::open(first, &options.limits) else {
@@ -160,7 +193,7 @@ impl RawLabels {
         }
     }
 
-    /// The format of the raw labels `maps` of a scene with the table `classes`, and the segmenter's vocabulary where the format
+    /// The format of the raw labels `files` of a scene with the table `classes`, and the segmenter's vocabulary where the format
     /// has one.
     ///
     /// # Errors
@@ -168,15 +201,15 @@ impl RawLabels {
     pub fn settle(
         dir: &Path,
         options: &LoadOptions,
-        maps: &[&Path],
+        files: &[RawFile],
         classes: &Classes,
     ) -> Result<(Self, Option<Vocabulary>)> {
-        let Some(first) = maps.first() else {
+        let Some(first) = files.first().map(|file| file.path) else {
             return Ok((Self::grey(), None));
         };
         let segments = options.association != Association::None;
         let mut vocabulary = None;
-        let source = match detect(dir, options, maps) {
+        let source = match detect(dir, options, files) {
             RawFormat::Auto | RawFormat::Grey if segments => Source::Grey,
             RawFormat::Auto | RawFormat::Grey => {
                 let table = named::table(dir, &folder(dir, options, first));
@@ -199,6 +232,17 @@ impl RawLabels {
             RawFormat::Ade20k => {
                 let own = vocabulary.insert(ade20k::vocabulary(first, classes)?);
                 Source::Ade20k(own.ids.clone())
+            }
+            RawFormat::Labelme => {
+                let (drawings, known) = labelme::read(files, classes)?;
+                vocabulary = Some(known);
+                Source::Drawn(drawings)
+            }
+            RawFormat::CocoInstances => {
+                let read = coco_instances::read(first, files, classes, &options.limits);
+                let (drawings, known) = read?;
+                vocabulary = Some(known);
+                Source::Drawn(drawings)
             }
             RawFormat::Masks if segments => Source::Masks,
             RawFormat::Masks => {
@@ -223,7 +267,7 @@ impl RawLabels {
                     .collect(),
             ),
             Source::Named(own) => Some(own.ids.clone()),
-            Source::Coco(_) | Source::Ade20k(_) | Source::Masks => None,
+            Source::Coco(_) | Source::Ade20k(_) | Source::Masks | Source::Drawn(_) => None,
         };
         Ok((
             Self {
@@ -240,16 +284,35 @@ impl RawLabels {
         self.segments
     }
 
+    /// Whether labels are shapes that somebody drew.
+    pub fn are_drawn(&self) -> bool {
+        self.drawings().is_some()
+    }
+
+    /// Whether somebody drew labels on the photo of this name.
+    pub fn has_drawing(&self, name: &str) -> bool {
+        self.drawings()
+            .is_some_and(|drawings| drawings.contains_key(name))
+    }
+
+    /// The shapes by the names of the frames.
+    fn drawings(&self) -> Option<&HashMap<String, Drawing>> {
+        match &self.source {
+            Source::Drawn(drawings) => Some(drawings),
+            _ => None,
+        }
+    }
+
     /// The ids of scores that may lie beside the maps.
     pub fn score_ids(&self) -> Option<Arc<ScoreIds>> {
         self.scores.clone()
     }
 
-    /// Reads the map at `path` of a photo of the size `photo`; `check_size` refuses files of the wrong size. With the class
-    /// table comes its lookup.
+    /// Reads the map at `path` of a photo of the size `photo` and the name `name`; `check_size` refuses files of the wrong size.
+    /// With the class table comes its lookup.
     pub fn read(
         &self,
-        path: &Path,
+        (name, path): (&str, &Path),
         photo: (usize, usize),
         (classes, known): (&Classes, &[u16]),
         limits: &Limits,
@@ -262,18 +325,21 @@ impl RawLabels {
         if let Source::Masks = self.source {
             return masks::read(path, photo, limits, check_size).map(without_segments);
         }
+        let with_classes = |raw: RawMap| {
+            if self.segments {
+                raw
+            } else {
+                without_segments(by_class(&raw, classes))
+            }
+        };
         expect_file(path)?;
+        if let Some(drawing) = self.drawings().and_then(|drawings| drawings.get(name)) {
+            return drawing.paint(photo).map(with_classes);
+        }
         let file = ImageFile::open(path, limits)?;
         check_size(&file)?;
         match &self.source {
-            Source::Coco(panoptic) => {
-                let raw = panoptic.decode(path, &file)?;
-                Ok(if self.segments {
-                    raw
-                } else {
-                    without_segments(by_class(&raw, classes))
-                })
-            }
+            Source::Coco(panoptic) => panoptic.decode(path, &file).map(with_classes),
             Source::Ade20k(ids) => {
                 let map = ade20k::decode(path, &file, ids, classes.ignore)?;
                 let segments = if self.segments {
@@ -288,7 +354,7 @@ impl RawLabels {
                 own.translate(path, &mut map, classes.ignore)?;
                 Ok(without_segments(map))
             }
-            Source::Grey | Source::Masks => {
+            Source::Grey | Source::Masks | Source::Drawn(_) => {
                 let mut map = LabelMap::decode(path, &file)?;
                 if !self.segments {
                     map.settle_ids(path, classes, known, IF_SEGMENTS)?;
