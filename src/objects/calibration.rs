@@ -16,6 +16,8 @@ const EXPONENT: f64 = 0.5;
 /// Preferences between which the correction rises from nothing to all of it. Simulated labels of three rooms had 0.15 to 0.38,
 /// those of a network 0.48 to 0.84.
 const PREFERENCES: [f64; 2] = [0.39, 0.47];
+/// Shares of errors between which it rises likewise. True labels of these rooms had 0.015 to 0.018, those of the network 0.07 to 0.12.
+const ERROR_SHARES: [f64; 2] = [0.03, 0.06];
 /// Share of both fluxes of a pair that is added to each, which keeps their ratio finite.
 const FLUX_FLOOR: f64 = 0.02;
 /// Weight of the confusion matrix without preferred pairs, in shares of the scene.
@@ -183,46 +185,63 @@ impl Flux {
     }
 }
 
-/// How strongly the errors of labels prefer frequent classes: 0 where each class loses the same share of its area, 1 where as much
-/// area moves to the larger class of a pair as to the smaller one. A network that says wall wherever it is unsure is near 1.
-///
-/// F_ab is the area labelled b in what a wins, and A_a the area that a wins. Labels that prefer no class have
-/// F_ab / F_ba = A_a / A_b. The preference g is the least-squares fit of ln(F_ab / F_ba) = (1 - g) ln(A_a / A_b) over all pairs,
-/// weighted by F_ab + F_ba.
-///
-/// `rows` are class shares of pieces of surface, `[N, C]`. Leave out those at the border of two classes: there both lose alike.
-pub fn preference<'a>(rows: impl Iterator<Item = &'a [f64]>, classes: usize) -> f64 {
-    let mut flux = Flux::empty(classes);
-    for row in rows {
-        if let Some(winner) = winner(row) {
-            flux.add(winner, row, 1.0);
-        }
-    }
-    let won = flux.won();
-    let (mut product, mut square) = (0.0, 0.0);
-    for a in 0..classes {
-        for b in 0..a {
-            let both = flux.at(a, b) + flux.at(b, a);
-            if both > 0.0 && won[a] > 0.0 && won[b] > 0.0 {
-                let floor = FLUX_FLOOR * both;
-                let flows = ((flux.at(a, b) + floor) / (flux.at(b, a) + floor)).ln();
-                let areas = (won[a] / won[b]).ln();
-                product += both * flows * areas;
-                square += both * areas * areas;
-            }
-        }
-    }
-    if square > 0.0 {
-        1.0 - product / square
-    } else {
-        0.0
-    }
+/// How labels err, as far as they contradict the class that wins a piece of surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LabelErrors {
+    /// Share of the labels that contradict the winner.
+    pub share: f64,
+    /// How strongly errors prefer frequent classes: 0 where each class loses the same share of its area, 1 where as much area moves
+    /// to the larger class of a pair as to the smaller one. A network that says wall wherever it is unsure is near 1.
+    ///
+    /// F_ab is the area labelled b in what a wins, and A_a the area that a wins. Labels that prefer no class have
+    /// F_ab / F_ba = A_a / A_b. The preference g is the least-squares fit of ln(F_ab / F_ba) = (1 - g) ln(A_a / A_b) over all
+    /// pairs, weighted by F_ab + F_ba.
+    pub preference: f64,
 }
 
-/// The share of the correction that labels of this [`preference`] get, 0 to 1.
-pub fn strength(preference: f64) -> f64 {
-    let [low, high] = PREFERENCES;
-    ((preference - low) / (high - low)).clamp(0.0, 1.0)
+impl LabelErrors {
+    /// Of the class shares `rows` of pieces of surface, `[N, C]`. Leave out those at the border of two classes: there both lose
+    /// alike.
+    pub fn of<'a>(rows: impl Iterator<Item = &'a [f64]>, classes: usize) -> Self {
+        let mut flux = Flux::empty(classes);
+        for row in rows {
+            if let Some(winner) = winner(row) {
+                flux.add(winner, row, 1.0);
+            }
+        }
+        let won = flux.won();
+        let (mut product, mut square) = (0.0, 0.0);
+        for a in 0..classes {
+            for b in 0..a {
+                let both = flux.at(a, b) + flux.at(b, a);
+                if both > 0.0 && won[a] > 0.0 && won[b] > 0.0 {
+                    let floor = FLUX_FLOOR * both;
+                    let flows = ((flux.at(a, b) + floor) / (flux.at(b, a) + floor)).ln();
+                    let areas = (won[a] / won[b]).ln();
+                    product += both * flows * areas;
+                    square += both * areas * areas;
+                }
+            }
+        }
+        let total: f64 = won.iter().sum();
+        let right: f64 = (0..classes).map(|c| flux.at(c, c)).sum();
+        Self {
+            share: 1.0 - right / total.max(f64::MIN_POSITIVE),
+            preference: if square > 0.0 {
+                1.0 - product / square
+            } else {
+                0.0
+            },
+        }
+    }
+
+    /// The share of the correction that such labels get, 0 to 1. Few errors are corrected by nothing: what contradicts the winner
+    /// then is mostly blur at edges.
+    pub fn strength(&self) -> f64 {
+        let rise =
+            |value: f64, [low, high]: [f64; 2]| ((value - low) / (high - low)).clamp(0.0, 1.0);
+        rise(self.preference, PREFERENCES) * rise(self.share, ERROR_SHARES)
+    }
 }
 
 #[cfg(test)]
@@ -276,9 +295,19 @@ mod tests {
     fn errors_that_prefer_no_class_are_left_alone() {
         // Each class loses a quarter, to all others alike.
         let (votes, truth) = votes(|_, _| 0.06);
-        let preference = preference(votes.rows().map(|row| row.0), COUNTS.len());
-        assert!(preference < 0.2, "{preference}");
-        assert_eq!(strength(preference), 0.0);
+        let errors = LabelErrors::of(votes.rows().map(|row| row.0), COUNTS.len());
+        assert!(errors.preference < 0.2, "{errors:?}");
+        assert_eq!(errors.strength(), 0.0);
+        assert_eq!(right(&votes.shares, &truth), truth.len());
+    }
+
+    #[test]
+    fn few_errors_are_left_alone() {
+        // All are taken for the frequent class, but seldom.
+        let (votes, truth) = votes(|_, c| if c == 0 { 0.01 } else { 0.0 });
+        let errors = LabelErrors::of(votes.rows().map(|row| row.0), COUNTS.len());
+        assert!(errors.share < 0.02 && errors.preference > 0.5, "{errors:?}");
+        assert_eq!(errors.strength(), 0.0);
         assert_eq!(right(&votes.shares, &truth), truth.len());
     }
 
@@ -286,8 +315,8 @@ mod tests {
     fn a_class_that_is_named_too_often_gives_way() {
         // All are taken for the frequent class, often by most of their labels.
         let (votes, truth) = votes(|_, c| if c == 0 { 1.0 } else { 0.01 });
-        let preference = preference(votes.rows().map(|row| row.0), COUNTS.len());
-        assert_eq!(strength(preference), 1.0, "{preference}");
+        let errors = LabelErrors::of(votes.rows().map(|row| row.0), COUNTS.len());
+        assert_eq!(errors.strength(), 1.0, "{errors:?}");
         let calibration = Calibration::fit(&votes, None);
         let voted = right(&votes.shares, &truth);
         let calibrated = right(&applied(&calibration, &votes), &truth);

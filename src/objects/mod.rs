@@ -14,7 +14,7 @@ mod superpoints;
 mod vote;
 
 pub use self::association::{Association, Group, associate, associate_until};
-pub use self::calibration::{Calibration, preference, strength};
+pub use self::calibration::{Calibration, LabelErrors};
 pub use self::compactness::NeighbourGraph;
 pub use self::identities::Identities;
 pub use self::inventory::{Object, Picked, inventory, pick};

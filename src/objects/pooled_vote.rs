@@ -3,7 +3,7 @@
 //! The class shares of a Gaussian are the mean of its own votes and of those of the superpoints that hold it, at several scales: a
 //! superpoint that reaches across two objects costs little then. [`Calibration`] corrects them for systematic errors.
 
-use super::calibration::{preference, strength};
+use super::calibration::LabelErrors;
 use super::superpoints::{Superpoints, SurfaceGraph};
 use super::{Calibration, Identities, Votes};
 use crate::error::Result;
@@ -79,7 +79,7 @@ impl PooledVotes {
 pub struct PooledVote {
     /// Class probabilities of each Gaussian; zeros where nothing was voted on it and its superpoints.
     pub identities: Identities,
-    /// 1 where the votes are pooled and calibrated, 0 where they stay as they are, see [`strength`].
+    /// 1 where the votes are pooled and calibrated, 0 where they stay as they are, see [`LabelErrors::strength`].
     pub strength: f64,
 }
 
@@ -101,8 +101,8 @@ pub fn pooled_vote(
 ) -> Result<PooledVote> {
     let classes = votes.classes;
     let graph = SurfaceGraph::new(gaussians, NEIGHBOURS)?;
-    let preference = preference_inside(votes, &graph);
-    let strength = exponent.map_or_else(|| strength(preference), |_| 1.0);
+    let errors = errors_inside(votes, &graph);
+    let strength = exponent.map_or_else(|| errors.strength(), |_| 1.0);
     let weighted = if strength > 0.0 {
         weighted()?
     } else {
@@ -114,8 +114,10 @@ pub fn pooled_vote(
         .map(|s| PooledVotes::new(&weighted, s));
     let calibration = Calibration::fit(&pooled[FITTED], exponent);
     tracing::info!(
-        "{} superpoints; label errors prefer frequent classes by {preference:.2}, corrected by {strength:.2}",
-        superpoints[FITTED].count
+        "{} superpoints; {:.4} of the labels contradict their surface and prefer frequent classes by {:.2}; corrected by {strength:.2}",
+        superpoints[FITTED].count,
+        errors.share,
+        errors.preference
     );
     let mut scores = vec![0.0; votes.table.len()];
     let tables = [votes, &weighted].map(|votes| votes.table.par_chunks_exact(classes.max(1)));
@@ -146,9 +148,9 @@ pub fn pooled_vote(
     })
 }
 
-/// The [`preference`] of the labels on Gaussians whose neighbours, and theirs, have the same winner: at the border of two objects
+/// The errors of the labels on Gaussians whose neighbours, and theirs, have the same winner: at the border of two objects
 /// both lose alike.
-fn preference_inside(votes: &Votes, graph: &SurfaceGraph) -> f64 {
+fn errors_inside(votes: &Votes, graph: &SurfaceGraph) -> LabelErrors {
     let inside = graph.inside(&votes.winners());
     let mut shares = vec![0.0; votes.table.len()];
     let rows = shares.chunks_exact_mut(votes.classes.max(1));
@@ -156,7 +158,7 @@ fn preference_inside(votes: &Votes, graph: &SurfaceGraph) -> f64 {
         add_shares(row, votes);
     }
     let rows = shares.chunks_exact(votes.classes.max(1)).zip(inside);
-    preference(rows.filter(|row| row.1).map(|row| row.0), votes.classes)
+    LabelErrors::of(rows.filter(|row| row.1).map(|row| row.0), votes.classes)
 }
 
 /// Adds the class shares of `votes` to `sums`. Returns whether there are votes.
