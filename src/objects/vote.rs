@@ -5,15 +5,14 @@
 //! a class.
 
 use super::Identities;
+use super::view_votes::{ViewVotes, distances};
 use crate::backend::device::read;
 use crate::data::{Classes, View};
 use crate::error::Result;
 use crate::metrics::Agreement;
 use crate::raster::{Settings, SplatTensors, SplatView};
 use crate::splat::Gaussians;
-use crate::splat::camera::Camera;
 use burn::tensor::{Device, IndexingUpdateOp, Int, Tensor, TensorData};
-use glam::Vec3;
 
 /// Summed weights of each class on each Gaussian.
 #[derive(Clone, Debug, PartialEq)]
@@ -84,96 +83,6 @@ fn collect<'a>(
         tables.add(&splats.seen_by(&view.camera, settings), &cast(view)?)?;
     }
     tables.read()
-}
-
-/// The distance of each Gaussian from the camera, `[N, 1]`.
-fn distances(gaussians: &Gaussians, camera: &Camera, device: &Device) -> Tensor<2> {
-    let distance = |mean: &[f32; 3]| (Vec3::from(*mean).as_dvec3() - camera.center).length() as f32;
-    let distances: Vec<f32> = gaussians.means.iter().map(distance).collect();
-    let size = [distances.len(), 1];
-    Tensor::from_data(TensorData::new(distances, size), device)
-}
-
-/// What a view votes for.
-struct ViewVotes {
-    /// Class index and share of each vote, pixel by pixel in row order.
-    votes: Vec<(u16, f32)>,
-    /// End of the votes of each pixel.
-    ends: Vec<usize>,
-    /// Factor of the votes on each Gaussian, `[N, 1]`.
-    weights: Option<Tensor<2>>,
-}
-
-impl ViewVotes {
-    /// The raw label of each pixel.
-    fn of_labels(view: &View, classes: &Classes) -> Self {
-        Self::of_pixels(view, classes, |_, class, votes| votes.push((class, 1.0)))
-    }
-
-    /// The scores of each pixel that has a raw label; the label itself where the view or the pixel has no scores.
-    fn of_scores(view: &View, classes: &Classes) -> Result<Self> {
-        let Some(scores) = &view.scores else {
-            return Ok(Self::of_labels(view, classes));
-        };
-        let (scores, width) = (scores.read(classes)?, view.camera.width);
-        let mut found = Vec::new();
-        Ok(Self::of_pixels(view, classes, |pixel, class, votes| {
-            scores.at(pixel % width, pixel / width, &mut found);
-            if found.is_empty() {
-                found.push((class, 1.0));
-            }
-            votes.extend_from_slice(&found);
-        }))
-    }
-
-    /// `add` adds the votes of a labelled pixel, given its number and class, to the list of all.
-    fn of_pixels(
-        view: &View,
-        classes: &Classes,
-        mut add: impl FnMut(usize, u16, &mut Vec<(u16, f32)>),
-    ) -> Self {
-        let lookup = classes.lookup();
-        let ids = view.raw.as_ref().map_or_else(Vec::new, |raw| raw.map().ids);
-        let mut votes = Vec::new();
-        let mut ends = Vec::with_capacity(ids.len());
-        for (pixel, id) in ids.into_iter().enumerate() {
-            let class = lookup[usize::from(id)];
-            if usize::from(class) < classes.len() {
-                add(pixel, class, &mut votes);
-            }
-            ends.push(votes.len());
-        }
-        Self {
-            votes,
-            ends,
-            weights: None,
-        }
-    }
-
-    /// The classes that any pixel votes for, ascending.
-    fn shown(&self) -> Vec<u16> {
-        let mut shown = vec![false; 1 << 16];
-        (self.votes.iter()).for_each(|(class, _)| shown[usize::from(*class)] = true);
-        (0..=u16::MAX)
-            .filter(|&class| shown[usize::from(class)])
-            .collect()
-    }
-
-    /// The votes of each pixel for the classes `part`, ascending: `[P, len]`.
-    fn image(&self, part: &[u16], device: &Device) -> Tensor<2> {
-        let mut values = vec![0.0; self.ends.len() * part.len()];
-        let mut first = 0;
-        for (row, &end) in values.chunks_exact_mut(part.len()).zip(&self.ends) {
-            for (class, weight) in &self.votes[first..end] {
-                if let Ok(column) = part.binary_search(class) {
-                    row[column] += weight;
-                }
-            }
-            first = end;
-        }
-        let size = [self.ends.len(), part.len()];
-        Tensor::from_data(TensorData::new(values, size), device)
-    }
 }
 
 /// Votes on a device until all views are in.
@@ -351,6 +260,7 @@ impl Votes {
 mod tests {
     use super::*;
     use crate::backend::device::{BackendName, device_of_tests};
+    use crate::splat::camera::Camera;
     use glam::{DMat3, DVec3};
 
     #[test]

@@ -17,6 +17,7 @@ pub(crate) mod lift;
 mod reconstruct;
 mod run;
 mod suggest;
+pub(crate) mod variant_training;
 pub(crate) mod variants;
 mod vote_share;
 
@@ -27,4 +28,5 @@ pub use self::initial_scene::compare_with_photos;
 pub use self::lift::{LiftedFeatures, Pruned};
 pub use self::run::{Outcome, Seconds, load_scene, run};
 pub use self::suggest::{Suggestion, suggest};
-pub use self::variants::{VariantOutcome, decoder_training};
+pub use self::variant_training::decoder_training;
+pub use self::variants::VariantOutcome;

@@ -2,12 +2,10 @@
 
 use super::encode::{Encodings, Inputs, encode, spatial_of};
 use super::evaluate::{HeldOut, HeldOutScores};
-use super::train_decoder::{
-    Adam, DecoderInput, DecoderModel, DecoderPlan, IdentityModel, PerGaussian, Plan, Schedule,
-    Training, TrainingViews,
-};
+use super::train_decoder::{Adam, IdentityModel, PerGaussian, Plan, Training, TrainingViews};
+use super::variant_training::{decoder_training, plan, schedule};
 use super::vote_share::{best_share, mixed};
-use crate::config::{Association, Prior, SegmentationConfig, SpatialConfig, Variant};
+use crate::config::{Association, Prior, SpatialConfig, Variant};
 use crate::data::Split;
 use crate::error::Result;
 use crate::metrics::{Agreement, Compactness, InstanceScores, LabelScores, SemanticScores};
@@ -15,10 +13,6 @@ use crate::objects::{
     Identities, NeighbourGraph, PooledVote, Votes, pooled_vote, vote, weighted_vote,
 };
 use crate::progress::{CurvePoint, Progress};
-use crate::provenance::Provenance;
-use crate::segmentation::decoder::DecoderConfig;
-use crate::segmentation::encoder::spatial_digest;
-use crate::segmentation::loss::LabelLoss;
 use std::cell::OnceCell;
 use std::path::Path;
 use std::time::Instant;
@@ -27,8 +21,6 @@ use std::time::Instant;
 const LR_PER_GAUSSIAN: f64 = 5e-2;
 /// Share added to every class of the votes that a decoder starts from.
 const VOTE_FLOOR: f32 = 0.02;
-/// Share of the frozen channels that each of the two predictions of `loss = "gjs"` drops.
-const GJS_DROPOUT: f64 = 0.2;
 
 /// One variant, trained and scored.
 #[derive(Clone, Debug)]
@@ -388,90 +380,4 @@ impl<'a> StageTwo<'a> {
             ..VariantOutcome::new(variant, scores.unwrap_or_default())
         })
     }
-}
-
-/// How `variant` is trained.
-fn plan(variant: Variant, inputs: &Inputs) -> Result<Plan> {
-    let config = &inputs.config.segmentation;
-    let loss = match variant {
-        Variant::PerGaussian | Variant::OursCe => LabelLoss::Ce,
-        _ => LabelLoss::from_config(config)?,
-    };
-    Ok(Plan::new(config, loss, inputs.config.seed))
-}
-
-/// When `variant` is evaluated and saved.
-///
-/// # Errors
-/// [`crate::Error::Io`] when the file of the point encoder's weights cannot be read.
-fn schedule(variant: Variant, inputs: &Inputs, checkpoints: &Path) -> Result<Schedule> {
-    let config = &inputs.config.segmentation;
-    let or_a_tenth = |every: usize| match every {
-        0 => config.iterations.div_ceil(10),
-        every => every,
-    };
-    Ok(Schedule {
-        variant: variant.key(),
-        gaussians: inputs.gaussians.len(),
-        eval_every: or_a_tenth(config.eval_every),
-        checkpoint_every: or_a_tenth(config.checkpoint_every),
-        checkpoint: Some(checkpoints.join(format!("{}.safetensors", variant.key()))),
-        provenance: provenance(variant, inputs)?,
-    })
-}
-
-/// What the training of `variant` follows from.
-fn provenance(variant: Variant, inputs: &Inputs) -> Result<Provenance> {
-    let decoder = variant.trains_decoder();
-    let mut provenance =
-        Provenance::stage_two(inputs.config, inputs.scene, inputs.gaussians, decoder);
-    if let Some(lifted) = &inputs.lifted
-        && decoder
-        && variant != Variant::NoImageFeatures
-    {
-        provenance = provenance.with_image_features(&lifted.content);
-    }
-    if decoder
-        && !matches!(variant, Variant::NoSpatial | Variant::RandomSpatial)
-        && let Some(weights) = spatial_digest(&inputs.config.spatial)?
-    {
-        provenance = provenance.with_point_encoder(&weights);
-    }
-    Ok(provenance)
-}
-
-/// The decoder of `variant` before its first step, over the frozen `input`. Its scores are added to `prior`, `[N, C]`. Where its
-/// parameters are averaged, that begins after the share `segmentation.warmup` of the iterations of `plan`. `views` is the number
-/// of training views.
-pub fn decoder_training<'a>(
-    variant: Variant,
-    plan: &Plan,
-    input: &'a DecoderInput,
-    prior: Option<Vec<f32>>,
-    inputs: &'a Inputs,
-    views: usize,
-) -> Training<DecoderModel<'a>> {
-    let config: &SegmentationConfig = &inputs.config.segmentation;
-    let (seed, classes) = (inputs.config.seed, inputs.scene.classes.len());
-    let device = inputs.device.clone().autodiff();
-    let pyramid = &input.scene().pyramid;
-    let decoder = DecoderConfig::for_pyramid(pyramid, classes)
-        .with_seed(seed)
-        .init(&device);
-    let decoder_plan = DecoderPlan {
-        config,
-        regularised: variant != Variant::OursCe && config.lambda_reg > 0.0,
-        size: [inputs.gaussians.len(), classes],
-        dropout: matches!(plan.loss, LabelLoss::Gjs { .. }).then_some(GJS_DROPOUT),
-        seed,
-    };
-    let means = &inputs.gaussians.means;
-    let mut model = DecoderModel::new(decoder, input, means, views, decoder_plan, &device);
-    if let Some(prior) = prior {
-        model = model.with_prior(prior);
-    }
-    // Not `plan.warmup`: a variant under cross-entropy has no warm-up, and is averaged over the same steps as the others.
-    let average_from = (config.warmup * plan.iterations as f64) as usize;
-    let adam = Adam::new(config.lr, config.average.then_some(average_from));
-    Training::new(model, adam, classes)
 }

@@ -1,0 +1,102 @@
+//! How a variant is trained: its loss, its schedule, what its result follows from, and its decoder before the first step.
+
+use super::encode::Inputs;
+use super::train_decoder::{
+    Adam, DecoderInput, DecoderModel, DecoderPlan, Plan, Schedule, Training,
+};
+use crate::config::{SegmentationConfig, Variant};
+use crate::error::Result;
+use crate::provenance::Provenance;
+use crate::segmentation::decoder::DecoderConfig;
+use crate::segmentation::encoder::spatial_digest;
+use crate::segmentation::loss::LabelLoss;
+use std::path::Path;
+
+/// Share of the frozen channels that each of the two predictions of `loss = "gjs"` drops.
+const GJS_DROPOUT: f64 = 0.2;
+
+/// How `variant` is trained.
+pub(super) fn plan(variant: Variant, inputs: &Inputs) -> Result<Plan> {
+    let config = &inputs.config.segmentation;
+    let loss = match variant {
+        Variant::PerGaussian | Variant::OursCe => LabelLoss::Ce,
+        _ => LabelLoss::from_config(config)?,
+    };
+    Ok(Plan::new(config, loss, inputs.config.seed))
+}
+
+/// When `variant` is evaluated and saved.
+///
+/// # Errors
+/// [`crate::Error::Io`] when the file of the point encoder's weights cannot be read.
+pub(super) fn schedule(variant: Variant, inputs: &Inputs, checkpoints: &Path) -> Result<Schedule> {
+    let config = &inputs.config.segmentation;
+    let or_a_tenth = |every: usize| match every {
+        0 => config.iterations.div_ceil(10),
+        every => every,
+    };
+    Ok(Schedule {
+        variant: variant.key(),
+        gaussians: inputs.gaussians.len(),
+        eval_every: or_a_tenth(config.eval_every),
+        checkpoint_every: or_a_tenth(config.checkpoint_every),
+        checkpoint: Some(checkpoints.join(format!("{}.safetensors", variant.key()))),
+        provenance: provenance(variant, inputs)?,
+    })
+}
+
+/// What the training of `variant` follows from.
+fn provenance(variant: Variant, inputs: &Inputs) -> Result<Provenance> {
+    let decoder = variant.trains_decoder();
+    let mut provenance =
+        Provenance::stage_two(inputs.config, inputs.scene, inputs.gaussians, decoder);
+    if let Some(lifted) = &inputs.lifted
+        && decoder
+        && variant != Variant::NoImageFeatures
+    {
+        provenance = provenance.with_image_features(&lifted.content);
+    }
+    if decoder
+        && !matches!(variant, Variant::NoSpatial | Variant::RandomSpatial)
+        && let Some(weights) = spatial_digest(&inputs.config.spatial)?
+    {
+        provenance = provenance.with_point_encoder(&weights);
+    }
+    Ok(provenance)
+}
+
+/// The decoder of `variant` before its first step, over the frozen `input`. Its scores are added to `prior`, `[N, C]`. Where its
+/// parameters are averaged, that begins after the share `segmentation.warmup` of the iterations of `plan`. `views` is the number
+/// of training views.
+pub fn decoder_training<'a>(
+    variant: Variant,
+    plan: &Plan,
+    input: &'a DecoderInput,
+    prior: Option<Vec<f32>>,
+    inputs: &'a Inputs,
+    views: usize,
+) -> Training<DecoderModel<'a>> {
+    let config: &SegmentationConfig = &inputs.config.segmentation;
+    let (seed, classes) = (inputs.config.seed, inputs.scene.classes.len());
+    let device = inputs.device.clone().autodiff();
+    let pyramid = &input.scene().pyramid;
+    let decoder = DecoderConfig::for_pyramid(pyramid, classes)
+        .with_seed(seed)
+        .init(&device);
+    let decoder_plan = DecoderPlan {
+        config,
+        regularised: variant != Variant::OursCe && config.lambda_reg > 0.0,
+        size: [inputs.gaussians.len(), classes],
+        dropout: matches!(plan.loss, LabelLoss::Gjs { .. }).then_some(GJS_DROPOUT),
+        seed,
+    };
+    let means = &inputs.gaussians.means;
+    let mut model = DecoderModel::new(decoder, input, means, views, decoder_plan, &device);
+    if let Some(prior) = prior {
+        model = model.with_prior(prior);
+    }
+    // Not `plan.warmup`: a variant under cross-entropy has no warm-up, and is averaged over the same steps as the others.
+    let average_from = (config.warmup * plan.iterations as f64) as usize;
+    let adam = Adam::new(config.lr, config.average.then_some(average_from));
+    Training::new(model, adam, classes)
+}
