@@ -28,9 +28,9 @@ fn shares(shares: &[Option<f64>]) -> Markup {
     html! { @for share in shares { td { (percent(*share)) } } }
 }
 
-/// A share, bold where it is the best.
+/// A share, bold where it is the best and above 0.
 fn share(share: Option<f64>, best: Option<f64>) -> Markup {
-    let is_best = share.is_some() && share == best;
+    let is_best = share.is_some_and(|share| share > 0.0) && share == best;
     html! { td.best[is_best] { (percent(share)) } }
 }
 
