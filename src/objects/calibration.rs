@@ -235,8 +235,8 @@ impl LabelErrors {
         }
     }
 
-    /// The share of the correction that such labels get, 0 to 1. Few errors are corrected by nothing: what contradicts the winner
-    /// then is mostly blur at edges.
+    /// The share of the correction that such labels get, 0 to 1. Labels with few errors get none: what contradicts the winner there
+    /// is mostly blur at edges.
     pub fn strength(&self) -> f64 {
         let rise =
             |value: f64, [low, high]: [f64; 2]| ((value - low) / (high - low)).clamp(0.0, 1.0);

@@ -7,14 +7,6 @@ use crate::splat::camera::Camera;
 use burn::tensor::{Device, Tensor, TensorData};
 use glam::Vec3;
 
-/// The distance of each Gaussian from the camera, `[N, 1]`.
-pub(super) fn distances(gaussians: &Gaussians, camera: &Camera, device: &Device) -> Tensor<2> {
-    let distance = |mean: &[f32; 3]| (Vec3::from(*mean).as_dvec3() - camera.center).length() as f32;
-    let distances: Vec<f32> = gaussians.means.iter().map(distance).collect();
-    let size = [distances.len(), 1];
-    Tensor::from_data(TensorData::new(distances, size), device)
-}
-
 /// What a view votes for.
 pub(super) struct ViewVotes {
     /// Class index and share of each vote, pixel by pixel in row order.
@@ -31,8 +23,21 @@ impl ViewVotes {
         Self::of_pixels(view, classes, |_, class, votes| votes.push((class, 1.0)))
     }
 
+    /// [`ViewVotes::of_scores`], times the distance of each Gaussian from the camera.
+    pub fn weighted(
+        view: &View,
+        classes: &Classes,
+        gaussians: &Gaussians,
+        device: &Device,
+    ) -> Result<Self> {
+        Ok(Self {
+            weights: Some(distances(gaussians, &view.camera, device)),
+            ..Self::of_scores(view, classes)?
+        })
+    }
+
     /// The scores of each pixel that has a raw label; the label itself where the view or the pixel has no scores.
-    pub fn of_scores(view: &View, classes: &Classes) -> Result<Self> {
+    fn of_scores(view: &View, classes: &Classes) -> Result<Self> {
         let Some(scores) = &view.scores else {
             return Ok(Self::of_labels(view, classes));
         };
@@ -74,7 +79,9 @@ impl ViewVotes {
     /// The classes that any pixel votes for, ascending.
     pub fn shown(&self) -> Vec<u16> {
         let mut shown = vec![false; 1 << 16];
-        (self.votes.iter()).for_each(|(class, _)| shown[usize::from(*class)] = true);
+        for (class, _) in &self.votes {
+            shown[usize::from(*class)] = true;
+        }
         (0..=u16::MAX)
             .filter(|&class| shown[usize::from(class)])
             .collect()
@@ -95,4 +102,12 @@ impl ViewVotes {
         let size = [self.ends.len(), part.len()];
         Tensor::from_data(TensorData::new(values, size), device)
     }
+}
+
+/// The distance of each Gaussian from the camera, `[N, 1]`.
+fn distances(gaussians: &Gaussians, camera: &Camera, device: &Device) -> Tensor<2> {
+    let distance = |mean: &[f32; 3]| (Vec3::from(*mean).as_dvec3() - camera.center).length() as f32;
+    let distances: Vec<f32> = gaussians.means.iter().map(distance).collect();
+    let size = [distances.len(), 1];
+    Tensor::from_data(TensorData::new(distances, size), device)
 }

@@ -5,7 +5,7 @@
 //! a class.
 
 use super::Identities;
-use super::view_votes::{ViewVotes, distances};
+use super::view_votes::ViewVotes;
 use crate::backend::device::read;
 use crate::data::{Classes, View};
 use crate::error::Result;
@@ -51,14 +51,7 @@ pub fn weighted_vote<'a>(
     settings: &Settings,
     device: &Device,
 ) -> Result<Votes> {
-    let cast = |view: &View| {
-        let votes = ViewVotes::of_scores(view, classes)?;
-        let weights = distances(gaussians, &view.camera, device);
-        Ok(ViewVotes {
-            weights: Some(weights),
-            ..votes
-        })
-    };
+    let cast = |view: &View| ViewVotes::weighted(view, classes, gaussians, device);
     collect(gaussians, views, classes.len(), cast, settings, device)
 }
 

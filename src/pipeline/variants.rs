@@ -292,15 +292,14 @@ impl<'a> StageTwo<'a> {
         if let Some(votes) = self.votes.get() {
             return Ok(votes);
         }
-        let Inputs {
-            scene,
-            gaussians,
-            settings,
-            device,
-            ..
-        } = self.inputs;
-        let views = scene.split(Split::Train);
-        let votes = vote(gaussians, views, &scene.classes, settings, device)?;
+        let inputs = self.inputs;
+        let votes = vote(
+            inputs.gaussians,
+            inputs.scene.split(Split::Train),
+            &inputs.scene.classes,
+            &inputs.settings,
+            inputs.device,
+        )?;
         Ok(self.votes.get_or_init(|| votes))
     }
 
@@ -309,19 +308,18 @@ impl<'a> StageTwo<'a> {
         if let Some(pooled) = self.pooled.get() {
             return Ok(pooled);
         }
-        let exponent = self.inputs.config.segmentation.prior_exponent;
-        let Inputs {
-            scene,
-            gaussians,
-            settings,
-            device,
-            ..
-        } = self.inputs;
+        let inputs = self.inputs;
         let weighted = || {
-            let views = scene.split(Split::Train);
-            weighted_vote(gaussians, views, &scene.classes, settings, device)
+            weighted_vote(
+                inputs.gaussians,
+                inputs.scene.split(Split::Train),
+                &inputs.scene.classes,
+                &inputs.settings,
+                inputs.device,
+            )
         };
-        let pooled = pooled_vote(gaussians, self.votes()?, weighted, exponent)?;
+        let exponent = inputs.config.segmentation.prior_exponent;
+        let pooled = pooled_vote(inputs.gaussians, self.votes()?, weighted, exponent)?;
         Ok(self.pooled.get_or_init(|| pooled))
     }
 

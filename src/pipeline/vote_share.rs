@@ -1,8 +1,8 @@
 //! The share of the vote in trained identities.
 //!
-//! A decoder labels Gaussians with like features alike. That corrects wrong labels, but it loses what only the labels of a Gaussian
-//! tell, and where labels are good, the vote is better. Which is the case can be read from raw labels that the vote has not seen.
-//! Errors must not repeat in all views: labels that need the pooled vote say nothing here.
+//! A decoder gives Gaussians with similar features the same label. That corrects wrong labels, but it loses details that only the
+//! labels of a Gaussian itself show. Where labels are good, the vote is better. Raw labels that the vote has not seen tell which
+//! case holds, unless their errors repeat in all views. This is why the pooled vote is not compared.
 
 use super::encode::Inputs;
 use crate::data::{Split, View};
@@ -46,8 +46,9 @@ pub(super) fn mixed(trained: &Identities, votes: &Votes, share: f32) -> Identiti
     mixed
 }
 
-/// The share of `votes` whose label maps agree best with raw labels of training views: the mIoU of views whose run the votes leave
-/// out. The smallest of equal ones; 0 with fewer than two labelled views.
+/// The share of `votes` that gives the label maps closest to the raw labels, by mIoU over training views. For each view the votes of
+/// its run are left out. The trained identities have seen all labels, which favours them. Returns the smallest of equal shares, and
+/// 0 with fewer than two labelled views.
 ///
 /// # Errors
 /// Those of [`vote`] and of [`LabelMaps::of`].

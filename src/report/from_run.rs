@@ -49,6 +49,7 @@ fn row_scores(row: &VariantOutcome) -> RowScores {
         agreement: row.agreement,
         iterations: row.curve.last().map(|point| point.iteration),
         learning_rate: row.rate,
+        vote_share: row.vote_share,
         seconds: row.curve.last().map(|_| row.seconds),
         ..RowScores::from(&row.scores)
     }

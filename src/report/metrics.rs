@@ -97,6 +97,9 @@ pub struct RowScores {
     /// Learning rate, for trained rows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub learning_rate: Option<f64>,
+    /// Share of the vote in the identities, for rows of a decoder.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vote_share: Option<f64>,
     /// Training time of this row alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seconds: Option<f64>,

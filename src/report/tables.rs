@@ -59,6 +59,7 @@ pub(super) fn scores(report: &Report<'_>) -> Markup {
         "accuracy, %",
         "iterations",
         "learning rate",
+        "share of the vote, %",
         "time",
     ];
     let body = html! {
@@ -68,13 +69,14 @@ pub(super) fn scores(report: &Report<'_>) -> Markup {
                 @for (pick, best) in columns.iter().zip(best) { (share(pick(scores), best)) }
                 td { (or_dash(scores.iterations.map(|n| thousands(n as u64)))) }
                 td { (or_dash(scores.learning_rate.map(|rate| rate.to_string()))) }
+                td { (or_dash(scores.vote_share.map(|share| format!("{:.0}", 100.0 * share)))) }
                 td { (or_dash(scores.seconds.map(duration))) }
             }
             @if let Some(s) = scores.void_left_out {
                 tr.quiet {
                     th scope="row" { (swatch(color(*row))) (row.title()) ", unlabelled left out" }
                     (shares(&[s.miou, s.miou_per_view, s.accuracy]))
-                    td { "–" } td { "–" } td { "–" }
+                    td { "–" } td { "–" } td { "–" } td { "–" }
                 }
             }
         }
