@@ -25,7 +25,7 @@
 //! PLY. Class id 0 is unlabelled unless `classes.json` says otherwise.
 //!
 //! ```
-//! use coseg::splat::camera::{Camera, Intrinsics};
+//! use coseg::splat::camera::Camera;
 //! use coseg::splat::Gaussians;
 //! use coseg::raster::{Settings, render};
 //! use glam::{DMat4, DVec3};
@@ -40,8 +40,7 @@
 //!     sh_degree: 0,
 //! };
 //! let pose = DMat4::look_at_rh(DVec3::new(0.0, 0.0, 4.0), DVec3::ZERO, DVec3::Y).inverse();
-//! let intrinsics = Intrinsics { fx: 80.0, fy: 80.0, cx: 32.5, cy: 24.5, width: 65, height: 49 };
-//! let camera = Camera::from_opengl(&pose, intrinsics).expect("a rigid pose");
+//! let camera = Camera::centred([80.0; 2], [65, 49]).with_opengl_pose(&pose).expect("a rigid pose");
 //! let picture = render(&ball, &camera, &Settings::default(), [0.0; 3])?;
 //! let centre = 3 * (24 * 65 + 32);
 //! assert!(picture.rgb[centre] > 0.99 && picture.rgb[centre + 1] < 0.01);

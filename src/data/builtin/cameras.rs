@@ -2,7 +2,7 @@
 
 use super::room::{Purpose, Room, stream};
 use crate::data::Split;
-use crate::splat::camera::{Camera, Intrinsics};
+use crate::splat::camera::Camera;
 use glam::{DMat3, DVec2, DVec3};
 use rand::Rng;
 use std::f64::consts::{PI, TAU};
@@ -150,7 +150,9 @@ fn look(eye: DVec3, target: DVec3, width: usize, height: usize) -> Camera {
     let forward = (target - eye).normalize_or(DVec3::Y);
     let right = forward.cross(DVec3::Z).normalize_or(DVec3::X);
     let down = forward.cross(right);
-    let rotation = DMat3::from_cols(right, down, forward).transpose();
-    let intrinsics = Intrinsics::centred([0.7 * width as f64; 2], [width, height]);
-    Camera::new(rotation, eye, intrinsics)
+    Camera {
+        rotation: DMat3::from_cols(right, down, forward).transpose(),
+        center: eye,
+        ..Camera::centred([0.7 * width as f64; 2], [width, height])
+    }
 }

@@ -17,7 +17,7 @@ use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, Limits};
 use crate::error::{Result, invalid};
 use crate::files;
-use crate::splat::camera::Intrinsics;
+use crate::splat::camera::Camera;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -109,7 +109,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         };
         let field = format!("line {}", line + 1);
         let camera = sequence::pose(row, &path, &field)
-            .and_then(|pose| sequence::camera(&pose, intrinsics, &path, &field));
+            .and_then(|pose| sequence::camera(&pose, &intrinsics, &path, &field));
         let Some(camera) = problems.keep(camera) else {
             continue;
         };
@@ -174,7 +174,7 @@ const PUBLISHED: &str =
     r#"{"camera": {"w": 1200, "h": 680, "fx": 600.0, "fy": 600.0, "cx": 599.5, "cy": 339.5}}"#;
 
 /// Intrinsics and the value of a metre in the depth images.
-fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<(Intrinsics, f64)> {
+fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<(Camera, f64)> {
     let places = ["cam_params.json", "../cam_params.json"].map(|name| dir.join(name));
     let path = places.iter().find(|path| path.is_file());
     let text = match path {
@@ -187,18 +187,9 @@ fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<(Intrinsics, f64)>
     let path = path.unwrap_or(&places[0]);
     let expected = "{\"camera\": {\"w\", \"h\", \"fx\", \"fy\", \"cx\", \"cy\", ..}}";
     let file = serde_json::from_str(&text).map_err(|e| files::json_error(path, &e, expected))?;
-    let CameraFile {
-        camera:
-            CameraParams {
-                w,
-                h,
-                fx,
-                fy,
-                cx,
-                cy,
-                scale,
-            },
-    } = file;
+    let CameraFile { camera } = file;
+    let CameraParams { w, h, fx, fy, .. } = camera;
+    let CameraParams { cx, cy, scale, .. } = camera;
     let numbers = [fx, fy, cx, cy, scale];
     if [w, h].iter().any(|side| !(1..=1 << 32).contains(side))
         || !numbers.iter().all(|v| FOCAL.contains(v))
@@ -207,23 +198,16 @@ fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<(Intrinsics, f64)>
             expected "sizes, focal lengths, centre and scale above 0"; help "copy the file again"));
     }
     // Pixel centres move from whole numbers to halves.
-    let (cx, cy) = (cx + 0.5, cy + 0.5);
-    let intrinsics = Intrinsics {
-        fx,
-        fy,
-        cx,
-        cy,
-        width: w,
-        height: h,
+    let camera = Camera {
+        cx: cx + 0.5,
+        cy: cy + 0.5,
+        ..Camera::centred([fx, fy], [w, h])
     };
-    Ok((intrinsics, scale))
+    Ok((camera, scale))
 }
 
 /// Semantic-NeRF renders with a field of view of 90 degrees across, square pixels, the centre in the middle.
-fn right_angle(photo: &Path, limits: &Limits) -> Result<Intrinsics> {
+fn right_angle(photo: &Path, limits: &Limits) -> Result<Camera> {
     let (width, height) = ImageFile::open(photo, limits)?.size;
-    Ok(Intrinsics::centred(
-        [0.5 * width as f64; 2],
-        [width, height],
-    ))
+    Ok(Camera::centred([0.5 * width as f64; 2], [width, height]))
 }

@@ -15,7 +15,7 @@ use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, Limits};
 use crate::error::{Error, Result, invalid};
 use crate::files;
-use crate::splat::camera::Intrinsics;
+use crate::splat::camera::Camera;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
@@ -81,7 +81,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let mut frames = Vec::with_capacity(kept.len());
     for (i, split) in kept {
         let (number, image, pose) = &posed[i];
-        let camera = sequence::camera(pose, intrinsics, &pose_file(image), "matrix");
+        let camera = sequence::camera(pose, &intrinsics, &pose_file(image), "matrix");
         if let Some(camera) = problems.keep(camera) {
             let frame = sequence::frame(image, split, camera, &folders, instances.get(number));
             frames.push(Frame {
@@ -138,7 +138,7 @@ fn read_matrix(path: &Path) -> Result<Pose> {
 }
 
 /// `intrinsic_color.txt`: a 4x4 matrix whose upper left 3x3 is K, for photos of the size of `photo`.
-fn read_intrinsics(dir: &Path, photo: &Path, limits: &Limits) -> Result<Intrinsics> {
+fn read_intrinsics(dir: &Path, photo: &Path, limits: &Limits) -> Result<Camera> {
     let path = dir.join("intrinsic/intrinsic_color.txt");
     let [fx, _, cx, _, _, fy, cy, ..] = read_matrix(&path)?;
     let (width, height) = ImageFile::open(photo, limits)?.size;
@@ -154,14 +154,8 @@ fn read_intrinsics(dir: &Path, photo: &Path, limits: &Limits) -> Result<Intrinsi
             expected "near the middle of the photos, which are {width}x{height}";
             help "where photos were scaled, scale fx fy cx cy of the first three rows with them"));
     }
-    Ok(Intrinsics {
-        fx,
-        fy,
-        cx,
-        cy,
-        width,
-        height,
-    })
+    let centred = Camera::centred([fx, fy], [width, height]);
+    Ok(Camera { cx, cy, ..centred })
 }
 
 /// Whether the class `id` of NYU40 is in the set.

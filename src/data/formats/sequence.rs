@@ -8,7 +8,7 @@ use super::listing::Cloud;
 use crate::data::Split;
 use crate::error::{Result, invalid};
 use crate::files::{Numbered, numbered};
-use crate::splat::camera::{Camera, Intrinsics};
+use crate::splat::camera::Camera;
 use glam::DMat4;
 use std::path::{Path, PathBuf};
 
@@ -92,12 +92,7 @@ pub(crate) fn pose(text: &str, path: &Path, field: &str) -> Result<Pose> {
 ///
 /// # Errors
 /// The pose is not finite or no rotation and translation.
-pub(crate) fn camera(
-    pose: &Pose,
-    intrinsics: Intrinsics,
-    path: &Path,
-    field: &str,
-) -> Result<Camera> {
+pub(crate) fn camera(pose: &Pose, intrinsics: &Camera, path: &Path, field: &str) -> Result<Camera> {
     let again = "drop the frame, or export its pose again";
     if let Some(i) = pose.iter().position(|v| !fits_f32(*v)) {
         return Err(
@@ -117,5 +112,6 @@ pub(crate) fn camera(
     }
     // The matrix is stored by rows.
     let matrix = DMat4::from_cols_array(pose).transpose();
-    Camera::from_opencv(&matrix, intrinsics).ok_or_else(|| not_a_rotation(path, field, &matrix))
+    let camera = intrinsics.clone().with_opencv_pose(&matrix);
+    camera.ok_or_else(|| not_a_rotation(path, field, &matrix))
 }

@@ -32,64 +32,50 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// A camera from its pose, as the fields have it, and its intrinsics.
-    pub fn new(rotation: DMat3, center: DVec3, intrinsics: Intrinsics) -> Self {
-        let Intrinsics {
-            fx,
-            fy,
-            cx,
-            cy,
-            width,
-            height,
-        } = intrinsics;
+    /// A camera at the origin that looks along +z, of these focal lengths along x and y and this image size, with the principal
+    /// point in the middle; all in pixels.
+    pub fn centred([fx, fy]: [f64; 2], [width, height]: [usize; 2]) -> Self {
         Self {
-            rotation,
-            center,
+            rotation: DMat3::IDENTITY,
+            center: DVec3::ZERO,
             fx,
             fy,
-            cx,
-            cy,
+            cx: 0.5 * width as f64,
+            cy: 0.5 * height as f64,
             width,
             height,
         }
     }
 
-    /// A camera from an OpenGL camera-to-world matrix (x right, y up, looking along -z), as `transforms.json` has it.
+    /// This camera with the pose of an OpenGL camera-to-world matrix (x right, y up, looking along -z), as `transforms.json` has
+    /// it.
     ///
     /// Returns `None` when the matrix is not finite or its rotation part is not a proper rotation within 1e-3.
-    pub fn from_opengl(c2w: &DMat4, intrinsics: Intrinsics) -> Option<Self> {
+    pub fn with_opengl_pose(self, c2w: &DMat4) -> Option<Self> {
         // Camera axes in OpenCV order: x stays, y and z flip.
         let flipped = DMat4::from_cols(c2w.x_axis, -c2w.y_axis, -c2w.z_axis, c2w.w_axis);
-        Self::from_opencv(&flipped, intrinsics)
+        self.with_opencv_pose(&flipped)
     }
 
-    /// A camera from an OpenCV camera-to-world matrix (x right, y down, looking along +z).
+    /// This camera with the pose of an OpenCV camera-to-world matrix (x right, y down, looking along +z).
     ///
     /// Returns `None` when the matrix is not finite or its rotation part is not a proper rotation within 1e-3.
-    pub fn from_opencv(c2w: &DMat4, intrinsics: Intrinsics) -> Option<Self> {
+    pub fn with_opencv_pose(self, c2w: &DMat4) -> Option<Self> {
         let m = DMat3::from_mat4(*c2w);
         let center = c2w.w_axis.truncate();
-        let gram = m.transpose() * m;
-        let off = (gram - DMat3::IDENTITY)
-            .to_cols_array()
-            .iter()
-            .fold(0.0_f64, |a, &b| a.max(b.abs()));
-        if !m.is_finite()
-            || !center.is_finite()
-            || off.is_nan()
-            || off >= 1e-3
-            || m.determinant() < 0.0
-        {
-            return None;
-        }
-        Some(Self::new(m.transpose(), center, intrinsics))
+        let off = (m.transpose() * m - DMat3::IDENTITY).to_cols_array();
+        let is_rotation = off.iter().all(|v| v.abs() < 1e-3) && m.determinant() > 0.0;
+        let rotation = m.transpose();
+        (is_rotation && center.is_finite()).then_some(Self {
+            rotation,
+            center,
+            ..self
+        })
     }
 
     /// A camera of this image size at the origin, for files whose pose cannot be read.
     pub(crate) fn unposed((width, height): (usize, usize)) -> Self {
-        let focal = (width as f64 / 2.0).max(1.0);
-        let intrinsics = Intrinsics::centred([focal; 2], [width, height]);
-        Self::new(DMat3::IDENTITY, DVec3::ZERO, intrinsics)
+        Self::centred([(width as f64 / 2.0).max(1.0); 2], [width, height])
     }
 
     /// Checks that the camera can be rendered from: a finite pose, positive focal lengths, 1 to 2^32 - 1 pixels.
@@ -132,7 +118,7 @@ impl Camera {
         Ok(())
     }
 
-    /// The OpenGL camera-to-world matrix; the inverse of [`Camera::from_opengl`].
+    /// The OpenGL camera-to-world matrix; the inverse of [`Camera::with_opengl_pose`].
     pub fn to_opengl(&self) -> DMat4 {
         let r = self.rotation.transpose();
         let gl = DMat3::from_cols(r.x_axis, -r.y_axis, -r.z_axis);
@@ -195,37 +181,6 @@ impl Camera {
             width,
             height,
             ..self.clone()
-        }
-    }
-}
-
-/// The parameters of a camera without its pose; units as in [`Camera`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Intrinsics {
-    /// Focal length along x, pixels.
-    pub fx: f64,
-    /// Focal length along y, pixels.
-    pub fy: f64,
-    /// Principal point x, pixels from the left image border.
-    pub cx: f64,
-    /// Principal point y, pixels from the top image border.
-    pub cy: f64,
-    /// Image width, pixels.
-    pub width: usize,
-    /// Image height, pixels.
-    pub height: usize,
-}
-
-impl Intrinsics {
-    /// Of an image with these focal lengths along x and y, and the principal point in its middle; all in pixels.
-    pub fn centred([fx, fy]: [f64; 2], [width, height]: [usize; 2]) -> Self {
-        Self {
-            fx,
-            fy,
-            cx: 0.5 * width as f64,
-            cy: 0.5 * height as f64,
-            width,
-            height,
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::check;
 use crate::error::{Error, Result};
-use crate::splat::camera::{Camera, Intrinsics};
+use crate::splat::camera::Camera;
 use glam::{DMat3, DQuat, DVec3, DVec4};
 
 /// Parts of each segment whose lengths are summed.
@@ -112,17 +112,13 @@ impl CameraPath {
             }
         };
         let [fx, fy, cx, cy] = key.intrinsics.to_array();
-        let [width, height] = self.size;
-        let intrinsics = Intrinsics {
-            fx,
-            fy,
+        Camera {
+            rotation: DMat3::from_quat(key.rotation).transpose(),
+            center: key.center,
             cx,
             cy,
-            width,
-            height,
-        };
-        let rotation = DMat3::from_quat(key.rotation).transpose();
-        Camera::new(rotation, key.center, intrinsics)
+            ..Camera::centred([fx, fy], self.size)
+        }
     }
 
     /// `count` cameras at equal distances along the path, from its start to its end; a single one is the start.

@@ -5,7 +5,7 @@ use coseg::data::{
     self, Class, Classes, LabelMap, LabelRuns, Limits, LoadOptions, NamedCamera, ObjectOf, Points,
     Split, read_cameras,
 };
-use coseg::splat::camera::{Camera, Intrinsics};
+use coseg::splat::camera::Camera;
 use glam::{DMat4, DQuat, DVec3};
 use proptest::collection::{btree_map, vec};
 use proptest::prelude::*;
@@ -29,17 +29,14 @@ fn cameras() -> impl Strategy<Value = Camera> {
         1..900_usize,
         1..900_usize,
     );
-    let intrinsics = intrinsics.prop_map(|(fx, fy, cx, cy, width, height)| Intrinsics {
-        fx,
-        fy,
+    let intrinsics = intrinsics.prop_map(|(fx, fy, cx, cy, width, height)| Camera {
         cx,
         cy,
-        width,
-        height,
+        ..Camera::centred([fx, fy], [width, height])
     });
     (quaternions(), vec(-1e3..1e3_f64, 3), intrinsics).prop_map(|(rotation, center, intrinsics)| {
         let pose = DMat4::from_rotation_translation(rotation, DVec3::from_slice(&center));
-        Camera::from_opencv(&pose, intrinsics).expect("a rotation")
+        intrinsics.with_opencv_pose(&pose).expect("a rotation")
     })
 }
 

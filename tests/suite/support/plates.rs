@@ -3,7 +3,7 @@
 use crate::support::hard_labels::hard_label_map;
 use coseg::data::{Classes, LabelMap};
 use coseg::raster::{Projected, Settings, render};
-use coseg::splat::camera::{Camera, Intrinsics};
+use coseg::splat::camera::Camera;
 use coseg::splat::{Gaussians, ply};
 use glam::{DMat4, DVec3};
 use std::path::{Path, PathBuf};
@@ -75,19 +75,8 @@ fn pose(i: usize) -> DMat4 {
 }
 
 pub fn camera(i: usize) -> Camera {
-    let (cx, cy) = (WIDTH as f64 / 2.0, HEIGHT as f64 / 2.0);
-    Camera::from_opengl(
-        &pose(i),
-        Intrinsics {
-            fx: 80.0,
-            fy: 80.0,
-            cx,
-            cy,
-            width: WIDTH,
-            height: HEIGHT,
-        },
-    )
-    .unwrap()
+    let camera = Camera::centred([80.0; 2], [WIDTH, HEIGHT]);
+    camera.with_opengl_pose(&pose(i)).unwrap()
 }
 
 /// A scene folder of the plates: photos, exact labels, raw labels with one object swapped in one view, a PLY file.

@@ -8,7 +8,7 @@ use coseg::data::formats::transforms::write_cameras;
 use coseg::data::{Classes, NamedCamera, Split, read_cameras};
 use coseg::raster::{Settings, render};
 use coseg::splat::Gaussians;
-use coseg::splat::camera::{Camera, Intrinsics};
+use coseg::splat::camera::Camera;
 use coseg::viewer::Viewer;
 use glam::{DMat4, DVec3};
 use rand::{Rng, SeedableRng};
@@ -39,15 +39,12 @@ fn cloud(count: usize) -> Gaussians {
 
 fn camera() -> Camera {
     let pose = DMat4::look_at_rh(ORIGIN + DVec3::new(1.5, 1.0, 3.5), ORIGIN, DVec3::Y).inverse();
-    let lens = Intrinsics {
-        fx: 300.0,
-        fy: 310.0,
+    let lens = Camera {
         cx: 158.0,
         cy: 123.0,
-        width: 320,
-        height: 240,
+        ..Camera::centred([300.0, 310.0], [320, 240])
     };
-    Camera::from_opengl(&pose, lens).unwrap()
+    lens.with_opengl_pose(&pose).unwrap()
 }
 
 fn viewer<'a>(

@@ -3,7 +3,7 @@
 use crate::data::Limits;
 use crate::data::formats::camera_checks::{FOCAL, describe_rotation, fits_f32};
 use crate::error::{Error, Result, invalid};
-use crate::splat::camera::{Camera, Intrinsics};
+use crate::splat::camera::Camera;
 use glam::DMat4;
 use serde_json::Value;
 use std::path::Path;
@@ -119,11 +119,13 @@ impl<'a> Entry<'a> {
         size: [usize; 2],
         c2w: &DMat4,
     ) -> Result<Camera> {
-        Camera::from_opencv(c2w, Intrinsics::centred(focals, size)).ok_or_else(|| {
-            let expected = "a rotation (orthonormal columns, determinant +1)";
-            let help = "remove scale, shear and mirroring from the pose";
-            self.error(field, &describe_rotation(c2w), expected, help)
-        })
+        Camera::centred(focals, size)
+            .with_opencv_pose(c2w)
+            .ok_or_else(|| {
+                let expected = "a rotation (orthonormal columns, determinant +1)";
+                let help = "remove scale, shear and mirroring from the pose";
+                self.error(field, &describe_rotation(c2w), expected, help)
+            })
     }
 }
 

@@ -4,7 +4,7 @@ use super::reader::Reader;
 use crate::data::formats::camera_checks::{FOCAL, MAX_PIXELS};
 use crate::data::photos::lens::Lens;
 use crate::error::{Error, Result, invalid};
-use crate::splat::camera::Intrinsics;
+use crate::splat::camera::Camera;
 use std::path::Path;
 
 /// The models that are read, by their numbers in binary files: name, number of focal lengths, and number of distortion
@@ -77,8 +77,8 @@ fn unsupported(path: &Path, place: &str, name: &str) -> Error {
 }
 
 impl ModelCamera {
-    /// Intrinsics and lens, in range.
-    pub fn checked(&self, path: &Path) -> Result<(Intrinsics, Lens)> {
+    /// A camera without its pose, and its lens, in range.
+    pub fn checked(&self, path: &Path) -> Result<(Camera, Lens)> {
         let error = |field: &str, found: String, expected: &str| {
             invalid!(path, "{} (camera {}): {field}", self.place, self.id; found "{found}";
                 expected "{expected}"; help "calibrate again, or copy the file again")
@@ -122,14 +122,12 @@ impl ModelCamera {
             k: [coefficient(0), coefficient(1), 0.0],
             p: [coefficient(2), coefficient(3)],
         };
-        let intrinsics = Intrinsics {
-            fx: focals[0],
-            fy: focals[focals.len() - 1],
+        let focals = [focals[0], focals[focals.len() - 1]];
+        let camera = Camera {
             cx: center[0],
             cy: center[1],
-            width: width as usize,
-            height: height as usize,
+            ..Camera::centred(focals, self.size.map(|side| side as usize))
         };
-        Ok((intrinsics, lens))
+        Ok((camera, lens))
     }
 }

@@ -126,10 +126,8 @@ impl PosedImage {
         let mut pose = DMat4::from_mat3(rotation.transpose());
         pose.w_axis = center.extend(1.0);
         let (intrinsics, lens) = camera.checked(calibration)?;
-        let camera = Camera::from_opencv(&pose, intrinsics);
-        Ok((
-            camera.ok_or_else(|| not_a_rotation(images, &self.place, &pose))?,
-            lens,
-        ))
+        let camera = intrinsics.with_opencv_pose(&pose);
+        let camera = camera.ok_or_else(|| not_a_rotation(images, &self.place, &pose))?;
+        Ok((camera, lens))
     }
 }

@@ -5,7 +5,7 @@ use crate::data::formats::camera_checks::{FOCAL, MAX_PIXELS, describe_rotation, 
 use crate::data::photos::lens::Lens;
 use crate::error::{Error, Result, invalid};
 use crate::files;
-use crate::splat::camera::{Camera, Intrinsics};
+use crate::splat::camera::Camera;
 use glam::{DMat3, DMat4};
 use serde::Deserialize;
 use serde_json::Value;
@@ -159,24 +159,19 @@ impl Transforms {
     ) -> Result<(Camera, Lens)> {
         let (intrinsics, lens) = self.intrinsics(path, frame, size)?;
         let matrix = self.matrix(path, frame)?;
-        let camera = Camera::from_opengl(&matrix, intrinsics);
-        let camera = camera.ok_or_else(|| self.scaled_pose(path, frame, &matrix, intrinsics))?;
+        let camera = intrinsics.with_opengl_pose(&matrix);
+        let camera = camera.ok_or_else(|| self.scaled_pose(path, frame, &matrix))?;
         Ok((camera, lens))
     }
 
     /// The error for a pose that is no rotation. Exporters of Blender leave the scale of the object that a camera belongs
     /// to in its matrix.
-    fn scaled_pose(
-        &self,
-        path: &Path,
-        frame: usize,
-        matrix: &DMat4,
-        intrinsics: Intrinsics,
-    ) -> Error {
+    fn scaled_pose(&self, path: &Path, frame: usize, matrix: &DMat4) -> Error {
         let m = DMat3::from_mat4(*matrix);
         let scale = m.x_axis.length();
         let unscaled = DMat4::from_mat3(m * scale.recip());
-        let is_scaled = Camera::from_opengl(&unscaled, intrinsics).is_some();
+        let any = Camera::centred([1.0; 2], [1; 2]);
+        let is_scaled = any.with_opengl_pose(&unscaled).is_some();
         let mut found = describe_rotation(matrix);
         let mut help = "remove scale, shear and mirroring from the pose".to_owned();
         if is_scaled {
@@ -216,12 +211,13 @@ impl Transforms {
         Ok(DMat4::from_cols_array_2d(&m).transpose())
     }
 
+    /// A camera without its pose, and its lens.
     fn intrinsics(
         &self,
         path: &Path,
         frame: usize,
         (width, height): (usize, usize),
-    ) -> Result<(Intrinsics, Lens)> {
+    ) -> Result<(Camera, Lens)> {
         let error = |name: &str, found: String, expected: &str, help: &str| invalid!(path, "{}.{name}", self.field(frame); found "{found}"; expected "{expected}"; help "{help}");
         let fields = self.lens_fields(frame);
         let is_pinhole = |model: &str| {
@@ -287,16 +283,7 @@ impl Transforms {
                 ));
             }
         }
-        Ok((
-            Intrinsics {
-                fx,
-                fy,
-                cx,
-                cy,
-                width,
-                height,
-            },
-            lens,
-        ))
+        let centred = Camera::centred([fx, fy], [width, height]);
+        Ok((Camera { cx, cy, ..centred }, lens))
     }
 }
