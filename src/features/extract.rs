@@ -8,7 +8,6 @@ use crate::random::{self, Purpose};
 use burn::tensor::Device;
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
-use std::convert::Infallible;
 use std::ops::ControlFlow;
 
 /// Cells per scale that the PCA is fitted on at most, in equal seeded shares of all training views.
@@ -30,43 +29,8 @@ pub struct ViewFeatures {
     pub maps: [FeatureMap; SCALES],
 }
 
-/// Reduced features of a scene's training views.
-#[derive(Clone, Debug)]
-pub struct FeatureSet {
-    /// Where they come from, see [`Extractor::name`].
-    pub name: String,
-    /// The fitted reductions, one a scale.
-    pub reductions: [Pca; SCALES],
-    /// Training views in the scene's order.
-    pub views: Vec<ViewFeatures>,
-}
-
-/// Features of the training views: four maps each, reduced by a PCA per scale that is fitted on all of them, then
-/// L2-normalised.
-///
-/// The fit reads at most [`PCA_CELLS`] cells per scale, drawn with `seed`. Networks run on `device`.
-///
-/// # Errors
-/// [`Error::Config`] for unusable settings; [`Error::Argument`] for a scene without training views; those of
-/// [`Extractor::open`] and [`Extractor::maps`]. A cache that cannot be written only gives a warning.
-pub fn extract(
-    scene: &Scene,
-    config: &FeatureConfig,
-    seed: u64,
-    device: &Device,
-) -> Result<FeatureSet> {
-    let mut go_on = || ControlFlow::<Infallible>::Continue(());
-    let ControlFlow::Continue(mut reduction) =
-        Reduction::fit(scene, config, seed, device, &mut go_on)?;
-    let views = reduction.training_views().collect::<Result<_>>()?;
-    Ok(FeatureSet {
-        name: reduction.name,
-        reductions: reduction.reductions,
-        views,
-    })
-}
-
-/// The fitted reductions of a scene's features and their extractor. Use it where not all maps fit in memory.
+/// The fitted reductions of a scene's features and their extractor: four maps of each training view, reduced by a PCA per scale
+/// that is fitted on all of them, then L2-normalised. The unreduced maps need not fit in memory together.
 pub struct Reduction<'a> {
     /// Where the features come from, see [`Extractor::name`].
     pub name: String,
@@ -82,11 +46,12 @@ pub struct Reduction<'a> {
 }
 
 impl<'a> Reduction<'a> {
-    /// Fits a PCA per scale to the training views, as [`extract`] does. Calls `viewed` after each view, and stops when that
-    /// breaks.
+    /// Fits a PCA per scale to the training views. It reads at most [`PCA_CELLS`] cells per scale, drawn with `seed`. Networks run
+    /// on `device`. Calls `viewed` after each view, and stops when that breaks.
     ///
     /// # Errors
-    /// As [`extract`].
+    /// [`Error::Config`] for unusable settings; [`Error::Argument`] for a scene without training views; those of
+    /// [`Extractor::open`] and [`Extractor::maps`]. A cache that cannot be written only gives a warning.
     pub fn fit<B>(
         scene: &'a Scene,
         config: &'a FeatureConfig,

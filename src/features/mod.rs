@@ -1,6 +1,6 @@
 //! 2D image features: where they come from, reduction by PCA, and the on-disk cache.
 //!
-//! For every view an [`Extractor`] gives four [`FeatureMap`]s, fine and local to coarse and global. [`extract`] fits a PCA per
+//! For every view an [`Extractor`] gives four [`FeatureMap`]s, fine and local to coarse and global. [`Reduction`] fits a PCA per
 //! scale on the training views, reduces every map to [`crate::config::FeatureConfig::dimensions`] channels and
 //! L2-normalises each cell.
 
@@ -15,7 +15,7 @@ pub mod mobilenet;
 mod pca;
 mod segmenter;
 
-pub use self::extract::{FeatureSet, PCA_CELLS, Reduction, ViewFeatures, extract};
+pub use self::extract::{PCA_CELLS, Reduction, ViewFeatures};
 pub(crate) use self::lattice::Axis;
 pub use self::lattice::{Lattice, Steps};
 pub use self::map::FeatureMap;

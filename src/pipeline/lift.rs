@@ -8,7 +8,7 @@ use crate::features::{Reduction, SCALES};
 use crate::metrics::ImageScores;
 use crate::progress::{Event, Progress, Viewing};
 use crate::raster::Settings;
-use crate::segmentation::unprojection::{attended, unproject_each};
+use crate::segmentation::unprojection::{attended, unproject};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 use std::ops::ControlFlow;
@@ -63,7 +63,7 @@ impl LiftedFeatures {
         let clock = Instant::now();
         let (name, content) = (reduction.name.clone(), reduction.content.clone());
         let mut viewing = Viewing::begin(progress, "unprojection", views);
-        let lifted = unproject_each(
+        let lifted = unproject(
             gaussians,
             scene.split(Split::Train),
             reduction.training_views(),

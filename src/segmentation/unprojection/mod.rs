@@ -18,12 +18,11 @@ use crate::backend::Real;
 use crate::config::{Normalisation, UnprojectionConfig};
 use crate::data::View;
 use crate::error::{Error, Result};
-use crate::features::{FeatureSet, SCALES, ViewFeatures};
+use crate::features::{SCALES, ViewFeatures};
 use crate::raster::Settings;
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 use std::borrow::Borrow;
-use std::convert::Infallible;
 use std::ops::ControlFlow;
 
 /// Added to the counter before dividing (Algorithm 1).
@@ -91,33 +90,14 @@ impl Unprojected {
     }
 }
 
-/// Lifts the features `set` of `views` (the training views, in the order of the set) onto `gaussians`, of the pixels that the
-/// views' masks use. The sums are made on `device`.
+/// Lifts `features` of `views` (the training views, in this order) onto `gaussians`, of the pixels that the views' masks use. The
+/// sums are made on `device`. The features of a view are dropped before the next ones are requested. Calls `looked` after each
+/// view, and stops where that breaks.
 ///
 /// # Errors
 /// [`Error::Argument`] when views and features do not match, or a mask has another size than its view; what [`Sums::add`]
-/// returns.
-pub fn unproject<'a>(
-    gaussians: &Gaussians,
-    views: impl Iterator<Item = &'a View>,
-    set: &FeatureSet,
-    config: &UnprojectionConfig,
-    settings: &Settings,
-    device: &Device,
-) -> Result<Unprojected> {
-    let features = set.views.iter().map(Ok);
-    let go_on = &mut || ControlFlow::<Infallible>::Continue(());
-    let ControlFlow::Continue(lifted) =
-        unproject_each(gaussians, views, features, config, settings, device, go_on)?;
-    Ok(lifted)
-}
-
-/// [`unproject`] with features that need not fit into memory together: the features of a view are dropped before the next ones
-/// are requested. Calls `looked` after each view, and stops where that breaks.
-///
-/// # Errors
-/// As [`unproject`]; those of `features`.
-pub fn unproject_each<'a, F: Borrow<ViewFeatures>, B>(
+/// returns; those of `features`.
+pub fn unproject<'a, F: Borrow<ViewFeatures>, B>(
     gaussians: &Gaussians,
     views: impl Iterator<Item = &'a View>,
     features: impl Iterator<Item = Result<F>>,

@@ -1,12 +1,13 @@
 //! DINO's ViT: parity with stored activations and with plain loops, any image size, memory, weight files.
 
 use crate::support::dino_reference::by_plain_loops;
+use crate::support::lifting::extract;
 use burn::tensor::{Tensor, TensorData};
 use coseg::Error;
 use coseg::config::{FeatureConfig, FeatureSource};
 use coseg::data::{Classes, Points, Scene, Split, View};
+use coseg::features::Steps;
 use coseg::features::dino::Vit;
-use coseg::features::{Steps, extract};
 use coseg::splat::camera::Camera;
 use glam::{DMat3, DVec3};
 use image::RgbImage;

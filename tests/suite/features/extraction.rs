@@ -1,11 +1,12 @@
 //! Feature extraction: the descriptor, the cache, imported maps, the linear probe.
 
+use crate::support::lifting::extract;
 use crate::support::linear_probe::{ProbeScore, ProbeView, linear_probe};
 use coseg::config::{FeatureConfig, FeatureSource};
 use coseg::data::formats::transforms;
 use coseg::data::formats::transforms::LoadOptions;
 use coseg::data::{Classes, LabelMap, LabelRuns, Photo, Points, Scene, Split, View};
-use coseg::features::{FeatureMap, Reduction, ViewFeatures, descriptor, extract};
+use coseg::features::{FeatureMap, Reduction, ViewFeatures, descriptor};
 use coseg::splat::camera::Camera;
 use glam::{DMat3, DVec3};
 use image::RgbImage;

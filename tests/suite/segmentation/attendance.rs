@@ -1,9 +1,9 @@
 //! Attendance: which Gaussians too few pixels show (Algorithm 1).
 
 use crate::segmentation::unprojection::{cloud, features, maps, views};
+use crate::support::lifting::unproject;
 use coseg::config::UnprojectionConfig;
 use coseg::raster::Settings;
-use coseg::segmentation::unprojection::unproject;
 use coseg::splat::Gaussians;
 
 #[test]

@@ -1,6 +1,7 @@
 //! The adjoint of blending and the unprojection on a GPU against the CPU's, fed the same f32 numbers.
 
 use crate::support::gpu;
+use crate::support::lifting::unproject;
 use crate::support::raster_reference::{Cloud, camera, cloud, numbers};
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use coseg::Error;
@@ -9,7 +10,7 @@ use coseg::data::View;
 use coseg::data::mask::Mask;
 use coseg::features::{FeatureMap, Steps};
 use coseg::raster::{RasterInput, Settings, SplatTensors, rasterize};
-use coseg::segmentation::unprojection::{Unprojected, attended, unproject};
+use coseg::segmentation::unprojection::{Unprojected, attended};
 use coseg::splat::Gaussians;
 use coseg::splat::camera::Camera;
 use glam::DVec3;

@@ -1,10 +1,11 @@
 //! Image features of pixels that masks leave out are lifted onto no Gaussian.
 
 use crate::segmentation::unprojection::{cameras, cloud, features, map, maps, views};
+use crate::support::lifting::unproject;
 use coseg::config::{Resolution, UnprojectionConfig};
 use coseg::data::mask::Mask;
 use coseg::raster::{Projected, Settings};
-use coseg::segmentation::unprojection::{Sums, Unprojected, attended, unproject};
+use coseg::segmentation::unprojection::{Sums, Unprojected, attended};
 use coseg::splat::Gaussians;
 use coseg::splat::camera::Camera;
 
@@ -28,7 +29,7 @@ fn sums_are_the_adjoint_of_rendering_what_is_used() {
     let channels = maps.each_ref().map(|map| map.channels);
     let sums = |mask: Option<&Mask>, resolution| {
         let mut sums = Sums::<f32>::new(scene.len(), &channels);
-        sums.add_used(&scene.splats(), camera, &maps, mask, resolution, &settings)
+        sums.add(&scene.splats(), camera, &maps, mask, resolution, &settings)
             .expect("sums");
         sums
     };
@@ -160,7 +161,7 @@ fn a_mask_of_another_size_is_refused() {
     let (camera, mask) = (&views[1].camera, views[1].mask.as_ref());
     let maps = &set.views[1].maps;
     let error = sums
-        .add_used(
+        .add(
             &scene.splats(),
             camera,
             maps,

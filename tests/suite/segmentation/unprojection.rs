@@ -1,10 +1,11 @@
 //! Unprojection: adjointness at both resolutions, constants, Algorithm 1 by brute force, pruning, unseen Gaussians.
 
+use crate::support::lifting::{FeatureSet, unproject};
 use coseg::config::{Normalisation, Resolution, UnprojectionConfig};
 use coseg::data::{Split, View};
-use coseg::features::{FeatureMap, FeatureSet, Moments, Pca, Steps, ViewFeatures};
+use coseg::features::{FeatureMap, Moments, Pca, Steps, ViewFeatures};
 use coseg::raster::{Projected, Settings, Splats};
-use coseg::segmentation::unprojection::{EPSILON, Sums, unproject};
+use coseg::segmentation::unprojection::{EPSILON, Sums};
 use coseg::splat::Gaussians;
 use coseg::splat::camera::Camera;
 use glam::{DMat3, DQuat, DVec3};
@@ -119,7 +120,7 @@ fn buffers_are_the_adjoint_of_rendering() {
         let x = |i: usize| noise(i, 99);
         for (v, camera) in cameras.iter().enumerate() {
             let maps = maps(10 * v);
-            sums.add(&wide.splats(), camera, &maps, resolution, &settings)
+            sums.add(&wide.splats(), camera, &maps, None, resolution, &settings)
                 .expect("sums");
             for (scale, map) in maps.iter().enumerate() {
                 let c = map.channels;
@@ -185,6 +186,7 @@ fn feature_resolution_is_the_adjoint_blend_of_the_scaled_camera() {
         &scene.splats(),
         camera,
         &maps(4),
+        None,
         Resolution::Feature,
         &settings,
     )
@@ -263,8 +265,15 @@ fn small_gaussians_read_the_cells_that_lie_under_them() {
         };
         for resolution in [Resolution::Image, Resolution::Feature] {
             let mut sums = Sums::<f32>::new(1, &[2; 4]);
-            sums.add(&gaussian.splats(), camera, &maps, resolution, &settings)
-                .expect("sums");
+            sums.add(
+                &gaussian.splats(),
+                camera,
+                &maps,
+                None,
+                resolution,
+                &settings,
+            )
+            .expect("sums");
             let features = sums.normalised(Normalisation::Weight).buffers;
             for (stride, found) in strides.iter().zip(&features) {
                 // A splat of half a pixel (half a cell) is not an integral: a few hundredths of one are lost.
@@ -401,6 +410,7 @@ fn count_is_algorithm_one_by_brute_force() {
                 &wide.splats(),
                 &view.camera,
                 &features.maps,
+                None,
                 config.resolution,
                 &settings,
             )
@@ -565,6 +575,7 @@ fn timing() {
                 &scene.splats(),
                 camera,
                 &maps,
+                None,
                 resolution,
                 &Settings::default(),
             )

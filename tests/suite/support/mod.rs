@@ -2,6 +2,7 @@
 
 pub mod dino_reference;
 pub mod hard_labels;
+pub mod lifting;
 pub mod linear_probe;
 pub mod onnx;
 pub mod plates;

@@ -49,31 +49,16 @@ impl<E: Real> Sums<E> {
         }
     }
 
-    /// Adds a view with one map per scale.
+    /// Adds a view with one map per scale, of the pixels that `mask`, of the camera's size, uses; at `feature` resolution of the
+    /// cells whose centre is such a pixel. Counts are of these pixels, or cells, too.
     ///
     /// Results do not depend on the number of threads. Memory beside the sums: the view's contributing pairs folded to
     /// (Gaussian, cell) weights, and nothing per pixel and channel.
     ///
     /// # Errors
-    /// [`Error::Argument`] when maps or Gaussians do not match what this was made for; [`Error::NonFinite`] for maps with
+    /// [`Error::Argument`] when maps, mask or Gaussians do not match what this was made for; [`Error::NonFinite`] for maps with
     /// such values; what [`crate::raster::Projected::new`] returns.
     pub fn add(
-        &mut self,
-        splats: &Splats<'_, E>,
-        camera: &Camera,
-        maps: &[FeatureMap],
-        resolution: Resolution,
-        settings: &Settings,
-    ) -> Result<()> {
-        self.add_used(splats, camera, maps, None, resolution, settings)
-    }
-
-    /// [`Sums::add`] of the pixels that `mask`, of the camera's size, uses; at `feature` resolution of the cells whose centre
-    /// is such a pixel. Counts are of these pixels, or cells, too.
-    ///
-    /// # Errors
-    /// As [`Sums::add`]; [`Error::Argument`] for a mask of another size.
-    pub fn add_used(
         &mut self,
         splats: &Splats<'_, E>,
         camera: &Camera,
@@ -212,7 +197,7 @@ impl<'a> LiftedViews<'a> {
         Self { gaussians, kernel }
     }
 
-    /// Adds a view with one map per scale, of the pixels that `mask` uses; see [`Sums::add_used`].
+    /// Adds a view with one map per scale, of the pixels that `mask` uses; see [`Sums::add`].
     ///
     /// # Errors
     /// As [`Sums::add`]; on a GPU as [`crate::raster::SplatView::blend_adjoint`].
@@ -226,7 +211,7 @@ impl<'a> LiftedViews<'a> {
     ) -> Result<()> {
         let splats = self.gaussians.splats();
         match &mut self.kernel {
-            Kernel::Cpu(sums) => sums.add_used(&splats, camera, maps, mask, resolution, settings),
+            Kernel::Cpu(sums) => sums.add(&splats, camera, maps, mask, resolution, settings),
             Kernel::Tensors(sums) => sums.add(&splats, camera, maps, mask, resolution, settings),
         }
     }

@@ -46,7 +46,7 @@ impl TensorSums {
         }
     }
 
-    /// As [`Sums::add_used`]; `splats` are the same Gaussians on the host.
+    /// As [`Sums::add`]; `splats` are the same Gaussians on the host.
     pub fn add(
         &mut self,
         splats: &Splats<'_, f32>,

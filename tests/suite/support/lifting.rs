@@ -1,0 +1,54 @@
+//! Image features of all training views at once, and their lifting, for scenes that fit into memory.
+
+use burn::tensor::Device;
+use coseg::config::{FeatureConfig, UnprojectionConfig};
+use coseg::data::{Scene, View};
+use coseg::error::Result;
+use coseg::features::{Pca, Reduction, SCALES, ViewFeatures};
+use coseg::raster::Settings;
+use coseg::segmentation::unprojection::{self, Unprojected};
+use coseg::splat::Gaussians;
+use std::convert::Infallible;
+use std::ops::ControlFlow;
+
+/// Reduced features of a scene's training views.
+#[derive(Clone, Debug)]
+pub struct FeatureSet {
+    pub name: String,
+    pub reductions: [Pca; SCALES],
+    pub views: Vec<ViewFeatures>,
+}
+
+/// The reduced features of all training views.
+pub fn extract(
+    scene: &Scene,
+    config: &FeatureConfig,
+    seed: u64,
+    device: &Device,
+) -> Result<FeatureSet> {
+    let mut go_on = || ControlFlow::<Infallible>::Continue(());
+    let ControlFlow::Continue(mut reduction) =
+        Reduction::fit(scene, config, seed, device, &mut go_on)?;
+    let views = reduction.training_views().collect::<Result<_>>()?;
+    Ok(FeatureSet {
+        name: reduction.name,
+        reductions: reduction.reductions,
+        views,
+    })
+}
+
+/// Lifts the features `set` of `views`.
+pub fn unproject<'a>(
+    gaussians: &Gaussians,
+    views: impl Iterator<Item = &'a View>,
+    set: &FeatureSet,
+    config: &UnprojectionConfig,
+    settings: &Settings,
+    device: &Device,
+) -> Result<Unprojected> {
+    let features = set.views.iter().map(Ok);
+    let go_on = &mut || ControlFlow::<Infallible>::Continue(());
+    let ControlFlow::Continue(lifted) =
+        unprojection::unproject(gaussians, views, features, config, settings, device, go_on)?;
+    Ok(lifted)
+}
