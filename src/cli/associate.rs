@@ -1,6 +1,7 @@
 //! `coseg associate`: one id for each object, from label maps whose ids differ from view to view.
 
 use super::labelled::LabelledArgs;
+use super::progress::Bars;
 use super::scene_file::cameras_of;
 use super::{held_out, terminal};
 use clap::Args;
@@ -8,8 +9,8 @@ use coseg::config::Association;
 use coseg::data::formats::transforms;
 use coseg::data::{MapGeometry, Split};
 use coseg::error::{Error, Result};
-use coseg::objects::{Semantics, associate, vote};
-use coseg::pipeline::{HeldOut, Inputs};
+use coseg::objects::vote;
+use coseg::pipeline::{HeldOut, Inputs, associate};
 use coseg::raster::Settings;
 use coseg::splat::ply;
 use std::path::Path;
@@ -46,16 +47,14 @@ impl AssociateArgs {
         let settings = Settings::from(&config.raster);
         let device = self.input.device()?;
         let (mut scene, ply) = self.input.read(&config, &device)?;
-        let found = associate(&ply.gaussians, &scene, &config.association, &settings)?;
+        let found = associate(&ply.gaussians, &mut scene, &config, &mut Bars::default())?;
+        let Some((found, semantics)) = found else {
+            return Ok(());
+        };
         terminal::say(&format!(
             "{} segments of training views: {} objects; {} segments are in no object, {} are divided",
-            found.segments,
-            found.groups.len(),
-            found.dropped,
-            found.divided
+            found.segments, found.objects, found.dropped, found.divided
         ));
-        let semantics = Semantics::of(&scene);
-        found.apply(&mut scene);
         let (out, classes) = (&self.input.out, &scene.classes);
         let folder = out.join("labels");
         // Before the maps, so that no maps are there without it.

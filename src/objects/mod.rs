@@ -14,7 +14,7 @@ mod superpoints;
 mod view_votes;
 mod vote;
 
-pub use self::association::{Association, Group, associate, associate_until};
+pub use self::association::{Association, Group, associate};
 pub use self::calibration::{Calibration, LabelErrors};
 pub use self::compactness::NeighbourGraph;
 pub use self::identities::Identities;

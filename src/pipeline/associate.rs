@@ -3,7 +3,7 @@
 use crate::config::Config;
 use crate::data::Scene;
 use crate::error::Result;
-use crate::objects::{Association, Semantics, associate_until};
+use crate::objects::{self, Association, Semantics};
 use crate::progress::{Progress, Viewing};
 use crate::raster::Settings;
 use crate::splat::Gaussians;
@@ -29,8 +29,8 @@ pub struct Associated {
 /// objects are scored against. None where `progress` stopped it. Nothing is stored: a resumed run makes the same objects again.
 ///
 /// # Errors
-/// As [`associate_until`].
-pub(crate) fn associate(
+/// As [`objects::associate`].
+pub fn associate(
     gaussians: &Gaussians,
     scene: &mut Scene,
     config: &Config,
@@ -40,7 +40,7 @@ pub(crate) fn associate(
     let steps = Association::steps(scene, &config.association);
     let mut viewing = Viewing::begin(progress, "association", steps);
     let looked = &mut |views| viewing.looked(views);
-    let found = associate_until(gaussians, scene, &config.association, &settings, looked)?;
+    let found = objects::associate(gaussians, scene, &config.association, &settings, looked)?;
     let Some(found) = found else {
         return Ok(None);
     };

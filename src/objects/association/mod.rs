@@ -88,7 +88,7 @@ impl From<Error> for End {
 type Progress<'p> = dyn FnMut(usize) -> Result<(), End> + 'p;
 
 impl Association {
-    /// Steps of [`associate_until`] in all: one for each pass over each view.
+    /// Steps of [`associate`] in all: one for each pass over each view.
     pub fn steps(scene: &Scene, config: &AssociationConfig) -> usize {
         let [train, test] = [Split::Train, Split::Test].map(|split| scene.split(split).count());
         // One pass finds the segments, then come the sweeps, and one pass paints the maps.
@@ -114,7 +114,8 @@ impl Association {
 }
 
 /// Finds which segments of the raw labels of `scene` show one object, by way of its Gaussians. The training views form the
-/// groups. Segments of test views are then assigned to them.
+/// groups. Segments of test views are then assigned to them. `None` where `progress` breaks. It receives the steps done since its
+/// last call, [`Association::steps`] in all; 0 only asks whether to go on.
 ///
 /// Ids of segments are those of [`View::segments`]. An id that is not among them is a thing without a class. All segments of a
 /// class of stuff are one group.
@@ -126,25 +127,6 @@ impl Association {
 /// # Panics
 /// If raw labels have another size than their view's camera.
 pub fn associate(
-    gaussians: &Gaussians,
-    scene: &Scene,
-    config: &AssociationConfig,
-    settings: &Settings,
-) -> Result<Association> {
-    let go_on = &mut |_| ControlFlow::Continue(());
-    let found = associate_until(gaussians, scene, config, settings, go_on)?;
-    Ok(found.expect("nothing stops it"))
-}
-
-/// [`associate`], or `None` where `progress` breaks. It receives the steps done since its last call, [`Association::steps`] in all; 0 only
-/// asks whether to go on.
-///
-/// # Errors
-/// As [`associate`].
-///
-/// # Panics
-/// As [`associate`].
-pub fn associate_until(
     gaussians: &Gaussians,
     scene: &Scene,
     config: &AssociationConfig,

@@ -7,8 +7,9 @@ use crate::support::plates::{self, camera, plates};
 use crate::support::spoilt_masks::{Noise, shuffled, spoilt};
 use coseg::config::{self, AssociationConfig, Variant};
 use coseg::data::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Scene, Segment, Split, load};
+use coseg::error::Result;
 use coseg::metrics::{InstanceScores, instance_scores};
-use coseg::objects::{self, associate, associate_until};
+use coseg::objects;
 use coseg::pipeline::run;
 use coseg::progress::Silent;
 use coseg::raster::{Projected, Settings};
@@ -38,14 +39,19 @@ fn plate_scene() -> (Gaussians, Scene) {
     (gaussians, scene)
 }
 
+/// The association that nothing stops.
+pub fn associate(
+    gaussians: &Gaussians,
+    scene: &Scene,
+    config: &AssociationConfig,
+) -> Result<objects::Association> {
+    let go_on = &mut |_| ControlFlow::Continue(());
+    let found = objects::associate(gaussians, scene, config, &Settings::default(), go_on)?;
+    Ok(found.expect("nothing stops it"))
+}
+
 fn found(gaussians: &Gaussians, scene: &Scene) -> objects::Association {
-    associate(
-        gaussians,
-        scene,
-        &AssociationConfig::default(),
-        &Settings::default(),
-    )
-    .expect("association")
+    associate(gaussians, scene, &AssociationConfig::default()).expect("association")
 }
 
 /// The map, which is there.
@@ -202,13 +208,7 @@ fn no_object_has_two_classes_and_stuff_is_one_object() {
 fn nothing_to_put_together_is_an_error() {
     let (gaussians, mut scene) = plate_scene();
     scene.views.iter_mut().for_each(|view| view.raw = None);
-    let error = associate(
-        &gaussians,
-        &scene,
-        &AssociationConfig::default(),
-        &Settings::default(),
-    )
-    .expect_err("empty");
+    let error = associate(&gaussians, &scene, &AssociationConfig::default()).expect_err("empty");
     crate::support::assert_names(
         &error,
         &["data.association", "no segments", "add raw labels"],
@@ -223,13 +223,7 @@ fn nothing_to_put_together_is_an_error() {
         sh: vec![],
         sh_degree: 0,
     };
-    let error = associate(
-        &none,
-        &scene,
-        &AssociationConfig::default(),
-        &Settings::default(),
-    )
-    .expect_err("no Gaussian");
+    let error = associate(&none, &scene, &AssociationConfig::default()).expect_err("no Gaussian");
     crate::support::assert_names(
         &error,
         &[
@@ -248,7 +242,7 @@ fn no_group_that_is_left_is_an_error() {
         min_weight: 1.0,
         ..AssociationConfig::default()
     };
-    let error = associate(&gaussians, &scene, &all, &Settings::default()).expect_err("none left");
+    let error = associate(&gaussians, &scene, &all).expect_err("none left");
     crate::support::assert_names(
         &error,
         &[
@@ -286,7 +280,7 @@ fn views_are_told_of_and_may_end_it() {
     let config = AssociationConfig::default();
     let until = |last: usize| {
         let mut told = 0;
-        let found = associate_until(
+        let found = objects::associate(
             &gaussians,
             &scene,
             &config,

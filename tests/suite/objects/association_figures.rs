@@ -1,12 +1,13 @@
 //! Figures of association on trained scenes; nothing here passes or fails.
 
+use crate::objects::association::associate;
 use crate::support::spoilt_masks::{Noise, spoilt};
 use coseg::config::{Association, AssociationConfig, LabelSource};
 use coseg::data::{
     Classes, LabelMap, LabelRuns, Limits, LoadOptions, Scene, Segment, Split, View, load,
 };
 use coseg::metrics::{InstanceScores, instance_scores};
-use coseg::objects::{LabelMaps, LabelRule, Semantics, associate, vote};
+use coseg::objects::{LabelMaps, LabelRule, Semantics, vote};
 use coseg::raster::{Settings, SplatTensors};
 use coseg::splat::{Gaussians, ply};
 use rand::SeedableRng;
@@ -32,9 +33,8 @@ impl Found {
     /// Associates the raw labels of `scene`, and prints how it went.
     fn new(gaussians: &Gaussians, mut scene: Scene) -> Self {
         let clock = std::time::Instant::now();
-        let settings = Settings::default();
-        let found = associate(gaussians, &scene, &AssociationConfig::default(), &settings)
-            .expect("association");
+        let found =
+            associate(gaussians, &scene, &AssociationConfig::default()).expect("association");
         let [groups, segments, divided, dropped] = [
             found.groups.len(),
             found.segments,
