@@ -160,8 +160,8 @@ impl WeightFile {
     /// # Errors
     /// [`Error::Input`] when they cannot be encoded.
     pub fn to_safetensors(&self) -> Result<Vec<u8>> {
-        let metadata: HashMap<String, String> = self.metadata.clone().into_iter().collect();
-        safetensors::serialize(&self.tensors, Some(metadata))
+        let metadata = (!self.metadata.is_empty()).then(|| self.metadata.clone());
+        safetensors::serialize(&self.tensors, metadata.map(HashMap::from_iter))
             .map_err(|e| unreadable(&self.origin, "tensors", e))
     }
 

@@ -1,8 +1,12 @@
 //! Segmentation identities stored on the Gaussians (`s_i` of Eq. 3).
 
-use crate::data::Classes;
+use crate::data::{Classes, atomic};
 use crate::error::{Error, Result};
+use crate::weights::{HostTensor, WeightFile};
 use std::path::Path;
+
+/// Name of the tensor in the file.
+const SCORES: &str = "scores";
 
 /// One score per Gaussian and class, view-independent.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -52,48 +56,35 @@ impl Identities {
     /// # Errors
     /// [`Error::Io`] when the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
-        let bytes: Vec<u8> = self.scores.iter().flat_map(|v| v.to_le_bytes()).collect();
-        let rows = self.scores.len() / self.classes.max(1);
-        let view = safetensors::tensor::TensorView::new(
-            safetensors::Dtype::F32,
-            vec![rows, self.classes],
-            &bytes,
-        );
-        let bytes = view
-            .and_then(|view| safetensors::serialize([("scores", view)], None))
-            .map_err(|e| Error::io(path, "serialise", std::io::Error::other(e)))?;
-        crate::data::atomic::write_bytes(path, &bytes)
+        let scores = HostTensor {
+            shape: vec![self.scores.len() / self.classes.max(1), self.classes],
+            values: self.scores.clone(),
+        };
+        let mut file = WeightFile {
+            origin: path.to_owned(),
+            ..WeightFile::default()
+        };
+        file.insert(SCORES, scores);
+        atomic::write_bytes(path, &file.to_safetensors()?)
     }
 
     /// Reads what [`Identities::write`] wrote.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Input`] when the file is not a safetensors file with a 2D f32 tensor `scores`.
+    /// [`Error::Io`]; [`Error::Input`] when the file is not a safetensors file with a 2D tensor `scores` of floats.
     pub fn read(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-        let bad = |found: String| {
-            Error::input(
-                path,
-                "scores",
-                found,
-                "a 2D float32 tensor",
-                "write the run again with `coseg train`",
-            )
-        };
-        let file = safetensors::SafeTensors::deserialize(&bytes).map_err(|e| bad(e.to_string()))?;
-        let tensor = file.tensor("scores").map_err(|e| bad(e.to_string()))?;
-        match (tensor.dtype(), tensor.shape()) {
-            (safetensors::Dtype::F32, &[_, classes]) => {
-                let scores = tensor
-                    .data()
-                    .as_chunks::<4>()
-                    .0
-                    .iter()
-                    .map(|b| f32::from_le_bytes(*b))
-                    .collect();
-                Ok(Self { scores, classes })
+        let mut file = WeightFile::open(path)?;
+        match file.tensors.remove(SCORES) {
+            Some(HostTensor { shape, values }) if shape.len() == 2 => Ok(Self {
+                classes: shape[1],
+                scores: values,
+            }),
+            other => {
+                let shape = other.map(|tensor| tensor.shape);
+                let found = shape.map_or("nothing".into(), |shape| format!("shape {shape:?}"));
+                let help = "write the run again with `coseg train`";
+                Err(Error::input(path, SCORES, found, "a 2D tensor", help))
             }
-            (dtype, shape) => Err(bad(format!("{dtype:?} {shape:?}"))),
         }
     }
 }
