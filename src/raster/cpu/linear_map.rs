@@ -39,28 +39,14 @@ impl<E: Real> Projected<E> {
         }
     }
 
-    /// [`Projected::blend`] of `values`, `[N, C]`, and the label of each pixel, `[H, W]`: that whose Gaussians have the largest
-    /// summed alpha' T, ties to the lower one, and 0 where there are none. `labels` has one for each Gaussian.
+    /// The label of each pixel, `[H, W]`: that whose Gaussians have the largest summed alpha' T, ties to the lower one, and 0 where
+    /// there are none. `labels` has one for each Gaussian.
     ///
     /// # Panics
-    /// If `values` does not have `N * C` entries, or `labels` N.
-    pub fn blend_labels<const C: usize>(
-        &self,
-        values: &[E],
-        labels: &[u16],
-    ) -> (Blended<E>, Vec<u16>) {
-        assert_eq!(
-            values.len(),
-            self.len() * C,
-            "blend_labels: values against Gaussians times channels"
-        );
-        assert_eq!(
-            labels.len(),
-            self.len(),
-            "blend_labels: one label a Gaussian"
-        );
-        let labels: Vec<u16> = self.ids.iter().map(|&id| labels[id as usize]).collect();
-        labels::blend::<E, C>(self, &self.in_depth_order(values, C, C), &labels)
+    /// If `labels` does not have N entries.
+    pub fn label_map(&self, labels: &[u16]) -> Vec<u16> {
+        assert_eq!(labels.len(), self.len(), "label_map: one label a Gaussian");
+        labels::label_map(self, labels)
     }
 
     /// `W^T y`: `image` is `[H, W, channels]`, the result `[N, channels]`; the adjoint of [`Projected::blend`].

@@ -93,15 +93,13 @@ impl SplatView {
         if !CustomOp::Raster.is_replaced()
             && let ProjectedView::F32(projected) = self.projected()?
         {
-            let (blended, labels) = match colours {
-                Some(colours) => {
-                    projected.blend_labels::<3>(&read("colours", colours)?, &labels.labels)
-                }
-                None => projected.blend_labels::<0>(&[], &labels.labels),
+            let blended = match colours {
+                Some(colours) => projected.blend(&read("colours", colours)?, 3),
+                None => projected.blend(&[], 0),
             };
             return Ok(LabelledPixels {
                 rgb: blended.image,
-                labels,
+                labels: projected.label_map(&labels.labels),
                 transmittance: blended.transmittance,
             });
         }
