@@ -3,7 +3,7 @@
 
 use crate::error::{Error, Result};
 use burn::backend::DispatchDevice;
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
 
 /// A compute backend by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -229,6 +229,15 @@ pub(crate) fn largest_allocation(device: &Device) -> Option<usize> {
         DispatchDevice::Cube(device) => Some(super::gpu::largest_buffer(&device.client())),
         _ => None,
     }
+}
+
+/// A tensor of these row-major values on `device`.
+pub(crate) fn upload<const D: usize>(
+    values: Vec<f32>,
+    shape: [usize; D],
+    device: &Device,
+) -> Tensor<D> {
+    Tensor::from_data(TensorData::new(values, shape), device)
 }
 
 /// The row-major values of a tensor of f32, on the host; `what` names it.

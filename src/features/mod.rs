@@ -21,12 +21,13 @@ pub use self::lattice::{Lattice, Steps};
 pub use self::map::FeatureMap;
 pub use self::pca::{Moments, Pca};
 
+use crate::backend::device::upload;
 use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::View;
 use crate::error::{Error, Result};
 use crate::segmenter::Tap;
 use crate::weights::file_digest;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use image::RgbImage;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -204,6 +205,5 @@ fn normalized(image: &RgbImage, device: &Device) -> Result<Tensor<4>> {
         let channel = image.as_raw().iter().skip(c).step_by(3);
         planes.extend(channel.map(|&x| (f32::from(x) / 255.0 - mean) / std));
     }
-    let data = TensorData::new(planes, [1, 3, height, width]);
-    Ok(Tensor::from_data(data, device))
+    Ok(upload(planes, [1, 3, height, width], device))
 }

@@ -1,12 +1,12 @@
 //! Label maps rendered from identities.
 
 use super::Identities;
-use crate::backend::device::read;
+use crate::backend::device::{read, upload};
 use crate::config::{LabelSource, SegmentationConfig};
 use crate::data::{Classes, LabelMap};
 use crate::error::Result;
 use crate::raster::{GaussianLabels, Largest, SplatView};
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::Tensor;
 use std::sync::OnceLock;
 
 /// How label maps are rendered from identities.
@@ -106,12 +106,8 @@ fn largest_scores(
     let n = view.splats().len();
     let classes = identities.classes;
     let pixels = view.camera().width * view.camera().height;
-    let scores = tensor.get_or_init(|| {
-        Tensor::from_data(
-            TensorData::new(identities.scores.clone(), [n, classes]),
-            &view.device(),
-        )
-    });
+    let scores =
+        tensor.get_or_init(|| upload(identities.scores.clone(), [n, classes], &view.device()));
     // The least and the largest blended score.
     let mut found: Option<(Tensor<3>, Largest)> = None;
     let mut transmittance = None;

@@ -1,12 +1,12 @@
 //! Views of a labelled scene on any device: colour, coverage and labels of a camera together.
 
-use crate::backend::device::read;
+use crate::backend::device::{read, upload};
 use crate::data::LabelMap;
 use crate::error::{Error, Result};
 use crate::raster::{GaussianLabels, Settings, SplatTensors, SplatView};
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 
 /// What a view shows. Rows are row-major, from the top left.
 #[derive(Clone, Debug, PartialEq)]
@@ -93,7 +93,7 @@ impl Renderer {
         Ok(Self {
             options,
             sh_degree: gaussians.sh_degree,
-            sh: Tensor::from_data(TensorData::new(gaussians.sh, shape), &splats.device()),
+            sh: upload(gaussians.sh, shape, &splats.device()),
             splats,
             labels: labels.map(GaussianLabels::new),
         })

@@ -1,10 +1,11 @@
 //! What a view votes for: the labels of its pixels or their scores, and how much each Gaussian counts in it.
 
+use crate::backend::device::upload;
 use crate::data::{Classes, View};
 use crate::error::Result;
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use glam::Vec3;
 
 /// What a view votes for.
@@ -99,8 +100,7 @@ impl ViewVotes {
             }
             first = end;
         }
-        let size = [self.ends.len(), part.len()];
-        Tensor::from_data(TensorData::new(values, size), device)
+        upload(values, [self.ends.len(), part.len()], device)
     }
 }
 
@@ -108,6 +108,5 @@ impl ViewVotes {
 fn distances(gaussians: &Gaussians, camera: &Camera, device: &Device) -> Tensor<2> {
     let distance = |mean: &[f32; 3]| (Vec3::from(*mean).as_dvec3() - camera.center).length() as f32;
     let distances: Vec<f32> = gaussians.means.iter().map(distance).collect();
-    let size = [distances.len(), 1];
-    Tensor::from_data(TensorData::new(distances, size), device)
+    upload(distances, [gaussians.len(), 1], device)
 }

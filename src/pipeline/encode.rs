@@ -2,6 +2,7 @@
 
 use super::lift::LiftedFeatures;
 use super::train_decoder::{DecoderInput, Encoded, TrainingViews};
+use crate::backend::device::upload;
 use crate::config::{Config, Encode, SpatialConfig, SpatialSource, Variant};
 use crate::data::{Scene, Split};
 use crate::error::{Error, Result};
@@ -10,7 +11,7 @@ use crate::raster::{Projected, Settings};
 use crate::segmentation::encoder::{self, Cloud, Encoding, load_spatial, metres_per_unit};
 use crate::segmentation::pyramid::{Pyramid, Standardisation, Switches};
 use crate::splat::Gaussians;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 
 /// Scale (zero-based) whose image features the single-scale variant reads.
 const SINGLE_SCALE: usize = 0;
@@ -198,10 +199,7 @@ fn join(
         for &row in rows {
             values.extend_from_slice(&lifted[points[row as usize] as usize * d..][..d]);
         }
-        Ok(Tensor::from_data(
-            TensorData::new(values, [rows.len(), d]),
-            inputs.device,
-        ))
+        Ok(upload(values, [rows.len(), d], inputs.device))
     };
     Ok(Encoded {
         pyramid: Pyramid::new(encoding, switches, image)?,

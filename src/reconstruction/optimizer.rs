@@ -1,7 +1,7 @@
 //! The Gaussians as tensors on the device, with the moments of their optimiser.
 
 use super::densify::{Densification, reset_opacity};
-use crate::backend::device::read;
+use crate::backend::device::{read, upload};
 use crate::error::{Error, Result};
 use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step};
 use crate::raster::SplatTensors;
@@ -146,7 +146,7 @@ impl Parameters {
         let state = std::array::from_fn(|k| {
             let [param, first, second] = all.each_mut().map(|values| {
                 let values = std::mem::take(&mut values[k]);
-                Tensor::from_data(TensorData::new(values, [n, widths[k]]), device)
+                upload(values, [n, widths[k]], device)
             });
             AdamTensors {
                 param,
@@ -257,7 +257,7 @@ impl Parameters {
         ];
         for (k, values) in given {
             let param = &mut self.state[k].param;
-            *param = Tensor::from_data(TensorData::new(values, param.dims()), &device);
+            *param = upload(values, param.dims(), &device);
         }
     }
 
@@ -273,7 +273,7 @@ impl Parameters {
         } = &mut self.state[OPACITY];
         let mut logits = read(NAMES[OPACITY], param.clone())?;
         reset_opacity(&mut logits);
-        *param = Tensor::from_data(TensorData::new(logits, param.dims()), &param.device());
+        *param = upload(logits, param.dims(), &param.device());
         *first = first.zeros_like();
         *second = second.zeros_like();
         Ok(())

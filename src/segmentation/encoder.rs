@@ -1,10 +1,9 @@
 //! The frozen spatial encoder of a run: which weights, and a cloud of Gaussian centres turned into features (Eq. 6).
 
 use super::neighbours::check_finite;
-use super::randla::{
-    LAYERS, NEIGHBOURS, POSITION_CHANNELS, RATIO, RandlaEncoder, block_name, tensor,
-};
+use super::randla::{LAYERS, NEIGHBOURS, POSITION_CHANNELS, RATIO, RandlaEncoder, block_name};
 use super::sampling::Hierarchy;
+use crate::backend::device::upload;
 use crate::config::{SpatialConfig, SpatialSource};
 use crate::error::{Error, Result};
 use crate::ops::SparseMatrix;
@@ -152,7 +151,7 @@ pub(crate) fn encoder_input(
 ) -> Result<Tensor<2>> {
     let points = positions.len();
     if inputs == 3 {
-        return Ok(tensor(
+        return Ok(upload(
             positions.as_flattened().to_vec(),
             [points, 3],
             device,
@@ -167,7 +166,7 @@ pub(crate) fn encoder_input(
                 .flat_map(|(p, c)| p.iter().chain(c))
                 .copied()
                 .collect();
-            Ok(tensor(values, [points, 6], device))
+            Ok(upload(values, [points, 6], device))
         }
         other => Err(Error::argument(
             "colours to encode",

@@ -1,6 +1,6 @@
 //! Labelled pixels of a training view, and the frozen blending weights that connect them to the Gaussians.
 
-use crate::backend::device::read;
+use crate::backend::device::{read, upload};
 use crate::error::Result;
 use crate::ops::{SparseMatrix, sparse_apply};
 use crate::raster::{Settings, SplatTensors, SplatView};
@@ -136,8 +136,7 @@ fn rendered(
     });
     let mut mask = vec![0.0_f32; camera.width * camera.height];
     pixels.iter().for_each(|&pixel| mask[pixel as usize] = 1.0);
-    let mask = TensorData::new(mask, [camera.height, camera.width, 1]);
-    let mask = Tensor::from_data(mask, &splats.device());
+    let mask = upload(mask, [camera.height, camera.width, 1], &splats.device());
     let weights = read("weights", view.blend_adjoint(mask)?.sums)?;
     let shown = (0..).zip(&weights).filter(|(_, weight)| **weight > 0.0);
     let visible: Vec<u32> = shown.map(|(gaussian, _)| gaussian).collect();

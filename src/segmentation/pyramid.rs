@@ -1,9 +1,10 @@
 //! The multi-scale input of the decoder: point sets from fine to coarse with frozen features, and the maps between them.
 
 use super::encoder::Encoding;
+use crate::backend::device::upload;
 use crate::error::{Error, Result};
 use crate::ops::{SparseMatrix, select};
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::Tensor;
 use std::sync::Arc;
 
 /// Which features the decoder reads: the switches of the ablation table.
@@ -133,8 +134,8 @@ impl Pyramid {
             if level.features.dims()[0] == 0 {
                 continue;
             }
-            let factors = TensorData::new(factors.clone(), [1, factors.len()]);
-            let factors = Tensor::from_data(factors, &level.features.device());
+            let device = level.features.device();
+            let factors = upload(factors.clone(), [1, factors.len()], &device);
             level.features = level.features.clone() * factors;
         }
         scaled

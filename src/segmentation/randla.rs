@@ -5,13 +5,14 @@
 //! whose checkpoints are published.
 
 use super::sampling::{Hierarchy, SampledLevel};
+use crate::backend::device::upload;
 use crate::error::{Error, Result};
 use crate::ops::select;
 use crate::weights::{HostTensor, WeightFile};
 use burn::module::{Module, Param, RunningState};
 use burn::nn::{BatchNorm, BatchNormConfig, Linear};
 use burn::tensor::activation::relu;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -53,7 +54,7 @@ impl Loader<'_> {
 
     fn vector(&self, name: &str, length: usize) -> Result<Tensor<1>> {
         let values = self.weights.get(name, &[length])?;
-        Ok(tensor(values.to_vec(), [length], self.device))
+        Ok(upload(values.to_vec(), [length], self.device))
     }
 
     /// `NAME.conv.weight`, optional `NAME.conv.bias`, and `NAME.bn.bn.*`.
@@ -360,7 +361,7 @@ fn position_code(level: &SampledLevel, range: Range<usize>, device: &Device) -> 
             ]);
         }
     }
-    tensor(code, [rows, POSITION_CHANNELS], device)
+    upload(code, [rows, POSITION_CHANNELS], device)
 }
 
 /// Rows of `features` for the neighbours of `points`: `[K R, d]`.
@@ -420,26 +421,18 @@ pub(crate) fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
         .unwrap_or_default() // just converted: always f32
 }
 
-pub(crate) fn tensor<const D: usize>(
-    values: Vec<f32>,
-    shape: [usize; D],
-    device: &Device,
-) -> Tensor<D> {
-    Tensor::from_data(TensorData::new(values, shape), device)
-}
-
 pub(crate) fn parameter<const D: usize>(
     values: Vec<f32>,
     shape: [usize; D],
     device: &Device,
 ) -> Param<Tensor<D>> {
-    Param::from_tensor(tensor(values, shape, device))
+    Param::from_tensor(upload(values, shape, device))
 }
 
 #[cfg(all(test, feature = "ndarray"))]
 mod tests {
     use super::*;
-    use burn::tensor::DType;
+    use burn::tensor::{DType, TensorData};
 
     const SHAPE: [usize; 3] = [5, 6, 7];
 

@@ -5,11 +5,12 @@
 
 use super::position::PositionEmbedding;
 use super::{Block, HEAD, QUERIES, Vit};
+use crate::backend::device::upload;
 use crate::error::Result;
 use crate::weights::WeightFile;
 use burn::module::Param;
 use burn::nn::{LayerNorm, LayerNormConfig, Linear};
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use std::path::Path;
 
 /// Epsilon of the layer normalisations.
@@ -228,7 +229,6 @@ impl Weights<'_> {
     /// The values of a tensor of this shape, in one row.
     fn tensor(&self, name: &str, shape: &[usize]) -> Result<Tensor<1>> {
         let values = self.file.get(name, shape)?;
-        let data = TensorData::new(values.to_vec(), [values.len()]);
-        Ok(Tensor::from_data(data, self.device))
+        Ok(upload(values.to_vec(), [values.len()], self.device))
     }
 }

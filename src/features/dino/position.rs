@@ -1,7 +1,8 @@
 //! Position embeddings for any number of patches.
 
+use crate::backend::device::upload;
 use burn::module::{Module, Param};
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::Tensor;
 
 /// Learned vectors: one for the class token, one for each cell of a square grid of patches.
 #[derive(Module, Debug)]
@@ -29,10 +30,7 @@ impl PositionEmbedding {
         }
         let width = values.dims()[1];
         let device = values.device();
-        let weights = |to: usize| {
-            let data = TensorData::new(interpolation(side, to), [to, side]);
-            Tensor::<2>::from_data(data, &device)
-        };
+        let weights = |to: usize| upload(interpolation(side, to), [to, side], &device);
         let class = values.clone().narrow(0, 0, 1);
         let grid = values.narrow(0, 1, side * side);
         // [side, side * width] to [rows, side, width], then [side, rows * width] to [columns, rows, width].

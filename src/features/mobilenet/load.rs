@@ -4,10 +4,11 @@
 //! (`features.2.conv.0.weight`).
 
 use super::{BLOCKS, Block, Convolution, MobileNetV2, STEM};
+use crate::backend::device::upload;
 use crate::error::Result;
 use crate::weights::WeightFile;
 use burn::module::Param;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::Device;
 use std::path::Path;
 
 /// Epsilon of batch normalisation: PyTorch's default.
@@ -124,11 +125,9 @@ impl<'a> Weights<'a> {
         let bias: Vec<f32> = (0..outputs)
             .map(|c| (f64::from(beta[c]) - f64::from(mean[c]) * scale[c]) as f32)
             .collect();
-        let weight = Tensor::from_data(TensorData::new(weight, shape), self.device);
-        let bias = Tensor::from_data(TensorData::new(bias, [outputs]), self.device);
         Ok(Convolution {
-            weight: Param::from_tensor(weight),
-            bias: Param::from_tensor(bias),
+            weight: Param::from_tensor(upload(weight, shape, self.device)),
+            bias: Param::from_tensor(upload(bias, [outputs], self.device)),
             stride,
         })
     }

@@ -4,10 +4,10 @@
 
 use super::tensors::ProjectedView;
 use super::view::SplatView;
-use crate::backend::device::read;
+use crate::backend::device::{read, upload};
 use crate::error::Result;
 use crate::ops::CustomOp;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use std::ops::Range;
 use std::sync::OnceLock;
 
@@ -69,7 +69,7 @@ impl GaussianLabels {
         let indices = self.indices.get_or_init(|| {
             let index = |label| self.ids.partition_point(|id| id < label) as f32;
             let indices: Vec<f32> = self.labels.iter().map(index).collect();
-            Tensor::from_data(TensorData::new(indices, [self.labels.len(), 1]), device)
+            upload(indices, [self.labels.len(), 1], device)
         });
         one_hot(indices, block.map(|index| index as f32).collect())
     }
@@ -175,7 +175,7 @@ impl GaussianLabels {
 fn one_hot(of_rows: &Tensor<2>, values: Vec<f32>) -> Tensor<2> {
     let rows = of_rows.dims()[0];
     let columns = values.len();
-    let values = Tensor::<2>::from_data(TensorData::new(values, [1, columns]), &of_rows.device());
+    let values = upload(values, [1, columns], &of_rows.device());
     of_rows
         .clone()
         .expand([rows, columns])

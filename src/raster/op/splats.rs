@@ -1,6 +1,6 @@
 //! The geometry of Gaussians as tensors.
 
-use crate::backend::device::{in_host_memory, largest_allocation};
+use crate::backend::device::{in_host_memory, largest_allocation, upload};
 use crate::error::{Error, Result};
 use crate::splat::Gaussians;
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
@@ -23,17 +23,12 @@ impl SplatTensors {
     pub fn new(gaussians: &Gaussians, device: &Device) -> Self {
         let device = device.clone().inner();
         let n = gaussians.len();
-        let rows = |values: &[f32], width| {
-            Tensor::from_data(TensorData::new(values.to_vec(), [n, width]), &device)
-        };
+        let rows = |values: &[f32], width| upload(values.to_vec(), [n, width], &device);
         Self {
             means: rows(gaussians.means.as_flattened(), 3),
             log_scales: rows(gaussians.log_scales.as_flattened(), 3),
             rotations: rows(gaussians.rotations.as_flattened(), 4),
-            opacity_logits: Tensor::from_data(
-                TensorData::new(gaussians.opacity_logits.clone(), [n]),
-                &device,
-            ),
+            opacity_logits: upload(gaussians.opacity_logits.clone(), [n], &device),
         }
     }
 

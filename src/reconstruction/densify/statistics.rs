@@ -1,8 +1,8 @@
 //! Screen-space gradients between densifications.
 
-use crate::backend::device::read;
+use crate::backend::device::{read, upload};
 use crate::error::Result;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 
 /// Screen-space gradients since the last densification.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -41,11 +41,10 @@ impl GradientAccumulator {
     /// Starts from `stats`, on `device`.
     pub fn new(stats: GradientStatistics, device: &Device) -> Self {
         let n = stats.gradient.len();
-        let tensor = |values: Vec<f32>| Tensor::from_data(TensorData::new(values, [n]), device);
         let visible = stats.visible.iter().map(|&count| count as f32).collect();
         Self {
-            gradient: tensor(stats.gradient),
-            visible: tensor(visible),
+            gradient: upload(stats.gradient, [n], device),
+            visible: upload(visible, [n], device),
         }
     }
 
@@ -79,6 +78,7 @@ impl GradientAccumulator {
 mod tests {
     use super::*;
     use crate::backend::device::{BackendName, device_of_tests};
+    use burn::tensor::TensorData;
 
     #[test]
     fn statistics_are_those_of_the_host_on_every_device() {

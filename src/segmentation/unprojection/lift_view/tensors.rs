@@ -1,7 +1,7 @@
 //! Lifting in tensors: maps are read bilinearly as a sparse product, and lifted by the adjoint of blending.
 
 use super::Sums;
-use crate::backend::device::read;
+use crate::backend::device::{read, upload};
 use crate::config::Resolution;
 use crate::data::mask::Mask;
 use crate::error::Result;
@@ -9,7 +9,7 @@ use crate::features::{FeatureMap, Lattice};
 use crate::ops::{SparseMatrix, sparse_apply};
 use crate::raster::{Lifted, Projected, Settings, SplatTensors, SplatView, Splats};
 use crate::splat::camera::Camera;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use std::sync::Arc;
 
 /// [`Sums`] as tensors.
@@ -127,7 +127,7 @@ impl TensorSums {
             let values: Vec<f32> = (0..pixels)
                 .map(|pixel| f32::from(u8::from(mask.uses(pixel))))
                 .collect();
-            Tensor::<2>::from_data(TensorData::new(values, [pixels, 1]), &device)
+            upload(values, [pixels, 1], &device)
         });
         let all = used
             .clone()
@@ -224,11 +224,7 @@ fn lifted(
     device: &Device,
 ) -> Result<Tensor<2>> {
     let Camera { width, height, .. } = *view.camera();
-    let cells = map.width * map.height;
-    let cells = Tensor::<2>::from_data(
-        TensorData::new(map.data.clone(), [cells, map.channels]),
-        device,
-    );
+    let cells = upload(map.data.clone(), [map.cells(), map.channels], device);
     let blocks = view.channel_blocks(map.channels).map(|block| {
         let channels = block.len();
         let part = cells.clone().slice([0..cells.dims()[0], block]);
