@@ -7,6 +7,7 @@
 //! Choices with settings of their own are enums with a payload: `building.strategy = "mcmc"` takes the defaults of that choice,
 //! `building.strategy.mcmc.growth = 0.1` chooses it and sets one of them.
 
+mod assignment;
 mod association;
 mod building;
 mod data;

@@ -11,7 +11,7 @@ use crate::raster::{Projected, Settings};
 use crate::segmentation::encoder::{self, Cloud, Encoding, load_spatial, metres_per_unit};
 use crate::segmentation::pyramid::{Pyramid, Standardisation, Switches};
 use crate::splat::Gaussians;
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Device;
 
 /// Scale (zero-based) whose image features the single-scale variant reads.
 const SINGLE_SCALE: usize = 0;

@@ -3,26 +3,20 @@
 //! A segment that covers two objects may come first. The views that show only one of them then join its group, where they
 //! outweigh the views that show both and tell them apart. Weights do not show that; segments side by side do.
 
+mod partition;
+
 use super::groups::{Assigned, Groups};
 use super::merge::DOUBT;
 use super::ownership::Evidence;
 use super::pair_evidence::{PartGaussian, pair_evidence};
 use super::segments::{SegmentWeights, ViewSegments};
 use super::{End, Progress};
+use partition::{Partition, partition};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Pairs of segments from which the parts of a group are grown, at most.
 const SEEDS: usize = 6;
-/// A segment belongs to both parts when the smaller one has more than this share of what the larger one has of it.
-const MIXED: f64 = 0.25;
-/// A part with less than this share of its Gaussians is a piece of another object.
-const OWN: f64 = 0.5;
-/// Passes over the segments of a group in which its two parts settle.
-const PASSES: usize = 4;
-
-/// Weights of the two parts of a group on each Gaussian, pixels.
-type Parts = [[f32; 2]];
 
 /// A piece of a group: its view, and its place in the view.
 type Piece = (usize, usize);
@@ -46,12 +40,6 @@ struct Suspect {
 struct SmallerPart {
     weight: f64,
     pieces: Vec<Piece>,
-}
-
-/// A group in two parts.
-struct Partition {
-    smaller: SmallerPart,
-    parts: Vec<PartGaussian>,
 }
 
 /// Splits each group that the views take for two objects, and returns whether there is one: more than the share `1 - above` of
@@ -139,78 +127,8 @@ fn suspects(groups: &Groups, assigned: &[Assigned<'_>], order: &[usize]) -> Vec<
     suspects
 }
 
-/// The partition of a group that grows from `seed`, where its smaller part is larger than that of the best one and both parts
-/// have most of their Gaussians. `parts` are zero before and after.
-fn partition(
-    groups: &Groups,
-    assigned: &[Assigned<'_>],
-    suspect: &Suspect,
-    seed: Seed,
-    parts: &mut Parts,
-) -> Option<Partition> {
-    let pieces = &suspect.pieces;
-    let sides = grow(parts, assigned, pieces, seed);
-    let of_side = |side| {
-        let sided = pieces.iter().zip(&sides);
-        sided
-            .filter(move |(_, s)| **s == side)
-            .map(|(piece, _)| *piece)
-    };
-    let weight = |side| {
-        of_side(side)
-            .map(|piece| weights(assigned, piece).total)
-            .sum()
-    };
-    let [first, second]: [f64; 2] = [weight(0), weight(1)];
-    let smaller = usize::from(first >= second);
-    let smaller = SmallerPart {
-        weight: first.min(second),
-        pieces: of_side(smaller).collect(),
-    };
-    let best = suspect.best.as_ref();
-    let improves = best.is_none_or(|best| smaller.weight > best.weight);
-    let is_object = |side| purity(groups, &suspect.gaussians, parts, side) > OWN;
-    let found = (improves && is_object(0) && is_object(1)).then(|| Partition {
-        smaller,
-        parts: part_gaussians(groups, &suspect.gaussians, parts),
-    });
-    for &piece in pieces {
-        for (gaussian, _) in &weights(assigned, piece).weights {
-            parts[*gaussian as usize] = [0.0; 2];
-        }
-    }
-    found
-}
-
 fn weights<'a>(assigned: &'a [Assigned<'_>], (view, place): Piece) -> &'a SegmentWeights {
     &assigned[view].pieces[place]
-}
-
-/// The mean of a part's share of all weight on the Gaussians that it covers, some of `gaussians`.
-fn purity(groups: &Groups, gaussians: &[u32], parts: &Parts, side: usize) -> f64 {
-    let (mut sum, mut pure) = (0.0, 0.0);
-    for &gaussian in gaussians {
-        let own = f64::from(parts[gaussian as usize][side]);
-        if own > 0.0 {
-            sum += own;
-            pure += own * own / groups.total(gaussian).max(own);
-        }
-    }
-    if sum > 0.0 { pure / sum } else { 0.0 }
-}
-
-/// The Gaussians of the parts, among those of a group. Where both parts have a Gaussian, the one with more weight has it.
-fn part_gaussians(groups: &Groups, gaussians: &[u32], parts: &Parts) -> Vec<PartGaussian> {
-    let own = |&gaussian: &u32| {
-        let [a, b] = parts[gaussian as usize];
-        let own = f64::from(a.max(b));
-        (own > 0.0).then(|| PartGaussian {
-            gaussian,
-            side: u32::from(b > a),
-            share: own / groups.total(gaussian).max(own),
-        })
-    };
-    gaussians.iter().filter_map(own).collect()
 }
 
 /// The pairs of a view's two largest segments in the group, those with the largest second one first.
@@ -232,52 +150,9 @@ fn seeds(assigned: &[Assigned<'_>], pieces: &[Piece]) -> Vec<Seed> {
     pairs
 }
 
-/// Grows two parts from a pair of segments, which stay, into `parts`, which are zero. Each other piece goes to the part that
-/// has it, and to neither while both have some of it; the larger one takes it in the end. Returns the part of each piece.
-fn grow(parts: &mut Parts, assigned: &[Assigned<'_>], pieces: &[Piece], seed: Seed) -> Vec<usize> {
-    let add = |parts: &mut Parts, piece: Piece, side: Option<usize>, sign: f32| {
-        let Some(side) = side else { return };
-        for (gaussian, weight) in &weights(assigned, piece).weights {
-            parts[*gaussian as usize][side] += sign * weight;
-        }
-    };
-    let seeded = |piece: Piece| seed.iter().position(|s| *s == piece);
-    let mut sides: Vec<Option<usize>> = pieces.iter().map(|piece| seeded(*piece)).collect();
-    for (piece, side) in pieces.iter().zip(&sides) {
-        add(parts, *piece, *side, 1.0);
-    }
-    let mut larger = vec![0; pieces.len()];
-    for _ in 0..PASSES {
-        for ((&piece, side), larger) in pieces.iter().zip(&mut sides).zip(&mut larger) {
-            if let Some(seeded) = seeded(piece) {
-                *larger = seeded;
-                continue;
-            }
-            add(parts, piece, *side, -1.0);
-            let claims = claims(parts, weights(assigned, piece));
-            *larger = usize::from(claims[1] > claims[0]);
-            let clear = claims[1 - *larger] < MIXED * claims[*larger];
-            *side = clear.then_some(*larger);
-            add(parts, piece, *side, 1.0);
-        }
-    }
-    larger
-}
-
-/// What each part claims of a piece, pixels.
-fn claims(parts: &Parts, piece: &SegmentWeights) -> [f64; 2] {
-    let mut claims = [0.0; 2];
-    for &(gaussian, weight) in &piece.weights {
-        let [a, b] = parts[gaussian as usize].map(|w| f64::from(w.max(0.0)));
-        let share = f64::from(weight) / (a + b + 1.0);
-        claims[0] += share * a;
-        claims[1] += share * b;
-    }
-    claims
-}
-
 #[cfg(test)]
 mod tests {
+    use super::partition::{OWN, grow, part_gaussians, purity};
     use super::*;
     use crate::data::Segment;
     use crate::objects::association::groups::Category;
