@@ -9,7 +9,6 @@ use coseg::data::{NamedCamera, read_cameras};
 use coseg::error::{Error, Result};
 use coseg::objects::pick;
 use coseg::raster::{Projected, Settings};
-use coseg::splat::camera::Camera;
 use glam::DVec3;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -131,10 +130,7 @@ impl ObjectsArgs {
                 help,
             ));
         }
-        let camera = Camera {
-            center: camera.center - scene.ply.origin,
-            ..camera.clone()
-        };
+        let camera = camera.moved(-scene.ply.origin);
         let settings = Settings::from(&rendering_beside(&scene.path).raster);
         let projected = Projected::new(&scene.ply.gaussians.splats(), &camera, &settings)?;
         let picked = pick(&projected, &scene.ply.gaussians, &scene.labels, [x, y]);

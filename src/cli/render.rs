@@ -16,7 +16,6 @@ use coseg::error::Result;
 use coseg::objects::{Frame, RenderOptions, Renderer};
 use coseg::raster::Settings;
 use coseg::report::pictures;
-use coseg::splat::camera::Camera;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -172,10 +171,7 @@ impl RenderArgs {
         let bar = terminal::bar("render", cameras.len() as u64);
         let mut times = Vec::with_capacity(cameras.len());
         for NamedCamera { name, camera, .. } in &cameras {
-            let camera = Camera {
-                center: camera.center - scene.origin,
-                ..camera.clone()
-            };
+            let camera = camera.moved(-scene.origin);
             let start = Instant::now();
             let frame = renderer.frame(&camera)?;
             times.push(start.elapsed().as_secs_f64());

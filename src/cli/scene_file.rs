@@ -3,7 +3,6 @@
 use coseg::config::Config;
 use coseg::data::{Classes, Limits, NamedCamera, Scene, View, atomic};
 use coseg::error::{Error, Result};
-use coseg::splat::camera::Camera;
 use coseg::splat::ply;
 use coseg::splat::ply::PlyScene;
 use std::path::{Path, PathBuf};
@@ -87,10 +86,7 @@ pub fn cameras_of(scene: &Scene) -> Vec<NamedCamera> {
     let named = |view: &View| NamedCamera {
         name: view.name.clone(),
         split: view.split,
-        camera: Camera {
-            center: view.camera.center + scene.origin,
-            ..view.camera.clone()
-        },
+        camera: view.camera.moved(scene.origin),
     };
     scene.views.iter().map(named).collect()
 }

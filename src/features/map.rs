@@ -100,33 +100,32 @@ impl FeatureMap {
     /// The map on another grid over the same image: area mean along an axis that shrinks, linear along one that grows.
     /// Both divide the image evenly.
     pub(crate) fn resized(&self, height: usize, width: usize) -> Self {
-        let c = self.channels;
-        let mut rows = Self::zeros(height, self.width, c);
-        rows.data
-            .par_chunks_mut((self.width * c).max(1))
-            .zip(axis_weights(self.height, height))
-            .for_each(|(out, taps)| {
-                for (y, weight) in taps {
-                    for (o, &x) in out.iter_mut().zip(&self.data[y * self.width * c..]) {
-                        *o += weight * x;
-                    }
-                }
-            });
+        let rows = self.mixed_rows(&axis_weights(self.height, height));
         if width == self.width {
             return rows;
         }
-        let columns = axis_weights(self.width, width);
-        let mut out = Self::zeros(height, width, c);
+        rows.mixed_columns(&axis_weights(self.width, width))
+    }
+
+    /// A row for each of `taps`: the sum of the weighted rows that they name.
+    pub(super) fn mixed_rows(&self, taps: &[Taps]) -> Self {
+        let row = self.width * self.channels;
+        let mut out = Self::zeros(taps.len(), self.width, self.channels);
+        let rows = out.data.par_chunks_mut(row.max(1)).zip(taps);
+        rows.for_each(|(out, taps)| mix(&self.data, row, taps, out));
+        out
+    }
+
+    /// A column for each of `taps`: the sum of the weighted columns that they name.
+    pub(super) fn mixed_columns(&self, taps: &[Taps]) -> Self {
+        let c = self.channels;
+        let mut out = Self::zeros(self.height, taps.len(), c);
         out.data
-            .par_chunks_mut((width * c).max(1))
-            .zip(rows.data.par_chunks((self.width * c).max(1)))
+            .par_chunks_mut((taps.len() * c).max(1))
+            .zip(self.data.par_chunks((self.width * c).max(1)))
             .for_each(|(out, row)| {
-                for (out, taps) in out.chunks_exact_mut(c.max(1)).zip(&columns) {
-                    for &(x, weight) in taps {
-                        for (o, &x) in out.iter_mut().zip(&row[x * c..][..c]) {
-                            *o += weight * x;
-                        }
-                    }
+                for (out, taps) in out.chunks_exact_mut(c.max(1)).zip(taps) {
+                    mix(row, c, taps, out);
                 }
             });
         out
@@ -156,8 +155,20 @@ impl FeatureMap {
     }
 }
 
+/// Cells along an axis, each with a weight.
+pub(super) type Taps = Vec<(usize, f32)>;
+
+/// Adds the weighted pieces of `values` that `taps` name to `out`; a piece has `length` values.
+fn mix(values: &[f32], length: usize, taps: &Taps, out: &mut [f32]) {
+    for &(piece, weight) in taps {
+        for (o, &x) in out.iter_mut().zip(&values[piece * length..][..length]) {
+            *o += weight * x;
+        }
+    }
+}
+
 /// For each of `to` cells the source cells of `from` and their weights, which sum to 1.
-fn axis_weights(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
+fn axis_weights(from: usize, to: usize) -> Vec<Taps> {
     let step = from as f64 / to as f64;
     let area = |i: usize| {
         let (a, b) = (i as f64 * step, (i + 1) as f64 * step);

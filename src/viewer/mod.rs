@@ -185,14 +185,10 @@ impl Viewer<'_> {
             low: object.low,
             high: object.high,
         };
-        let moved = |camera: &Camera| Camera {
-            center: camera.center - self.origin,
-            ..camera.clone()
-        };
         let cameras: Vec<Camera> = self
             .cameras
             .iter()
-            .map(|named| moved(&named.camera))
+            .map(|named| named.camera.moved(-self.origin))
             .collect();
         let up = match self.up.and_then(DVec3::try_normalize) {
             Some(up) => up,

@@ -130,7 +130,14 @@ impl FrameCheck {
             check.masked = mask
                 .as_ref()
                 .map(|mask| [mask.width() * mask.height(), mask.left_out()]);
-            let labels = FrameLabels::new(listing, frame, &geometry, known, limits, mask.as_ref());
+            let labels = FrameLabels {
+                listing,
+                frame,
+                geometry,
+                known,
+                limits,
+                mask,
+            };
             problems.keep(labels.truth());
             let raw = problems.keep(labels.raw()).flatten();
             check.void = raw.map(|raw| raw.map.ids.iter().all(|&id| id == listing.unlabelled()));

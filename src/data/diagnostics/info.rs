@@ -186,17 +186,13 @@ fn listing(dir: &Path, options: &LoadOptions) -> Result<Listing> {
 
 impl FrameInfo {
     fn new(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) -> Result<Self> {
-        let limits = &options.limits;
-        let (file, geometry) = frame.open(&listing.file, limits)?;
-        let geometry = geometry.limited_to(options.max_side);
-        let mask = frame.read_mask(&geometry, limits)?;
-        let labels = FrameLabels::new(listing, frame, &geometry, known, limits, mask.as_ref());
-        let camera = geometry.view_camera();
+        let (file, labels) = FrameLabels::open(listing, frame, known, options)?;
+        let camera = labels.geometry.view_camera();
         let mut info = Self {
             size: file.size,
             distorted: !frame.lens.is_pinhole(),
             pixels: camera.width * camera.height,
-            left_out: mask.as_ref().map_or(0, |mask| mask.left_out()),
+            left_out: labels.mask.as_ref().map_or(0, |mask| mask.left_out()),
             truth: labels
                 .truth()?
                 .as_ref()
@@ -268,7 +264,6 @@ pub fn thumbnails(
 ) -> Result<(Vec<Thumbnail>, Classes)> {
     let listing = listing(dir, options)?;
     let known = listing.classes.lookup();
-    let limits = &options.limits;
     // Where a few photos are labelled, those are what one looks for.
     let is_raw = |i: &usize| listing.frames[*i].raw.is_some();
     let mut shown: Vec<usize> = (0..listing.frames.len()).filter(is_raw).collect();
@@ -278,17 +273,14 @@ pub fn thumbnails(
     let chosen = evenly(shown.len(), count);
     let made = in_order(chosen.into_par_iter().map(|i| {
         let frame = &listing.frames[shown[i]];
-        let (file, geometry) = frame.open(&listing.file, limits)?;
-        let geometry = geometry.limited_to(options.max_side);
-        let mut photo = geometry.photo(&file)?;
-        let mask = frame.read_mask(&geometry, limits)?;
-        if let Some(mask) = &mask {
+        let (file, labels) = FrameLabels::open(&listing, frame, &known, options)?;
+        let mut photo = labels.geometry.photo(&file)?;
+        if let Some(mask) = &labels.mask {
             mask.fill(&mut photo, 3, 0);
         }
         let height = u64::from(photo.height()) * u64::from(width) / u64::from(photo.width().max(1));
         let height = height.clamp(1, 4 * u64::from(width)) as u32;
         let photo = resize(&photo, width.max(1), height, FilterType::Triangle);
-        let labels = FrameLabels::new(&listing, frame, &geometry, &known, limits, mask.as_ref());
         let size = (photo.width() as usize, photo.height() as usize);
         let small = |map: LabelMap| map.resized(size.0, size.1);
         let raw = labels.raw()?.map(|raw| small(raw.map));

@@ -151,8 +151,7 @@ pub(crate) fn of_scene(layout: Layout, file: &Path, scene: &Scene) -> Option<Ver
     let chosen = evenly(scene.views.len(), CAMERAS);
     let shots = shots(chosen.len(), |place, with_photo| {
         let view = &scene.views[chosen[place]];
-        let mut camera = view.camera.clone();
-        camera.center += scene.origin;
+        let camera = view.camera.moved(scene.origin);
         let photo = with_photo.then(|| view.image.pixels().ok()).flatten();
         Shot { camera, photo }
     });

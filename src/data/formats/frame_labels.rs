@@ -7,39 +7,42 @@ use crate::data::labels::raw::RawMap;
 use crate::data::labels::scores;
 use crate::data::mask::Mask;
 use crate::data::photos::image_file::{ImageFile, proportional};
-use crate::data::{LabelMap, Limits, ViewScores};
+use crate::data::{LabelMap, Limits, LoadOptions, ViewScores};
 use crate::error::Result;
 use std::path::Path;
 
-/// Reads the label maps of a frame.
+/// A frame with its geometry and mask, by which its label maps are read.
 pub(crate) struct FrameLabels<'a> {
-    listing: &'a Listing,
-    frame: &'a Frame,
-    geometry: &'a Geometry,
+    pub listing: &'a Listing,
+    pub frame: &'a Frame,
+    pub geometry: Geometry,
     /// [`crate::data::Classes::lookup`] of the listing's classes.
-    known: &'a [u16],
-    limits: &'a Limits,
+    pub known: &'a [u16],
+    pub limits: &'a Limits,
     /// Maps are unlabelled where it leaves pixels out.
-    mask: Option<&'a Mask>,
+    pub mask: Option<Mask>,
 }
 
 impl<'a> FrameLabels<'a> {
-    pub fn new(
+    /// Opens the photo of a frame and reads its mask.
+    pub fn open(
         listing: &'a Listing,
         frame: &'a Frame,
-        geometry: &'a Geometry,
         known: &'a [u16],
-        limits: &'a Limits,
-        mask: Option<&'a Mask>,
-    ) -> Self {
-        Self {
+        options: &'a LoadOptions,
+    ) -> Result<(ImageFile, Self)> {
+        let limits = &options.limits;
+        let (file, geometry) = frame.open(&listing.file, limits)?;
+        let geometry = geometry.limited_to(options.max_side);
+        let labels = Self {
             listing,
             frame,
+            mask: frame.read_mask(&geometry, limits)?,
             geometry,
             known,
             limits,
-            mask,
-        }
+        };
+        Ok((file, labels))
     }
 
     /// The true labels, in class ids.
@@ -101,7 +104,7 @@ impl<'a> FrameLabels<'a> {
     /// The map that was read from `path` as the view's camera sees it; masked pixels have the id `unlabelled`.
     fn in_view(&self, path: &Path, map: LabelMap, unlabelled: u16) -> LabelMap {
         let mut map = self.geometry.labels(map, self.listing.geometries.of(path));
-        if let Some(mask) = self.mask {
+        if let Some(mask) = &self.mask {
             mask.fill(&mut map.ids, 1, unlabelled);
         }
         map

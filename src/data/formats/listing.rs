@@ -238,26 +238,21 @@ impl Listing {
         known: &[u16],
         cache: &Arc<PhotoCache>,
     ) -> Result<(View, bool)> {
-        let limits = &options.limits;
-        let (file, geometry) = frame.open(&self.file, limits)?;
-        let geometry = geometry.limited_to(options.max_side);
-        let preprocessing = geometry.preprocessing().over(options.background);
-        let image = Photo::in_file(&file, preprocessing, limits, cache)?;
-        let mask = frame.read_mask(&geometry, limits)?;
-        let labels = FrameLabels::new(self, frame, &geometry, known, limits, mask.as_ref());
+        let (file, labels) = FrameLabels::open(self, frame, known, options)?;
+        let preprocessing = labels.geometry.preprocessing().over(options.background);
+        let image = Photo::in_file(&file, preprocessing, &options.limits, cache)?;
         let truth = labels.truth()?.map(LabelRuns::from);
         let raw = labels.raw()?;
         let scores = labels.scores();
         let (raw, segments) = raw.map_or((None, Vec::new()), |r| (Some(r.map.into()), r.segments));
         let instances = labels.instances()?.map(LabelRuns::from);
-        let mut camera = geometry.view_camera();
-        camera.center -= origin;
+        let camera = labels.geometry.view_camera().moved(-origin);
         let view = View {
             name: frame.name.clone(),
             split: frame.split,
             camera,
             image,
-            mask,
+            mask: labels.mask,
             truth,
             raw,
             scores,

@@ -1,7 +1,7 @@
 //! Pooling of response maps over Gaussian windows.
 
 use super::FeatureMap;
-use rayon::prelude::*;
+use crate::features::map::Taps;
 
 /// Two maps of one grid, channels side by side.
 pub fn join(a: &FeatureMap, b: &FeatureMap) -> FeatureMap {
@@ -35,42 +35,12 @@ pub fn first_channels(map: &FeatureMap, channels: usize) -> FeatureMap {
 
 /// Gaussian mean with standard deviation `sigma` cells, cut at 3 sigma; weights outside the map are left out.
 pub fn gaussian(map: &FeatureMap, sigma: f64) -> FeatureMap {
-    let (h, w, c) = (map.height, map.width, map.channels);
-    let rows = blur_axis(h, sigma);
-    let columns = blur_axis(w, sigma);
-    let mut vertical = FeatureMap::zeros(h, w, c);
-    vertical
-        .data
-        .par_chunks_mut(w * c)
-        .zip(&rows)
-        .for_each(|(out, (first, taps))| {
-            for (k, &weight) in taps.iter().enumerate() {
-                for (o, &x) in out
-                    .iter_mut()
-                    .zip(&map.data[(first + k) * w * c..][..w * c])
-                {
-                    *o += weight * x;
-                }
-            }
-        });
-    let mut out = FeatureMap::zeros(h, w, c);
-    out.data
-        .par_chunks_mut(w * c)
-        .zip(vertical.data.par_chunks(w * c))
-        .for_each(|(out, row)| {
-            for (out, (first, taps)) in out.chunks_exact_mut(c).zip(&columns) {
-                for (k, &weight) in taps.iter().enumerate() {
-                    for (o, &x) in out.iter_mut().zip(&row[(first + k) * c..][..c]) {
-                        *o += weight * x;
-                    }
-                }
-            }
-        });
-    out
+    let rows = map.mixed_rows(&blur_axis(map.height, sigma));
+    rows.mixed_columns(&blur_axis(map.width, sigma))
 }
 
-/// For each position of an axis the first cell read and the normalised weights.
-fn blur_axis(size: usize, sigma: f64) -> Vec<(usize, Vec<f32>)> {
+/// For each position of an axis the cells read and their normalised weights.
+fn blur_axis(size: usize, sigma: f64) -> Vec<Taps> {
     let radius = (3.0 * sigma).ceil() as usize;
     (0..size)
         .map(|i| {
@@ -83,7 +53,8 @@ fn blur_axis(size: usize, sigma: f64) -> Vec<(usize, Vec<f32>)> {
                 })
                 .collect();
             let sum: f64 = taps.iter().sum();
-            (first, taps.iter().map(|t| (t / sum) as f32).collect())
+            let weights = taps.iter().map(|t| (t / sum) as f32);
+            (first..).zip(weights).collect()
         })
         .collect()
 }

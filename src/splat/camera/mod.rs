@@ -127,6 +127,15 @@ impl Camera {
         m
     }
 
+    /// The same camera elsewhere, by `offset` in world units.
+    pub fn moved(&self, offset: DVec3) -> Self {
+        let center = self.center + offset;
+        Self {
+            center,
+            ..self.clone()
+        }
+    }
+
     /// `world` in camera axes (x right, y down, z forward).
     pub fn to_camera(&self, world: DVec3) -> DVec3 {
         self.rotation * (world - self.center)
