@@ -4,7 +4,7 @@
 //! tensors.
 
 use crate::data::atomic;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use crate::metrics::ImageScores;
 use crate::progress::CurvePoint;
 use safetensors::{Dtype, SafeTensors, View};
@@ -160,8 +160,10 @@ impl Checkpoint {
     /// [`Error::Config`] when the value cannot be written as JSON.
     pub fn set<T: Serialize>(&mut self, key: &str, value: &T) -> Result<()> {
         let expected = "a value that JSON can hold";
-        let value = serde_json::to_value(value)
-            .map_err(|e| Error::config(key, e.to_string(), expected, "change the value"))?;
+        let value = serde_json::to_value(value).map_err(|e| {
+            invalid!(setting "{key}"; found "{e}"; expected "{expected}";
+                help "change the value")
+        })?;
         self.settings.insert(key.to_owned(), value);
         Ok(())
     }
@@ -191,13 +193,8 @@ impl Checkpoint {
         found: impl Into<String>,
         expected: impl Into<String>,
     ) -> Error {
-        Error::input(
-            &self.path,
-            field,
-            found,
-            expected,
-            "resume from another checkpoint, or start the run again",
-        )
+        let help = "resume from another checkpoint, or start the run again";
+        Error::input(&self.path, field, found, expected, help)
     }
 
     /// Writes `path`; what stood there before stays whole until the new file is on disk.

@@ -11,9 +11,24 @@ use std::path::{Path, PathBuf};
 /// Shorthand for results of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// An [`Error::Input`] with its parts by name; each part is a format string, perhaps with arguments:
-/// `invalid!(path, "line {line}"; found "{word:?}"; expected "a number"; help "correct the file")`.
+/// An error with its parts by name; each part is a format string, perhaps with arguments. [`Error::Input`] names a file and a
+/// field of it: `invalid!(path, "line {line}"; found "{word:?}"; expected "a number"; help "correct the file")`.
+/// [`Error::Argument`] and [`Error::Config`] start with `invalid!(argument "--out"; ..` and `invalid!(setting "seed"; ..`.
 macro_rules! invalid {
+    (argument $($name:expr),+; $($parts:tt)+) => {
+        $crate::error::invalid!(@named argument, $($name),+; $($parts)+)
+    };
+    (setting $($key:expr),+; $($parts:tt)+) => {
+        $crate::error::invalid!(@named config, $($key),+; $($parts)+)
+    };
+    (@named $kind:ident, $($name:expr),+; found $($found:expr),+; expected $($expected:expr),+; help $($help:expr),+) => {
+        $crate::error::Error::$kind(
+            std::fmt::format(format_args!($($name),+)),
+            std::fmt::format(format_args!($($found),+)),
+            std::fmt::format(format_args!($($expected),+)),
+            std::fmt::format(format_args!($($help),+)),
+        )
+    };
     ($path:expr, $($field:expr),+; found $($found:expr),+; expected $($expected:expr),+; help $($help:expr),+) => {
         $crate::error::Error::input(
             $path,

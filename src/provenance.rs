@@ -3,7 +3,7 @@
 use crate::checkpoint::Scalar;
 use crate::config::{Config, LabelSource};
 use crate::data::{Scene, Split, View};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use crate::splat::Gaussians;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -191,8 +191,8 @@ impl Provenance {
             "resume with {}, or train into another folder",
             data.original()
         );
-        let found = "those of other data";
-        Error::input(file, data.name(), found, "those of this run", help)
+        invalid!(file, "{}", data.name(); found "those of other data"; expected "those of this run";
+            help "{help}")
     }
 
     /// Whether label maps are rendered by the same rule as in `stored`.
@@ -216,9 +216,8 @@ fn other_setting(key: &str, now: &Values, then: &Values, file: &Path) -> Error {
 }
 
 fn other_value(key: &str, now: String, then: &str, file: &Path) -> Error {
-    let expected = format!("{then}, as when {} was written", file.display());
-    let help = "resume with that value, or train with this one into another folder";
-    Error::config(key, now, expected, help)
+    invalid!(setting "{key}"; found "{now}"; expected "{then}, as when {} was written", file.display();
+        help "resume with that value, or train with this one into another folder")
 }
 
 /// The settings of some sections, without those that do not affect results. Paths count by their file names, as files may move.

@@ -1,13 +1,14 @@
 //! Named tensors read from PyTorch and safetensors files.
 
 use crate::checkpoint::Scalar;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use burn::store::pytorch_reader::{DType as TorchType, PytorchReader};
 use half::{bf16, f16};
 use safetensors::{Dtype, SafeTensors, View};
 use sha2::{Digest, Sha256};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 /// Keys under which training scripts nest their weights.
@@ -231,29 +232,18 @@ impl WeightFile {
     }
 
     /// The error for a tensor that [`WeightFile::network`] cannot use.
-    pub(crate) fn problem(
-        &self,
-        name: &str,
-        found: impl Into<String>,
-        expected: impl Into<String>,
-    ) -> Error {
+    pub(crate) fn problem(&self, name: &str, found: impl Display, expected: impl Display) -> Error {
         let network = if self.network.is_empty() {
             "the expected network"
         } else {
             self.network
         };
-        let field = format!("{}{name}", self.prefix);
-        let help = format!("give a checkpoint of {network}");
-        Error::input(&self.origin, field, found, expected, help)
+        invalid!(&self.origin, "{}{name}", self.prefix; found "{found}"; expected "{expected}";
+            help "give a checkpoint of {network}")
     }
 }
 
-fn unreadable(path: &Path, field: &str, cause: impl std::fmt::Display) -> Error {
-    Error::input(
-        path,
-        field,
-        cause.to_string(),
-        "a whole weight file",
-        "check that the download is complete",
-    )
+fn unreadable(path: &Path, field: &str, cause: impl Display) -> Error {
+    invalid!(path, "{field}"; found "{cause}"; expected "a whole weight file";
+        help "check that the download is complete")
 }

@@ -1,7 +1,7 @@
 //! Which burn device a run uses. Order when several are compiled in: wgpu (where there is an adapter), flex, ndarray;
 //! `--backend` overrides the order. Only `--backend cuda` selects cuda, which has never been run.
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use burn::backend::DispatchDevice;
 use burn::tensor::{Device, Tensor, TensorData};
 
@@ -51,12 +51,8 @@ impl std::str::FromStr for BackendName {
             "wgpu" => Ok(Self::Wgpu),
             "flex" => Ok(Self::Flex),
             "ndarray" => Ok(Self::Ndarray),
-            _ => Err(Error::argument(
-                "backend",
-                name,
-                "cuda, wgpu, flex or ndarray",
-                "choose one of them",
-            )),
+            _ => Err(invalid!(argument "backend"; found "{name}";
+                expected "cuda, wgpu, flex or ndarray"; help "choose one of them")),
         }
     }
 }

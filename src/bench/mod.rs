@@ -14,7 +14,7 @@ pub use self::resample::resampled;
 
 use crate::config::Config;
 use crate::data::{Scene, Split};
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use crate::pipeline::load_scene;
 use crate::reconstruction::Trainer;
 use crate::splat::Gaussians;
@@ -44,7 +44,7 @@ impl Bench {
     /// Loads the scene that `config` names. Without `trained` Gaussians it takes those that training starts from.
     ///
     /// # Errors
-    /// Those of the loader; [`Error::Argument`] for a scene without training views.
+    /// Those of the loader; [`crate::Error::Argument`] for a scene without training views.
     pub fn load(
         config: Config,
         trained: Option<PlyScene>,
@@ -54,13 +54,10 @@ impl Bench {
         let mut scene = load_scene(&config)?;
         scene.views.retain(|view| view.split == Split::Train);
         if scene.views.is_empty() {
-            let help = "mark some views as `train`";
-            return Err(Error::argument(
-                "data",
-                "no training view",
-                "one or more",
-                help,
-            ));
+            return Err(
+                invalid!(argument "data"; found "no training view"; expected "one or more";
+                help "mark some views as `train`"),
+            );
         }
         let is_trained = trained.is_some();
         let gaussians = match trained {
@@ -94,7 +91,7 @@ impl Bench {
     /// Time against error of the rasterizer's settings, with about `count` Gaussians.
     ///
     /// # Errors
-    /// Those of rendering; [`Error::Limit`] for more Gaussians than the device holds.
+    /// Those of rendering; [`crate::Error::Limit`] for more Gaussians than the device holds.
     pub fn curve(&self, count: usize) -> Result<Figures> {
         curve::measure(self, &resampled(&self.gaussians, count, self.config.seed))
     }
@@ -102,7 +99,7 @@ impl Bench {
     /// Times and peak memory of both stages, with about `count` Gaussians.
     ///
     /// # Errors
-    /// Those of the stages; [`Error::Limit`] for more Gaussians than the device holds.
+    /// Those of the stages; [`crate::Error::Limit`] for more Gaussians than the device holds.
     pub fn stages(&self, count: usize) -> Result<Figures> {
         stages::measure(self, &resampled(&self.gaussians, count, self.config.seed))
     }

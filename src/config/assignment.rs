@@ -1,7 +1,7 @@
 //! The values that a settings file or `--set` gives to keys, and errors that name file, line and key.
 
 use super::Config;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use std::path::Path;
 use toml::{Table, Value};
 
@@ -43,8 +43,10 @@ pub(super) fn flatten(table: Table, prefix: &str, out: &mut Vec<(String, Value)>
 
 pub(super) fn parse_set<'a>(set: &str) -> Result<Assignment<'a>> {
     let Some((key, text)) = set.split_once('=') else {
-        let help = "for instance --set building.iterations=3000";
-        return Err(Error::argument("--set", set, "section.key=value", help));
+        return Err(
+            invalid!(argument "--set"; found "{set}"; expected "section.key=value";
+            help "for instance --set building.iterations=3000"),
+        );
     };
     let text = text.trim();
     let items = text.trim_matches(['[', ']']).split(',');
@@ -198,8 +200,9 @@ pub(super) fn fault(
     help: String,
 ) -> Error {
     match file {
-        Some((path, text)) => Error::input(path, located(text, key), found, expected, help),
-        None => Error::config(key, found, expected, help),
+        Some((path, text)) => invalid!(path, "{}", located(text, key); found "{found}";
+            expected "{expected}"; help "{help}"),
+        None => invalid!(setting "{key}"; found "{found}"; expected "{expected}"; help "{help}"),
     }
 }
 
@@ -240,11 +243,6 @@ fn syntax_error(path: &Path, text: &str, error: &toml::de::Error) -> Error {
         .unwrap_or_default()
         .trim()
         .to_owned();
-    Error::input(
-        path,
-        format!("line {line}"),
-        format!("`{found}`"),
-        "TOML",
-        error.message().replace('\n', ", "),
-    )
+    invalid!(path, "line {line}"; found "`{found}`"; expected "TOML";
+        help "{}", error.message().replace('\n', ", "))
 }

@@ -1,7 +1,7 @@
 //! Settings of stage one and of the blending.
 
 use super::range::{Range, checked};
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use std::path::PathBuf;
@@ -141,13 +141,13 @@ impl BuildingConfig {
     /// Checks that every value is in its range.
     ///
     /// # Errors
-    /// [`Error::Config`] for the first value that is not.
+    /// [`crate::Error::Config`] for the first value that is not.
     pub fn validate(&self) -> Result<()> {
         if self.gaussians.is_none() {
             checked!(self, "building": { iterations: Positive });
         }
         let out_of_range = |key: &str, found: usize, expected: &str, help: &str| {
-            Err(Error::config(key, found.to_string(), expected, help))
+            Err(invalid!(setting "{key}"; found "{found}"; expected "{expected}"; help "{help}"))
         };
         if self.iterations > u32::MAX as usize {
             let (key, found) = ("building.iterations", self.iterations);

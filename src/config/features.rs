@@ -1,7 +1,7 @@
 //! Settings of the inputs of stage two: image features, their lifting onto Gaussians, the point encoder.
 
 use super::range::checked;
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use std::path::PathBuf;
@@ -61,8 +61,10 @@ impl FeatureConfig {
         }
         let expected =
             format!("a path to {network} weights, because features.source asks for {network}");
-        let help = "give it, or set features.source = \"auto\"";
-        Err(Error::config("features.weights", "nothing", expected, help))
+        Err(
+            invalid!(setting "features.weights"; found "nothing"; expected "{expected}";
+            help "give it, or set features.source = \"auto\""),
+        )
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::assignment::{Assignment, assignments, fault, parse_set};
 use super::{Config, Preset};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use crate::files;
 use std::path::Path;
 
@@ -97,8 +97,8 @@ impl Config {
     /// [`Error::Argument`] when a value has no TOML form (a seed beyond 2^63 - 1).
     pub fn to_toml(&self) -> Result<String> {
         toml::to_string(self).map_err(|e| {
-            let expected = "settings that TOML can hold";
-            Error::argument("settings", e.to_string(), expected, "check seed and paths")
+            invalid!(argument "settings"; found "{e}"; expected "settings that TOML can hold";
+                help "check seed and paths")
         })
     }
 }

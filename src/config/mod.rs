@@ -31,7 +31,7 @@ pub use self::segmentation::{
 };
 pub use self::variant::Variant;
 
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use std::path::PathBuf;
@@ -80,12 +80,13 @@ impl Config {
     /// Checks that every value is in its range and that values that need each other are present.
     ///
     /// # Errors
-    /// [`Error::Config`] for the first value that is not.
+    /// [`crate::Error::Config`] for the first value that is not.
     pub fn validate(&self) -> Result<()> {
         if self.seed > i64::MAX as u64 {
-            let found = self.seed.to_string();
-            let help = "choose a smaller seed";
-            return Err(Error::config("seed", found, "at most 2^63 - 1", help));
+            return Err(
+                invalid!(setting "seed"; found "{}", self.seed; expected "at most 2^63 - 1";
+                help "choose a smaller seed"),
+            );
         }
         self.data.check()?;
         self.building.validate()?;

@@ -1,6 +1,6 @@
 //! Ranges of numbers in the settings. Each section names the range of its fields beside them.
 
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use num_traits::AsPrimitive;
 use std::fmt::Display;
 
@@ -27,7 +27,7 @@ impl Range {
     /// Refuses a `value` outside the range.
     ///
     /// # Errors
-    /// [`Error::Config`] naming `key`.
+    /// [`crate::Error::Config`] naming `key`.
     pub fn check(self, key: &str, value: impl AsPrimitive<f64> + Display) -> Result<()> {
         let v: f64 = value.as_();
         let (inside, expected) = match self {
@@ -57,8 +57,10 @@ impl Range {
         if inside {
             return Ok(());
         }
-        let help = "leave the key out for the default";
-        Err(Error::config(key, value.to_string(), expected, help))
+        Err(
+            invalid!(setting "{key}"; found "{value}"; expected "{expected}";
+            help "leave the key out for the default"),
+        )
     }
 }
 

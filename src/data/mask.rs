@@ -1,6 +1,6 @@
 //! Masks of photos: which pixels count.
 
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use rayon::prelude::*;
 use std::fmt;
 use std::sync::Arc;
@@ -109,14 +109,10 @@ impl Mask {
         if (self.width, self.height) == (width, height) {
             return Ok(());
         }
-        let found = format!("a mask of {}x{} pixels in {view}", self.width, self.height);
-        let expected = format!("{width}x{height} as its photo");
-        Err(Error::argument(
-            "data",
-            found,
-            expected,
-            "resize the mask, or leave it out",
-        ))
+        Err(
+            invalid!(argument "data"; found "a mask of {}x{} pixels in {view}", self.width, self.height;
+            expected "{width}x{height} as its photo"; help "resize the mask, or leave it out"),
+        )
     }
 
     /// Puts `value` into the pixels that are left out. `values` has `channels` of them for each pixel, row-major.

@@ -4,7 +4,7 @@ use super::LoadOptions;
 use super::formats::frame::Frame;
 use super::formats::layout;
 use super::formats::listing::{Cloud, Problems};
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,7 @@ const RESERVED: [&str; 3] = ["labels", "instances", "masks"];
 /// of a scene above it: photos, poses, label maps or masks would be overwritten. `option` named the folders.
 ///
 /// # Errors
-/// [`Error::Argument`].
+/// [`crate::Error::Argument`].
 pub fn check_outputs(
     option: &str,
     folders: &[&Path],
@@ -32,12 +32,10 @@ pub fn check_outputs(
             let found = format!("{}, which holds files of a scene", folder.display());
             let expected =
                 "a folder of its own: photos, poses, label maps and classes are never overwritten";
-            return Err(Error::argument(
-                option,
-                found,
-                expected,
-                "name a new folder",
-            ));
+            return Err(
+                invalid!(argument "{option}"; found "{found}"; expected "{expected}";
+                help "name a new folder"),
+            );
         }
     }
     Ok(())
@@ -46,7 +44,7 @@ pub fn check_outputs(
 /// Refuses to write `file` where it is a photo, a label map, a mask, the cloud or the class table of the scene in folder `dir`.
 ///
 /// # Errors
-/// [`Error::Argument`].
+/// [`crate::Error::Argument`].
 pub fn check_output_file(
     option: &str,
     file: &Path,
@@ -59,13 +57,10 @@ pub fn check_output_file(
     if own.map(|file| absolute(&file)).all(|file| file != place) {
         return Ok(());
     }
-    let found = format!("{}, a file of the scene", file.display());
-    Err(Error::argument(
-        option,
-        found,
-        "another file",
-        "name a new file",
-    ))
+    Err(
+        invalid!(argument "{option}"; found "{}, a file of the scene", file.display();
+        expected "another file"; help "name a new file"),
+    )
 }
 
 fn is_scene(folder: &Path) -> bool {

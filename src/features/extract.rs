@@ -3,7 +3,7 @@
 use super::{Extractor, FeatureMap, Moments, Pca, SCALES, cache};
 use crate::config::FeatureConfig;
 use crate::data::{Scene, Split, View};
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use crate::random::{self, Purpose};
 use burn::tensor::Device;
 use rayon::prelude::*;
@@ -50,7 +50,7 @@ impl<'a> Reduction<'a> {
     /// on `device`. Calls `viewed` after each view, and stops when that breaks.
     ///
     /// # Errors
-    /// [`Error::Config`] for unusable settings; [`Error::Argument`] for a scene without training views; those of
+    /// [`crate::Error::Config`] for unusable settings; [`crate::Error::Argument`] for a scene without training views; those of
     /// [`Extractor::open`] and [`Extractor::maps`]. A cache that cannot be written only gives a warning.
     pub fn fit<B>(
         scene: &'a Scene,
@@ -60,8 +60,10 @@ impl<'a> Reduction<'a> {
         viewed: &mut dyn FnMut() -> ControlFlow<B>,
     ) -> Result<ControlFlow<B, Self>> {
         if config.dimensions == 0 {
-            let help = "64 is the usual choice";
-            return Err(Error::config("features.dimensions", "0", "1 or more", help));
+            return Err(
+                invalid!(setting "features.dimensions"; found "0"; expected "1 or more";
+                help "64 is the usual choice"),
+            );
         }
         let extractor = Extractor::open(config, device)?;
         let train: Vec<&View> = scene.split(Split::Train).collect();
@@ -98,9 +100,10 @@ impl<'a> Reduction<'a> {
             }
         }
         let Some(moments) = moments else {
-            let found = format!("no training view in {}", scene.name);
-            let help = "correct the splits";
-            return Err(Error::argument("data", found, "one or more", help));
+            return Err(
+                invalid!(argument "data"; found "no training view in {}", scene.name;
+                expected "one or more"; help "correct the splits"),
+            );
         };
         let again = kept.iter().filter(|maps| maps.is_none()).count();
         if again > 0 && config.cache_dir.is_none() && matches!(extractor, Extractor::Dino { .. }) {

@@ -2,7 +2,7 @@
 //! divide the image evenly.
 
 use super::{FeatureMap, SCALES};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use crate::weights::floats;
 use npyz::{DType, Endianness, NpyFile, Order, TypeChar};
 use safetensors::{Dtype, SafeTensors};
@@ -24,13 +24,10 @@ pub fn read(dir: &Path, stem: &str) -> Result<[FeatureMap; SCALES]> {
     for (n, map) in (1..).zip(&mut maps) {
         let path = dir.join(format!("{stem}.{n}.npy"));
         if !path.exists() {
-            return Err(Error::input(
-                dir,
-                format!("view {stem}, scale {n}"),
-                format!("neither {stem}.{n}.npy nor {stem}.safetensors"),
-                "one of them for every view",
-                "write the missing maps or correct features.source.import",
-            ));
+            return Err(invalid!(dir, "view {stem}, scale {n}";
+                found "neither {stem}.{n}.npy nor {stem}.safetensors";
+                expected "one of them for every view";
+                help "write the missing maps or correct features.source.import"));
         }
         *map = read_npy(&path)?;
     }
@@ -39,9 +36,7 @@ pub fn read(dir: &Path, stem: &str) -> Result<[FeatureMap; SCALES]> {
 
 fn read_npy(path: &Path) -> Result<FeatureMap> {
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-    let bad = |field: &str, found: String| {
-        Error::input(path, field, found, WANTED, "write the map again")
-    };
+    let bad = |field: &str, found: String| invalid!(path, "{field}"; found "{found}"; expected "{WANTED}"; help "write the map again");
     // From version 2 on a header can claim gigabytes, which the reader would allocate.
     if bytes.get(6).is_some_and(|version| *version > 1) {
         let length = bytes.get(8..12).unwrap_or_default();
@@ -94,19 +89,16 @@ fn read_npy(path: &Path) -> Result<FeatureMap> {
 fn read_bundle(path: &Path) -> Result<[FeatureMap; SCALES]> {
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
     let tensors = SafeTensors::deserialize(&bytes).map_err(|e| {
-        let expected = "a safetensors file with scale1 to scale4";
-        Error::input(
-            path,
-            "header",
-            e.to_string(),
-            expected,
-            "write the file again",
-        )
+        invalid!(path, "header"; found "{e}"; expected "a safetensors file with scale1 to scale4";
+            help "write the file again")
     })?;
     let mut maps: [FeatureMap; SCALES] = Default::default();
     for (n, map) in (1..).zip(&mut maps) {
         let name = format!("scale{n}");
-        let bad = |found| Error::input(path, &name, found, WANTED, "write the map again");
+        let bad = |found| {
+            invalid!(path, "{}", name; found "{found}"; expected "{WANTED}";
+            help "write the map again")
+        };
         let tensor = tensors
             .tensor(&name)
             .map_err(|_| bad(format!("no such tensor among {:?}", tensors.names())))?;

@@ -2,7 +2,7 @@
 
 use super::lattice::{Axis, Lattice, Steps};
 use crate::backend::device::read;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use burn::tensor::Tensor;
 use rayon::prelude::*;
 
@@ -138,15 +138,11 @@ impl FeatureMap {
     pub fn check(&self, what: &str) -> Result<()> {
         let expected = self.height * self.width * self.channels;
         if self.data.len() != expected {
-            return Err(Error::argument(
-                what,
-                format!("{} values", self.data.len()),
-                format!(
-                    "{expected} = {} x {} x {}",
-                    self.height, self.width, self.channels
-                ),
-                "give height * width * channels values",
-            ));
+            return Err(
+                invalid!(argument "{what}"; found "{} values", self.data.len();
+                expected  "{expected} = {} x {} x {}", self.height, self.width, self.channels;
+                help "give height * width * channels values"),
+            );
         }
         match self.data.iter().position(|x| !x.is_finite()) {
             Some(at) => Err(Error::non_finite(what, at / self.channels.max(1))),

@@ -24,7 +24,7 @@ pub use self::pca::{Moments, Pca};
 use crate::backend::device::upload;
 use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::View;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use crate::segmenter::Tap;
 use crate::weights::file_digest;
 use burn::tensor::{Device, Tensor};
@@ -82,9 +82,8 @@ impl Extractor {
     pub fn open(config: &FeatureConfig, device: &Device) -> Result<Self> {
         let weights = |network: &str| {
             config.weights.as_deref().ok_or_else(|| {
-                let expected = format!("a path to {network} weights");
-                let help = "set features.weights";
-                Error::config("features.weights", "nothing", expected, help)
+                invalid!(setting "features.weights"; found "nothing";
+                    expected "a path to {network} weights"; help "set features.weights")
             })
         };
         match &config.source {
@@ -196,9 +195,10 @@ fn normalized(image: &RgbImage, device: &Device) -> Result<Tensor<4>> {
 
     let (width, height) = (image.width() as usize, image.height() as usize);
     if width == 0 || height == 0 {
-        let found = format!("{width} x {height} pixels");
-        let help = "give another image";
-        return Err(Error::argument("image", found, "one pixel or more", help));
+        return Err(
+            invalid!(argument "image"; found "{width} x {height} pixels";
+            expected "one pixel or more"; help "give another image"),
+        );
     }
     let mut planes = Vec::with_capacity(3 * width * height);
     for (c, (mean, std)) in MEAN.iter().zip(STD).enumerate() {

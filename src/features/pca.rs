@@ -4,7 +4,7 @@
 //! Golub and LeVeque (1979), so the result does not depend on the number of threads and large means do not cancel.
 
 use super::FeatureMap;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
 
@@ -203,10 +203,7 @@ fn check_channels(what: &str, found: usize, expected: usize) -> Result<()> {
     if found == expected {
         return Ok(());
     }
-    Err(Error::argument(
-        what,
-        format!("{found} channels"),
-        format!("{expected} channels, as in the first training view"),
-        "make all maps of a scale alike",
-    ))
+    Err(invalid!(argument "{what}"; found "{found} channels";
+        expected "{expected} channels, as in the first training view";
+        help "make all maps of a scale alike"))
 }

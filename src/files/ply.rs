@@ -151,12 +151,12 @@ impl PlyFile {
     /// An error that names the file and a field of it.
     pub fn error(
         &self,
-        field: impl Into<String>,
-        found: impl Into<String>,
+        field: impl std::fmt::Display,
+        found: impl std::fmt::Display,
         expected: &str,
         help: &str,
     ) -> Error {
-        Error::input(&self.path, field, found, expected, help)
+        invalid!(&self.path, "{field}"; found "{found}"; expected "{expected}"; help "{help}")
     }
 
     /// Reads every row and hands it to `each` with its number. Cell `i` of a row is column `columns[i]`; a `None`

@@ -1,7 +1,7 @@
 //! Segmentation identities stored on the Gaussians (`s_i` of Eq. 3).
 
 use crate::data::{Classes, atomic};
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use crate::weights::{HostTensor, WeightFile};
 use std::path::Path;
 
@@ -54,7 +54,7 @@ impl Identities {
     /// Writes `identities.safetensors`: tensor `scores` `[N, C]` f32, atomically.
     ///
     /// # Errors
-    /// [`Error::Io`] when the file cannot be written.
+    /// [`crate::Error::Io`] when the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let scores = HostTensor {
             shape: vec![self.scores.len() / self.classes.max(1), self.classes],
@@ -71,7 +71,7 @@ impl Identities {
     /// Reads what [`Identities::write`] wrote.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Input`] when the file is not a safetensors file with a 2D tensor `scores` of floats.
+    /// [`crate::Error::Io`]; [`crate::Error::Input`] when the file is not a safetensors file with a 2D tensor `scores` of floats.
     pub fn read(path: &Path) -> Result<Self> {
         let mut file = WeightFile::open(path)?;
         match file.tensors.remove(SCORES) {
@@ -82,8 +82,10 @@ impl Identities {
             other => {
                 let shape = other.map(|tensor| tensor.shape);
                 let found = shape.map_or("nothing".into(), |shape| format!("shape {shape:?}"));
-                let help = "write the run again with `coseg train`";
-                Err(Error::input(path, SCORES, found, "a 2D tensor", help))
+                Err(
+                    invalid!(path, "{}", SCORES; found "{found}"; expected "a 2D tensor";
+                    help "write the run again with `coseg train`"),
+                )
             }
         }
     }

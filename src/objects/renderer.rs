@@ -2,7 +2,7 @@
 
 use crate::backend::device::{read, upload};
 use crate::data::LabelMap;
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use crate::raster::{GaussianLabels, Settings, SplatTensors, SplatView};
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
@@ -40,13 +40,10 @@ impl RenderOptions {
         if [r, g, b, least].iter().all(|value| value.is_finite()) {
             return Ok(());
         }
-        let found = format!("background {r}, {g}, {b}, min_coverage {least}");
-        Err(Error::argument(
-            "render options",
-            found,
-            "finite numbers",
-            "pass a colour and a share",
-        ))
+        Err(
+            invalid!(argument "render options"; found "background {r}, {g}, {b}, min_coverage {least}";
+            expected "finite numbers"; help "pass a colour and a share"),
+        )
     }
 }
 
@@ -79,7 +76,7 @@ impl Renderer {
     /// `gaussians` on `device`, and a label for each where there are any; positions in the coordinates of the cameras.
     ///
     /// # Errors
-    /// As [`Gaussians::check`]; [`Error::Argument`] for options that are not finite.
+    /// As [`Gaussians::check`]; [`crate::Error::Argument`] for options that are not finite.
     pub fn new(
         gaussians: Gaussians,
         labels: Option<Vec<u16>>,
@@ -102,7 +99,7 @@ impl Renderer {
     /// Renders with `options` from now on.
     ///
     /// # Errors
-    /// [`Error::Argument`] for options that are not finite.
+    /// [`crate::Error::Argument`] for options that are not finite.
     pub fn set_options(&mut self, options: RenderOptions) -> Result<()> {
         options.check()?;
         self.options = options;

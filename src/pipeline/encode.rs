@@ -5,7 +5,7 @@ use super::train_decoder::{DecoderInput, Encoded, TrainingViews};
 use crate::backend::device::upload;
 use crate::config::{Config, Encode, SpatialConfig, SpatialSource, Variant};
 use crate::data::{Scene, Split};
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use crate::objects::Semantics;
 use crate::raster::{Projected, Settings};
 use crate::segmentation::encoder::{self, Cloud, Encoding, load_spatial, metres_per_unit};
@@ -139,7 +139,7 @@ impl Encodings {
     /// The input of the decoder of `variant`: spatial features joined with the lifted ones, as far as the variant reads them.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a variant that reads image features where none were lifted.
+    /// [`crate::Error::Argument`] for a variant that reads image features where none were lifted.
     pub fn decoder_input(&self, variant: Variant, inputs: &Inputs) -> Result<DecoderInput> {
         let switches = Switches {
             image: variant != Variant::NoImageFeatures,
@@ -186,13 +186,9 @@ fn join(
 ) -> Result<Encoded> {
     let image = |scale: usize, rows: &[u32]| {
         let Some(features) = &inputs.lifted else {
-            let help = "unproject image features first, or leave them off";
-            return Err(Error::argument(
-                "image features",
-                "none",
-                "those of every Gaussian",
-                help,
-            ));
+            return Err(invalid!(argument "image features"; found "none";
+                expected "those of every Gaussian";
+                help "unproject image features first, or leave them off"));
         };
         let (lifted, d) = (&features.lifted[scale], features.dimensions);
         let mut values = Vec::with_capacity(rows.len() * d);

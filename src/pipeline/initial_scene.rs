@@ -3,7 +3,7 @@
 use super::evaluate::Pictures;
 use crate::config::Config;
 use crate::data::{Limits, Scene, Split, atomic};
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use crate::splat::{Gaussians, ply};
 use burn::tensor::Device;
 use std::path::Path;
@@ -18,9 +18,9 @@ const MISPLACED: f64 = 15.0;
 /// write `scene_file`.
 ///
 /// # Errors
-/// Those of [`ply::read`]; [`Error::Input`] for a file without Gaussians; [`Error::Argument`] for a scene without training
-/// views; [`Error::Config`] for a file that would be written over, and more Gaussians than `building.max_gaussians` has, where they are trained: trained ones
-/// cannot be thinned as points can.
+/// Those of [`ply::read`]; [`crate::Error::Input`] for a file without Gaussians; [`crate::Error::Argument`] for a scene without
+/// training views; [`crate::Error::Config`] for a file that would be written over, and for more Gaussians than
+/// `building.max_gaussians` has, where they are trained: trained ones cannot be thinned as points can.
 pub(crate) fn load_initial_scene(
     path: &Path,
     scene: &Scene,
@@ -29,23 +29,17 @@ pub(crate) fn load_initial_scene(
     device: &Device,
 ) -> Result<Gaussians> {
     if atomic::same_file(path, scene_file) {
-        let expected = "another file than the run's own scene.ply, which is written over";
-        let help = "let the run write into another folder";
-        return Err(Error::config(
-            "building.gaussians",
-            path.display().to_string(),
-            expected,
-            help,
-        ));
+        return Err(
+            invalid!(setting "building.gaussians"; found "{}", path.display();
+            expected "another file than the run's own scene.ply, which is written over";
+            help "let the run write into another folder"),
+        );
     }
     if scene.split(Split::Train).next().is_none() {
-        let found = format!("{} without training views", scene.name);
-        return Err(Error::argument(
-            "data",
-            found,
-            "a scene with training views",
-            "mark some views as `train`",
-        ));
+        return Err(
+            invalid!(argument "data"; found "{} without training views", scene.name;
+            expected "a scene with training views"; help "mark some views as `train`"),
+        );
     }
     let ply::PlyScene {
         mut gaussians,
@@ -53,14 +47,10 @@ pub(crate) fn load_initial_scene(
         ..
     } = ply::read(path, &Limits::default())?;
     if gaussians.is_empty() {
-        let help = "name a scene that holds something";
-        return Err(Error::input(
-            path,
-            "element vertex",
-            "no Gaussian",
-            "one or more",
-            help,
-        ));
+        return Err(
+            invalid!(path, "element vertex"; found "no Gaussian"; expected "one or more";
+            help "name a scene that holds something"),
+        );
     }
     let most = config.building.max_gaussians;
     if config.building.iterations > 0 && most > 0 && gaussians.len() > most {
@@ -68,12 +58,10 @@ pub(crate) fn load_initial_scene(
             "{} or more, as building.gaussians has, or 0 for no limit",
             gaussians.len()
         );
-        return Err(Error::config(
-            "building.max_gaussians",
-            most.to_string(),
-            expected,
-            "raise it",
-        ));
+        return Err(
+            invalid!(setting "building.max_gaussians"; found "{most}"; expected "{expected}";
+            help "raise it"),
+        );
     }
     let shift = origin - scene.origin;
     for mean in &mut gaussians.means {

@@ -2,7 +2,7 @@
 
 use crate::backend::Real;
 use crate::config::RasterConfig;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use crate::splat::Gaussians;
 use rayon::prelude::*;
 
@@ -73,12 +73,8 @@ impl Settings {
         ];
         match rules.into_iter().find(|(_, _, holds, _)| !holds) {
             None => Ok(()),
-            Some((key, found, _, range)) => Err(Error::config(
-                format!("raster.{key}"),
-                found.to_string(),
-                range,
-                "choose a value in that range",
-            )),
+            Some((key, found, _, range)) => Err(invalid!(setting "raster.{key}"; found "{found}";
+                expected "{range}"; help "choose a value in that range")),
         }
     }
 }
@@ -117,12 +113,11 @@ impl<E: Real> Splats<'_, E> {
             ("opacity_logits", self.opacity_logits, 1),
         ] {
             if values.len() != n * width {
-                return Err(Error::argument(
-                    format!("splats.{name}"),
-                    format!("{} values", values.len()),
-                    format!("{} ({n} opacity logits, {width} values each)", n * width),
-                    "pass arrays of one scene",
-                ));
+                return Err(
+                    invalid!(argument "splats.{name}"; found "{} values", values.len();
+                    expected "{} ({n} opacity logits, {width} values each)", n * width;
+                    help "pass arrays of one scene"),
+                );
             }
             check_finite(name, values, width)?;
         }

@@ -10,7 +10,7 @@ use super::targets::Targets;
 use crate::backend::device::read;
 use crate::config::Config;
 use crate::data::{Scene, Split, View};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use crate::metrics::ImageScores;
 use crate::progress::{CurvePoint, Event, Progress};
 use crate::provenance::Provenance;
@@ -346,12 +346,10 @@ impl<'a> Trainer<'a> {
 /// Checks that there are training views, and that photos and masks have the sizes of their cameras.
 fn check_scene(scene: &Scene) -> Result<()> {
     if scene.split(Split::Train).next().is_none() {
-        return Err(Error::argument(
-            "data",
-            format!("{} without training views", scene.name),
-            "a scene with training views",
-            "mark some views as `train`",
-        ));
+        return Err(
+            invalid!(argument "data"; found "{} without training views", scene.name;
+            expected "a scene with training views"; help "mark some views as `train`"),
+        );
     }
     for view in [Split::Train, Split::Test]
         .into_iter()
@@ -360,12 +358,11 @@ fn check_scene(scene: &Scene) -> Result<()> {
         let (width, height) = (view.image.width(), view.image.height());
         if (width, height) != (view.camera.width, view.camera.height) {
             let camera = &view.camera;
-            return Err(Error::argument(
-                "data",
-                format!("{width}x{height} pixels in view {}", view.name),
-                format!("{}x{} as its camera", camera.width, camera.height),
-                "resize the photo or correct the intrinsics",
-            ));
+            return Err(
+                invalid!(argument "data"; found "{width}x{height} pixels in view {}", view.name;
+                expected "{}x{} as its camera", camera.width, camera.height;
+                help "resize the photo or correct the intrinsics"),
+            );
         }
         view.check_mask()?;
     }
@@ -380,20 +377,16 @@ fn check_state(state: &TrainerState, scene: &Scene, config: &Config) -> Result<P
         provenance.check(&state.provenance, false, file)?;
     }
     if state.seed != config.seed {
-        return Err(Error::config(
-            "seed",
-            config.seed.to_string(),
-            state.seed.to_string(),
-            "resume with the seed of the checkpoint",
-        ));
+        return Err(
+            invalid!(setting "seed"; found "{}", config.seed; expected "{}", state.seed;
+            help "resume with the seed of the checkpoint"),
+        );
     }
     if state.gaussians.sh_degree != config.building.sh_degree {
-        return Err(Error::config(
-            "building.sh_degree",
-            config.building.sh_degree.to_string(),
-            state.gaussians.sh_degree.to_string(),
-            "resume with the checkpoint's degree",
-        ));
+        return Err(
+            invalid!(setting "building.sh_degree"; found "{}", config.building.sh_degree;
+            expected "{}", state.gaussians.sh_degree; help "resume with the checkpoint's degree"),
+        );
     }
     Ok(provenance)
 }

@@ -5,7 +5,7 @@ use super::randla::{LAYERS, NEIGHBOURS, POSITION_CHANNELS, RATIO, RandlaEncoder,
 use super::sampling::Hierarchy;
 use crate::backend::device::upload;
 use crate::config::{SpatialConfig, SpatialSource};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use crate::ops::SparseMatrix;
 use crate::weights::{HostTensor, WeightFile, file_digest};
 use burn::tensor::{Device, Tensor};
@@ -44,21 +44,12 @@ impl Cloud<'_> {
     pub fn oriented(&self) -> Result<Vec<[f32; 3]>> {
         check_finite("positions to encode", self.positions)?;
         if !(self.scale.is_finite() && self.scale > 0.0) {
-            let expected = "a finite number above 0";
-            return Err(Error::config(
-                "spatial.scale",
-                self.scale.to_string(),
-                expected,
-                "give metres per world unit",
-            ));
+            return Err(invalid!(setting "spatial.scale"; found "{}", self.scale;
+                expected "a finite number above 0"; help "give metres per world unit"));
         }
         let up = self.up.try_normalize().ok_or_else(|| {
-            Error::argument(
-                "up",
-                self.up.to_string(),
-                "a finite direction",
-                "give the direction that points up",
-            )
+            invalid!(argument "up"; found "{}", self.up; expected "a finite direction";
+                help "give the direction that points up")
         })?;
         let turn = DQuat::from_rotation_arc(up, DVec3::Z);
         let turned: Vec<DVec3> = self
@@ -117,12 +108,10 @@ pub fn encode(
     device: &Device,
 ) -> Result<Encoding> {
     if cloud.positions.is_empty() {
-        return Err(Error::argument(
-            "positions to encode",
-            "none",
-            "at least one point",
-            "encode a scene with Gaussians",
-        ));
+        return Err(
+            invalid!(argument "positions to encode"; found "none"; expected "at least one point";
+            help "encode a scene with Gaussians"),
+        );
     }
     let positions = cloud.oriented()?;
     let hierarchy = Hierarchy::build(&positions, LAYERS, RATIO, NEIGHBOURS, seed)?;
@@ -168,12 +157,10 @@ pub(crate) fn encoder_input(
                 .collect();
             Ok(upload(values, [points, 6], device))
         }
-        other => Err(Error::argument(
-            "colours to encode",
-            other.map_or("none".into(), |c| format!("{} rows", c.len())),
-            format!("{points} rows: these weights read xyz and rgb"),
-            "give the cloud's colours, or weights that read xyz only",
-        )),
+        other => Err(invalid!(argument "colours to encode";
+            found "{}", other.map_or("none".into(), |c| format!("{} rows", c.len()));
+            expected "{points} rows: these weights read xyz and rgb";
+            help "give the cloud's colours, or weights that read xyz only")),
     }
 }
 
@@ -210,7 +197,7 @@ pub fn metres_per_unit(config: &SpatialConfig, camera_extent: f64) -> Result<f64
         return Ok(scale);
     }
     let (found, expected) = (config.scale.to_string(), "a finite number above 0, or 0");
-    Err(Error::config("spatial.scale", found, expected, help))
+    Err(invalid!(setting "spatial.scale"; found "{found}"; expected "{expected}"; help "{help}"))
 }
 
 /// The encoder that the settings ask for, frozen, and how a run names it: `pretrained FILE`, `trained here`, `random`.

@@ -1,6 +1,6 @@
 //! Exact nearest neighbours in 3D, the same at any thread count and for any input order of equal distances.
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use std::num::NonZero;
@@ -124,12 +124,10 @@ impl PointIndex {
     pub fn nearest(&self, queries: &[[f32; 3]], k: usize) -> Result<(Neighbours, Vec<f64>)> {
         check_finite("queries", queries)?;
         if self.is_empty() && k > 0 && !queries.is_empty() {
-            return Err(Error::argument(
-                "points",
-                "none",
-                "at least one point",
-                "give the search a point to find",
-            ));
+            return Err(
+                invalid!(argument "points"; found "none"; expected "at least one point";
+                help "give the search a point to find"),
+            );
         }
         let mut indices = vec![0; queries.len() * k];
         let mut distances = vec![0.0; queries.len() * k];

@@ -10,7 +10,7 @@ use super::pyramid::{Level, Pyramid, Switches};
 use super::randla::{LAYERS, NEIGHBOURS, RATIO, RandlaEncoder, host};
 use super::sampling::Hierarchy;
 use crate::data::builtin::{PRETRAINING_SEEDS, classes, labelled_points};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use crate::metrics::{Confusion, Void};
 use crate::weights::WeightFile;
 use burn::module::Module;
@@ -186,14 +186,9 @@ fn check(options: &PretrainOptions) -> Result<()> {
     if usable && options.rooms + options.held_out <= ROOMS_PER_SEED as usize {
         return Ok(());
     }
-    let expected = "rooms, steps, and 0 < fewest points <= most points <= points of a room";
-    let found = format!("{options:?}");
-    Err(Error::argument(
-        "pretrain",
-        found,
-        expected,
-        "correct the sizes",
-    ))
+    Err(invalid!(argument "pretrain"; found "{options:?}";
+        expected "rooms, steps, and 0 < fewest points <= most points <= points of a room";
+        help "correct the sizes"))
 }
 
 fn rate(step: usize, options: &PretrainOptions) -> f64 {

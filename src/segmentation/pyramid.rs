@@ -2,7 +2,7 @@
 
 use super::encoder::Encoding;
 use crate::backend::device::upload;
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use crate::ops::{SparseMatrix, select};
 use burn::tensor::Tensor;
 use std::sync::Arc;
@@ -54,20 +54,16 @@ impl Pyramid {
     /// cloud, `[rows, D]`. Nothing is asked for that no level reads.
     ///
     /// # Errors
-    /// [`Error::Argument`] when all features are off; those of `image`.
+    /// [`crate::Error::Argument`] when all features are off; those of `image`.
     pub fn new(
         encoding: &Encoding,
         switches: Switches,
         image: impl Fn(usize, &[u32]) -> Result<Tensor<2>>,
     ) -> Result<Self> {
         if !switches.image && !switches.spatial {
-            let help = "leave image or spatial features on";
-            return Err(Error::argument(
-                "decoder inputs",
-                "none",
-                "image features, spatial features or both",
-                help,
-            ));
+            return Err(invalid!(argument "decoder inputs"; found "none";
+                expected "image features, spatial features or both";
+                help "leave image or spatial features on"));
         }
         let device = encoding.coarsest.features.device();
         let count = if switches.single_scale.is_some() {

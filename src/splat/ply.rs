@@ -5,7 +5,7 @@
 //! and `splat-transform` can filter on it.
 
 use super::Gaussians;
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use crate::files::ply::{self, PlyFile};
 use crate::files::{Limits, atomic};
 use glam::DVec3;
@@ -35,8 +35,8 @@ pub struct PlyScene {
 /// `labels` are class ids, one per Gaussian. Normals are zero. The file appears complete or not at all.
 ///
 /// # Errors
-/// [`Error::NonFinite`] naming tensor and row; [`Error::Argument`] when `labels` or a field has the wrong length;
-/// [`Error::Io`].
+/// [`crate::Error::NonFinite`] naming tensor and row; [`crate::Error::Argument`] when `labels` or a field has the wrong length;
+/// [`crate::Error::Io`].
 pub fn write(
     path: &Path,
     gaussians: &Gaussians,
@@ -102,8 +102,8 @@ pub fn write(
 /// float positions would lose precision, else zero.
 ///
 /// # Errors
-/// [`Error::Input`] naming file, row and column: missing columns, cut-off files, non-finite values, labels that are not
-/// u16; [`Error::Io`].
+/// [`crate::Error::Input`] naming file, row and column: missing columns, cut-off files, non-finite values, labels that are not
+/// u16; [`crate::Error::Io`].
 pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
     let file = PlyFile::open(path, "vertex", limits)?;
     expect_gaussians(&file)?;
@@ -125,13 +125,8 @@ pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
     file.read(&columns, |row, cells| {
         let bad = |column: usize, expected: &str, help: &str| {
             let name = names[column].as_deref().unwrap_or_default();
-            Error::input(
-                path,
-                format!("row {row}, column {name}"),
-                cells[column].to_string(),
-                expected,
-                help,
-            )
+            invalid!(path, "row {row}, column {name}"; found "{}", cells[column]; expected "{expected}";
+                help "{help}")
         };
         // A value that does not fit an f32 counts as not finite.
         if let Some(column) = cells.iter().position(|&v| !(v as f32).is_finite()) {
@@ -188,7 +183,7 @@ fn column_names(sh_degree: usize, labelled: bool) -> Vec<String> {
     names
 }
 
-/// [`Error::Input`] for compressed scenes and point clouds, which users may take for 3DGS PLY files.
+/// [`crate::Error::Input`] for compressed scenes and point clouds, which users may take for 3DGS PLY files.
 fn expect_gaussians(file: &PlyFile) -> Result<()> {
     let expected = "3D Gaussians: x y z, f_dc_*, opacity, scale_*, rot_*";
     let has = |name: &str| file.scalar(name).is_some();

@@ -7,7 +7,7 @@
 mod packing;
 
 use crate::data::{Classes, NamedCamera, Split, atomic};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use crate::objects::{Object, inventory};
 use crate::splat::Gaussians;
 use crate::splat::camera::{Camera, level_up};
@@ -128,17 +128,24 @@ impl Viewer<'_> {
         self.gaussians.check(self.labels)?;
         if self.gaussians.is_empty() {
             let help = "name a scene that is not empty";
-            return Err(Error::argument("gaussians", "none", "one or more", help));
+            return Err(
+                invalid!(argument "gaussians"; found "none"; expected "one or more";
+                help "{help}"),
+            );
         }
         if !(self.alpha_max > 0.0 && self.alpha_max <= 1.0) {
             let expected = "a number in (0, 1]";
             let help = "choose a value in that range";
-            let found = self.alpha_max.to_string();
-            return Err(Error::argument("alpha_max", found, expected, help));
+            return Err(
+                invalid!(argument "alpha_max"; found "{}", self.alpha_max; expected "{expected}";
+                help "{help}"),
+            );
         }
         if let Some(up) = self.up.filter(|up| up.try_normalize().is_none()) {
-            let help = "name one, such as 0,0,1";
-            return Err(Error::argument("up", up.to_string(), "a direction", help));
+            return Err(
+                invalid!(argument "up"; found "{up}"; expected "a direction";
+                help "name one, such as 0,0,1"),
+            );
         }
         let unlabelled = vec![0; self.gaussians.len()];
         let all = inventory(self.gaussians, &unlabelled);

@@ -22,7 +22,7 @@ pub use self::points::{LabelledPoints, PRETRAINING_SEEDS, labelled_points};
 pub use self::room::{Room, Truth, render_truth};
 
 use super::{Class, Classes, LabelMap, Scene, Split, View};
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use build::class;
 use glam::DVec3;
 use rand::Rng;
@@ -100,7 +100,7 @@ pub fn scene(seed: u64) -> Scene {
 /// A built-in scene of any size.
 ///
 /// # Errors
-/// [`Error::Argument`] when there are no training views or a side of the image is 0 or above 8192 pixels.
+/// [`crate::Error::Argument`] when there are no training views or a side of the image is 0 or above 8192 pixels.
 pub fn scene_with(options: &BuiltinOptions) -> Result<Scene> {
     let out_of_range = [
         ("builtin.width", options.width, 1..=8192),
@@ -111,9 +111,8 @@ pub fn scene_with(options: &BuiltinOptions) -> Result<Scene> {
     .into_iter()
     .find(|(_, value, range)| !range.contains(value));
     if let Some((key, value, range)) = out_of_range {
-        let expected = format!("{} to {}", range.start(), range.end());
-        let help = "change the option";
-        return Err(Error::argument(key, value.to_string(), expected, help));
+        return Err(invalid!(argument "{key}"; found "{value}";
+            expected "{} to {}", range.start(), range.end(); help "change the option"));
     }
     Ok(assemble(options))
 }

@@ -2,7 +2,7 @@
 
 use super::groups::Groups;
 use super::ownership::{Evidence, Visible, evidence};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use std::collections::BTreeMap;
 
 /// Two groups can be one when the one has more than this share of the other's weight on the same Gaussians: neighbours share
@@ -115,25 +115,25 @@ fn nothing_left(totals: &[Total], least: f64) -> Error {
     const NONE: &str = "data.association = \"none\" trains on the ids of the maps as they are";
     let all: f64 = totals.iter().map(|total| total.weight).sum();
     if all == 0.0 {
-        let found = "gaussians, but no segment of a training view covers any of them";
-        let expected = "Gaussians where the segments are";
-        let help = format!("check that Gaussians and cameras are of one scene; {NONE}");
-        return Error::config("data.association", found, expected, help);
+        return invalid!(setting "data.association";
+            found "gaussians, but no segment of a training view covers any of them";
+            expected "Gaussians where the segments are";
+            help "check that Gaussians and cameras are of one scene; {NONE}");
     }
     let pure = totals.iter().filter(|total| total.purity >= PURITY);
     let Some(largest) = pure.map(|total| total.weight / all).reduce(f64::max) else {
         let found = "gaussians, but others have most of the Gaussians of every group of segments";
         let expected = "segments of which several views show the same";
         let help = format!("check that raw labels and photos belong together; {NONE}");
-        return Error::config("data.association", found, expected, help);
+        return invalid!(setting "data.association"; found "{found}"; expected "{expected}";
+            help "{help}");
     };
     let dropped = totals.iter().filter(|total| total.weight > 0.0).count();
     let found = format!(
         "gaussians, but all {dropped} groups of segments are small: the largest has {largest:.2e} of the weight"
     );
-    let expected = format!("a group of at least {least}");
-    let help = format!("give a segmentation of larger things, or more views of them; {NONE}");
-    Error::config("data.association", found, expected, help)
+    invalid!(setting "data.association"; found "{found}"; expected "a group of at least {least}";
+        help "give a segmentation of larger things, or more views of them; {NONE}")
 }
 
 #[cfg(test)]

@@ -31,7 +31,7 @@ mod sweeps;
 
 use crate::config::AssociationConfig;
 use crate::data::{Class, Classes, LabelRuns, ObjectOf, Scene, Split, View, class_color};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use crate::raster::Settings;
 use crate::splat::Gaussians;
 use groups::{Assigned, Category, Groups};
@@ -167,9 +167,10 @@ impl Run<'_> {
         }
         if views.iter().all(|view| view.segments.is_empty()) {
             let found = "gaussians, but no segments";
-            let expected = "raw labels of training views to put together";
-            let help = "add raw labels, or set data.association = \"none\"";
-            return Err(Error::config("data.association", found, expected, help).into());
+            return Err(invalid!(setting "data.association"; found "{found}";
+                expected "raw labels of training views to put together";
+                help "add raw labels, or set data.association = \"none\"")
+            .into());
         }
         let mut groups = Groups::new(self.gaussians.len());
         let assigned = sweeps::form_groups(&mut groups, &views, self.config, progress)?;

@@ -9,7 +9,7 @@ mod ellipsoid;
 mod naming;
 
 use crate::data::Classes;
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use crate::segmentation::neighbours::PointIndex;
 use crate::splat::Gaussians;
 use components::connected_components;
@@ -60,7 +60,7 @@ impl Separation {
     /// those in use, and a name with the next free number.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a rule out of its range; those of [`Gaussians::check`]; [`Error::Limit`] when ids run out.
+    /// [`crate::Error::Argument`] for a rule out of its range; those of [`Gaussians::check`]; [`crate::Error::Limit`] when ids run out.
     pub fn apply(
         &self,
         gaussians: &Gaussians,
@@ -108,12 +108,10 @@ impl Separation {
 
     fn check(&self) -> Result<()> {
         let fault = |key: &str, found: String, expected: &str| {
-            Err(Error::argument(
-                format!("separation {key}"),
-                found,
-                expected,
-                "the default suits most scenes",
-            ))
+            Err(
+                invalid!(argument "separation {key}"; found "{found}"; expected "{expected}";
+                help "the default suits most scenes"),
+            )
         };
         if !(self.level > 0.0 && self.level < 1.0) {
             return fault("level", self.level.to_string(), "above 0 and below 1");

@@ -6,7 +6,7 @@ use super::tensors::{
     RasterTensors, SavedForward, TensorPair,
 };
 use crate::backend::{HostBackend, HostValues, Real, device_of, real_kernel};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use crate::raster::cpu::SplatGradients;
 use crate::raster::cpu::pixel_gradients::PixelGradients;
 use crate::raster::cpu::projected::{Blended, Projected};
@@ -114,12 +114,8 @@ pub(super) fn view_colours<B: HostBackend>(
 
 /// The error for a view that was projected on another device than `tensors` live on, or in another precision.
 pub(super) fn other_kernels() -> Error {
-    Error::argument(
-        "tensors of a view",
-        "another device or float type than the Gaussians have",
-        "those of the Gaussians",
-        "move or cast the tensors",
-    )
+    invalid!(argument "tensors of a view"; found "another device or float type than the Gaussians have";
+        expected "those of the Gaussians"; help "move or cast the tensors")
 }
 
 pub(super) fn blend_view<B: HostBackend>(

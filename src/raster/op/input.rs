@@ -1,6 +1,6 @@
 //! What the rasterizer takes and returns.
 
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use burn::tensor::{DType, Tensor};
 
 /// What [`crate::raster::rasterize`] renders. All tensors have one float type and live on one device.
@@ -52,21 +52,17 @@ pub(super) fn sizes(input: &RasterInput) -> Result<Sizes> {
     shape("log_scales", &input.log_scales.dims(), &[n, 3])?;
     shape("rotations", &input.rotations.dims(), &[n, 4])?;
     if input.sh.is_none() && input.features.is_none() {
-        return Err(Error::argument(
-            "raster input",
-            "neither sh nor features",
-            "at least one",
-            "pass what to render",
-        ));
+        return Err(
+            invalid!(argument "raster input"; found "neither sh nor features";
+            expected "at least one"; help "pass what to render"),
+        );
     }
     let sh_terms = input.sh.as_ref().map_or(1, |sh| sh.dims()[1]);
     if !matches!(sh_terms, 1 | 4 | 9 | 16) {
-        return Err(Error::argument(
-            "raster input sh",
-            format!("{sh_terms} terms"),
-            "1, 4, 9 or 16",
-            "pass (degree + 1)^2 terms",
-        ));
+        return Err(
+            invalid!(argument "raster input sh"; found "{sh_terms} terms";
+            expected "1, 4, 9 or 16"; help "pass (degree + 1)^2 terms"),
+        );
     }
     if let Some(sh) = &input.sh {
         shape("sh", &sh.dims(), &[n, sh_terms, 3])?;
@@ -94,23 +90,19 @@ fn shape(name: &str, found: &[usize], expected: &[usize]) -> Result<()> {
     if found == expected {
         return Ok(());
     }
-    Err(Error::argument(
-        format!("raster input {name}"),
-        format!("shape {found:?}"),
-        format!("{expected:?}"),
-        "pass tensors of one scene",
-    ))
+    Err(
+        invalid!(argument "raster input {name}"; found "shape {found:?}"; expected "{expected:?}";
+        help "pass tensors of one scene"),
+    )
 }
 
 fn float_types(input: &RasterInput) -> Result<()> {
     let dtype = input.means.dtype();
     if !matches!(dtype, DType::F32 | DType::F64) {
-        return Err(Error::argument(
-            "raster input",
-            format!("{dtype:?}"),
-            "f32 or f64",
-            "cast the tensors",
-        ));
+        return Err(
+            invalid!(argument "raster input"; found "{dtype:?}"; expected "f32 or f64";
+            help "cast the tensors"),
+        );
     }
     let types = [
         ("log_scales", input.log_scales.dtype()),
@@ -125,11 +117,7 @@ fn float_types(input: &RasterInput) -> Result<()> {
     ];
     match types.into_iter().find(|(_, found)| *found != dtype) {
         None => Ok(()),
-        Some((name, found)) => Err(Error::argument(
-            format!("raster input {name}"),
-            format!("{found:?}"),
-            format!("{dtype:?}, as the means have"),
-            "cast the tensors",
-        )),
+        Some((name, found)) => Err(invalid!(argument "raster input {name}"; found "{found:?}";
+            expected "{dtype:?}, as the means have"; help "cast the tensors")),
     }
 }

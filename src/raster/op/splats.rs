@@ -1,7 +1,7 @@
 //! The geometry of Gaussians as tensors.
 
 use crate::backend::device::{in_host_memory, largest_allocation, upload};
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use crate::splat::Gaussians;
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 
@@ -110,11 +110,9 @@ impl SplatTensors {
             format!("{shapes:?}, {types:?}"),
             format!("{expected:?}, all {dtype:?}"),
         );
-        Err(Error::argument(
-            "frozen Gaussians",
-            found,
-            expected,
-            "pass tensors of one scene and one float type",
-        ))
+        Err(
+            invalid!(argument "frozen Gaussians"; found "{found}"; expected "{expected}";
+            help "pass tensors of one scene and one float type"),
+        )
     }
 }

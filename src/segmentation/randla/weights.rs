@@ -3,7 +3,7 @@
 use super::{AttentivePooling, LAYERS, POSITION_CHANNELS, RandlaEncoder, ResidualBlock, SharedMlp};
 use super::{host, parameter};
 use crate::backend::device::upload;
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use crate::weights::{HostTensor, WeightFile};
 use burn::module::{Param, RunningState};
 use burn::nn::{BatchNormConfig, Linear};
@@ -18,20 +18,18 @@ impl RandlaEncoder {
     /// Reads the encoder of a checkpoint; widths and inputs follow its tensors, layers past the fourth are unused.
     ///
     /// # Errors
-    /// [`Error::Input`] naming the tensor that is missing, has another shape than its neighbours ask for, or is not
+    /// [`crate::Error::Input`] naming the tensor that is missing, has another shape than its neighbours ask for, or is not
     /// finite.
     pub fn load(weights: &WeightFile, device: &Device) -> Result<Self> {
         let loader = Loader { weights, device };
         let [stem, inputs] = match weights.shape("fc0.conv.weight")? {
             [stem, inputs, ..] if matches!(inputs, 3 | 6) => [*stem, *inputs],
             other => {
-                return Err(Error::input(
-                    &weights.origin,
-                    "fc0.conv.weight",
-                    format!("shape {other:?}"),
-                    "[width, 3] (xyz) or [width, 6] (xyz, rgb)",
-                    "give an encoder whose inputs are positions, with or without colours",
-                ));
+                return Err(
+                    invalid!(&weights.origin, "fc0.conv.weight"; found "shape {other:?}";
+                    expected "[width, 3] (xyz) or [width, 6] (xyz, rgb)";
+                    help "give an encoder whose inputs are positions, with or without colours"),
+                );
             }
         };
         let mut blocks = Vec::with_capacity(LAYERS);

@@ -17,7 +17,7 @@ pub use self::lift_view::{LiftedViews, Sums};
 use crate::backend::Real;
 use crate::config::{Normalisation, UnprojectionConfig};
 use crate::data::View;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use crate::features::{SCALES, ViewFeatures};
 use crate::raster::Settings;
 use crate::splat::Gaussians;
@@ -144,12 +144,8 @@ pub fn unproject<'a, F: Borrow<ViewFeatures>, B>(
 }
 
 fn mismatch(found: String, expected: String) -> Error {
-    Error::argument(
-        "views of the unprojection",
-        found,
-        expected,
-        "pass the views that features were extracted from",
-    )
+    invalid!(argument "views of the unprojection"; found "{found}"; expected "{expected}";
+        help "pass the views that features were extracted from")
 }
 
 impl Unprojected {

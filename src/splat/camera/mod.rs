@@ -4,7 +4,7 @@ mod level;
 
 pub use self::level::level_up;
 
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use glam::{DMat3, DMat4, DVec3};
 
 /// A posed pinhole camera.
@@ -81,16 +81,13 @@ impl Camera {
     /// Checks that the camera can be rendered from: a finite pose, positive focal lengths, 1 to 2^32 - 1 pixels.
     ///
     /// # Errors
-    /// [`Error::Argument`] naming the field.
+    /// [`crate::Error::Argument`] naming the field.
     pub fn check(&self) -> Result<()> {
         let wrong = |field: &str, found: String, expected: &str| {
-            let help = "pass a usable camera";
-            Err(Error::argument(
-                format!("camera.{field}"),
-                found,
-                expected,
-                help,
-            ))
+            Err(
+                invalid!(argument "camera.{field}"; found "{found}"; expected "{expected}";
+                help "pass a usable camera"),
+            )
         };
         let Self {
             rotation,

@@ -1,7 +1,7 @@
 //! A smooth path through given cameras.
 
 use super::check;
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use crate::splat::camera::Camera;
 use glam::{DMat3, DQuat, DVec3, DVec4};
 
@@ -43,7 +43,7 @@ impl CameraPath {
     /// A path through `cameras`. A camera with the pose of the one before it is left out.
     ///
     /// # Errors
-    /// [`Error::Argument`] without cameras, or naming the first that is unusable.
+    /// [`crate::Error::Argument`] without cameras, or naming the first that is unusable.
     pub fn through(cameras: &[Camera]) -> Result<Self> {
         check(cameras)?;
         let [width, height] = [cameras[0].width, cameras[0].height];
@@ -84,9 +84,10 @@ impl CameraPath {
             before = key;
         }
         if !length.is_finite() {
-            let found = "centres further apart than numbers reach";
-            let help = "give cameras in one place";
-            return Err(Error::argument("cameras", found, "a finite path", help));
+            return Err(
+                invalid!(argument "cameras"; found "centres further apart than numbers reach";
+                expected "a finite path"; help "give cameras in one place"),
+            );
         }
         Ok(path)
     }

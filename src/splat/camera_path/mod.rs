@@ -9,17 +9,15 @@ pub use self::interpolate::CameraPath;
 pub use self::orbit::{Orbit, focus};
 
 use super::camera::Camera;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 
 /// Checks that there is a camera and that each is usable.
 fn check(cameras: &[Camera]) -> Result<()> {
     if cameras.is_empty() {
-        return Err(Error::argument(
-            "cameras",
-            "none",
-            "one or more",
-            "pass the cameras that the path is made from",
-        ));
+        return Err(
+            invalid!(argument "cameras"; found "none"; expected "one or more";
+            help "pass the cameras that the path is made from"),
+        );
     }
     for (i, camera) in cameras.iter().enumerate() {
         camera.check().map_err(|error| match error {
@@ -39,13 +37,10 @@ fn check(cameras: &[Camera]) -> Result<()> {
         let rotation = camera.rotation;
         let off = (rotation.transpose() * rotation - glam::DMat3::IDENTITY).to_cols_array();
         if off.iter().any(|v| v.abs() > 1e-2) || rotation.determinant() < 0.0 {
-            let found = format!("{rotation}");
-            return Err(Error::argument(
-                format!("cameras[{i}]: rotation"),
-                found,
-                "a rotation",
-                "correct the pose",
-            ));
+            return Err(
+                invalid!(argument "cameras[{i}]: rotation"; found "{rotation}";
+                expected "a rotation"; help "correct the pose"),
+            );
         }
     }
     Ok(())

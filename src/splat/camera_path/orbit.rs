@@ -1,7 +1,7 @@
 //! A circle around what cameras look at.
 
 use super::check;
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use crate::splat::camera::{Camera, level_up};
 use glam::{DMat3, DVec3};
 use nalgebra::Matrix3;
@@ -32,7 +32,7 @@ impl Orbit {
     /// and height are the medians of the cameras, so that the circle stays among them. It starts on the side of the first one.
     ///
     /// # Errors
-    /// [`Error::Argument`] without cameras, for an unusable one, and where the cameras stand above or at the centre.
+    /// [`crate::Error::Argument`] without cameras, for an unusable one, and where the cameras stand above or at the centre.
     pub fn of_cameras(cameras: &[Camera], scene_center: DVec3) -> Result<Self> {
         check(cameras)?;
         Self::about(cameras, focus(cameras).unwrap_or(scene_center))
@@ -103,18 +103,15 @@ impl Orbit {
         // A smaller circle is a point but for rounding.
         if !(is_finite && radius > 1e-12 * (height.abs() + target.length()) && radius > 0.0) {
             let found = format!("radius {radius:.3e} around {target}, {height:.3e} above it");
-            let help = "give cameras that stand around something";
-            return Err(Error::argument("orbit", found, "a circle", help));
+            return Err(
+                invalid!(argument "orbit"; found "{found}"; expected "a circle";
+                help "give cameras that stand around something"),
+            );
         }
         let off = [up.length() - 1.0, start.length() - 1.0, up.dot(start)];
         if off.iter().any(|off| off.is_nan() || off.abs() > 1e-6) {
-            let found = format!("up {up}, start {start}");
-            return Err(Error::argument(
-                "orbit",
-                found,
-                "perpendicular unit vectors",
-                "normalise them",
-            ));
+            return Err(invalid!(argument "orbit"; found "up {up}, start {start}";
+                expected "perpendicular unit vectors"; help "normalise them"));
         }
         Ok(())
     }
@@ -123,7 +120,7 @@ impl Orbit {
     /// tip of [`Orbit::up`]. The last is one step before the first, so that a film of them loops.
     ///
     /// # Errors
-    /// [`Error::Argument`] for directions that are not perpendicular unit vectors, or no radius above 0.
+    /// [`crate::Error::Argument`] for directions that are not perpendicular unit vectors, or no radius above 0.
     pub fn frames(&self, lens: &Camera, count: usize) -> Result<Vec<Camera>> {
         self.check()?;
         let side = self.up.cross(self.start);

@@ -154,7 +154,7 @@ impl ScoreMap {
             "store fewer classes of each cell",
         )?;
         let fault = |field: &str, found: String, expected: &str| {
-            Err(Error::input(path, field, found, expected, AGAIN))
+            Err(invalid!(path, "{field}"; found "{found}"; expected "{expected}"; help "{AGAIN}"))
         };
         let lengths = [self.ids.len(), self.probabilities.len()];
         if values == 0 || lengths.map(|n| n as u64) != [values; 2] {

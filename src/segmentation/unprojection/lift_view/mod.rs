@@ -12,7 +12,7 @@ use crate::backend::Real;
 use crate::backend::device::in_host_memory;
 use crate::config::Resolution;
 use crate::data::mask::Mask;
-use crate::error::{Error, Result};
+use crate::error::{Result, invalid};
 use crate::features::{FeatureMap, Lattice};
 use crate::ops::CustomOp;
 use crate::raster::{Projected, Settings, SplatTensors, Splats};
@@ -56,7 +56,7 @@ impl<E: Real> Sums<E> {
     /// (Gaussian, cell) weights, and nothing per pixel and channel.
     ///
     /// # Errors
-    /// [`Error::Argument`] when maps, mask or Gaussians do not match what this was made for; [`Error::NonFinite`] for maps with
+    /// [`crate::Error::Argument`] when maps, mask or Gaussians do not match what this was made for; [`crate::Error::NonFinite`] for maps with
     /// such values; what [`crate::raster::Projected::new`] returns.
     pub fn add(
         &mut self,
@@ -143,31 +143,25 @@ fn mask_of_cells(mask: &Mask, camera: &Camera, cells: &Camera) -> Mask {
 fn check_maps(n: usize, channels: &[usize], gaussians: usize, maps: &[FeatureMap]) -> Result<()> {
     let found: Vec<usize> = maps.iter().map(|m| m.channels).collect();
     if found != channels {
-        return Err(Error::argument(
-            "feature maps",
-            format!("channels {found:?}"),
-            format!("{channels:?}, one map a scale"),
-            "reduce all views alike",
-        ));
+        return Err(
+            invalid!(argument "feature maps"; found "channels {found:?}";
+            expected "{channels:?}, one map a scale"; help "reduce all views alike"),
+        );
     }
     if gaussians != n {
         let (found, expected) = (format!("{gaussians} Gaussians"), format!("{n}"));
-        return Err(Error::argument(
-            "unprojection",
-            found,
-            expected,
-            "use new sums for another scene",
-        ));
+        return Err(
+            invalid!(argument "unprojection"; found "{found}"; expected "{expected}";
+            help "use new sums for another scene"),
+        );
     }
     for (scale, map) in maps.iter().enumerate() {
         map.check(&format!("feature map of scale {}", scale + 1))?;
         if map.cells() == 0 {
-            return Err(Error::argument(
-                "feature map",
-                "no cells",
-                "one or more",
-                "leave the view out",
-            ));
+            return Err(
+                invalid!(argument "feature map"; found "no cells"; expected "one or more";
+                help "leave the view out"),
+            );
         }
     }
     Ok(())
@@ -220,7 +214,7 @@ impl<'a> LiftedViews<'a> {
     /// kernels are those that lift features, so that a pixel on the rim of a disc counts alike.
     ///
     /// # Errors
-    /// As [`Projected::new`]; [`Error::Device`] when the device fails.
+    /// As [`Projected::new`]; [`crate::Error::Device`] when the device fails.
     pub fn disc_pixels(
         &self,
         camera: &Camera,
@@ -241,7 +235,7 @@ impl<'a> LiftedViews<'a> {
     /// The sums, on the host.
     ///
     /// # Errors
-    /// [`Error::Device`] when the device does not return them.
+    /// [`crate::Error::Device`] when the device does not return them.
     pub fn finish(self) -> Result<Sums<f32>> {
         match self.kernel {
             Kernel::Cpu(sums) => Ok(sums),
