@@ -33,19 +33,6 @@ pub enum Event {
     },
     /// The held-out views were scored.
     Evaluated(CurvePoint),
-    /// The Gaussians were densified.
-    Densified {
-        /// After this iteration.
-        iteration: usize,
-        /// Gaussians added as copies of others.
-        cloned: usize,
-        /// Gaussians replaced by two.
-        split: usize,
-        /// Gaussians removed.
-        pruned: usize,
-        /// Transparent Gaussians moved onto opaque ones.
-        relocated: usize,
-    },
     /// The stage is done. Not sent for stages that were stopped early.
     Finished,
 }

@@ -187,12 +187,8 @@ impl Provenance {
         {
             return other_setting(key, &now.settings, &then.settings, file);
         }
-        let help = format!(
-            "resume with {}, or train into another folder",
-            data.original()
-        );
         invalid!(file, "{}", data.name(); found "those of other data"; expected "those of this run";
-            help "{help}")
+            help "resume with {}, or train into another folder", data.original())
     }
 
     /// Whether label maps are rendered by the same rule as in `stored`.

@@ -54,14 +54,9 @@ pub(crate) fn load_initial_scene(
     }
     let most = config.building.max_gaussians;
     if config.building.iterations > 0 && most > 0 && gaussians.len() > most {
-        let expected = format!(
-            "{} or more, as building.gaussians has, or 0 for no limit",
-            gaussians.len()
-        );
-        return Err(
-            invalid!(setting "building.max_gaussians"; found "{most}"; expected "{expected}";
-            help "raise it"),
-        );
+        return Err(invalid!(setting "building.max_gaussians"; found "{most}";
+                expected "{} or more, as building.gaussians has, or 0 for no limit", gaussians.len();
+                help "raise it"));
     }
     let shift = origin - scene.origin;
     for mean in &mut gaussians.means {

@@ -250,15 +250,6 @@ impl<'a> Trainer<'a> {
                 loss: report.loss,
                 gaussians: report.gaussians,
             });
-            if let Some(done) = report.densified {
-                progress.event(&Event::Densified {
-                    iteration,
-                    cloned: done.cloned,
-                    split: done.split,
-                    pruned: done.pruned,
-                    relocated: done.relocated,
-                });
-            }
             if self.schedule.evaluates(iteration) {
                 progress.event(&Event::Evaluated(self.evaluate()?));
             }

@@ -127,19 +127,14 @@ impl Viewer<'_> {
     pub fn page(&self) -> Result<String> {
         self.gaussians.check(self.labels)?;
         if self.gaussians.is_empty() {
-            let help = "name a scene that is not empty";
             return Err(
                 invalid!(argument "gaussians"; found "none"; expected "one or more";
-                help "{help}"),
+                    help "name a scene that is not empty"),
             );
         }
         if !(self.alpha_max > 0.0 && self.alpha_max <= 1.0) {
-            let expected = "a number in (0, 1]";
-            let help = "choose a value in that range";
-            return Err(
-                invalid!(argument "alpha_max"; found "{}", self.alpha_max; expected "{expected}";
-                help "{help}"),
-            );
+            return Err(invalid!(argument "alpha_max"; found "{}", self.alpha_max;
+                    expected "a number in (0, 1]"; help "choose a value in that range"));
         }
         if let Some(up) = self.up.filter(|up| up.try_normalize().is_none()) {
             return Err(

@@ -122,17 +122,15 @@ fn nothing_left(totals: &[Total], least: f64) -> Error {
     }
     let pure = totals.iter().filter(|total| total.purity >= PURITY);
     let Some(largest) = pure.map(|total| total.weight / all).reduce(f64::max) else {
-        let found = "gaussians, but others have most of the Gaussians of every group of segments";
-        let expected = "segments of which several views show the same";
-        let help = format!("check that raw labels and photos belong together; {NONE}");
-        return invalid!(setting "data.association"; found "{found}"; expected "{expected}";
-            help "{help}");
+        return invalid!(setting "data.association";
+            found "gaussians, but others have most of the Gaussians of every group of segments";
+            expected "segments of which several views show the same";
+            help "check that raw labels and photos belong together; {NONE}");
     };
     let dropped = totals.iter().filter(|total| total.weight > 0.0).count();
-    let found = format!(
-        "gaussians, but all {dropped} groups of segments are small: the largest has {largest:.2e} of the weight"
-    );
-    invalid!(setting "data.association"; found "{found}"; expected "a group of at least {least}";
+    invalid!(setting "data.association";
+        found "gaussians, but all {dropped} groups of segments are small: the largest has {largest:.2e} of the weight";
+        expected "a group of at least {least}";
         help "give a segmentation of larger things, or more views of them; {NONE}")
 }
 

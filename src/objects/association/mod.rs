@@ -166,11 +166,12 @@ impl Run<'_> {
             progress(1)?;
         }
         if views.iter().all(|view| view.segments.is_empty()) {
-            let found = "gaussians, but no segments";
-            return Err(invalid!(setting "data.association"; found "{found}";
+            return Err(
+                invalid!(setting "data.association"; found "gaussians, but no segments";
                 expected "raw labels of training views to put together";
                 help "add raw labels, or set data.association = \"none\"")
-            .into());
+                .into(),
+            );
         }
         let mut groups = Groups::new(self.gaussians.len());
         let assigned = sweeps::form_groups(&mut groups, &views, self.config, progress)?;

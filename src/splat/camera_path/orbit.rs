@@ -102,11 +102,9 @@ impl Orbit {
             target.is_finite() && height.is_finite() && (radius + height.abs()).is_finite();
         // A smaller circle is a point but for rounding.
         if !(is_finite && radius > 1e-12 * (height.abs() + target.length()) && radius > 0.0) {
-            let found = format!("radius {radius:.3e} around {target}, {height:.3e} above it");
-            return Err(
-                invalid!(argument "orbit"; found "{found}"; expected "a circle";
-                help "give cameras that stand around something"),
-            );
+            return Err(invalid!(argument "orbit";
+                    found "radius {radius:.3e} around {target}, {height:.3e} above it";
+                    expected "a circle"; help "give cameras that stand around something"));
         }
         let off = [up.length() - 1.0, start.length() - 1.0, up.dot(start)];
         if off.iter().any(|off| off.is_nan() || off.abs() > 1e-6) {

@@ -240,7 +240,6 @@ fn training_learns_the_scene() {
     let count = |kind: fn(&Event) -> bool| recorder.0.iter().filter(|e| kind(e)).count();
     assert_eq!(count(|e| matches!(e, Event::Step { .. })), 400);
     assert_eq!(count(|e| matches!(e, Event::Evaluated(_))), 10);
-    assert_eq!(count(|e| matches!(e, Event::Densified { .. })), 2);
     assert_eq!(recorder.0.last(), Some(&Event::Finished));
 }
 
