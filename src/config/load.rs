@@ -61,6 +61,24 @@ impl Config {
         base(chosen_preset(&given)?, &given).with(&given)
     }
 
+    /// The settings of a run of a scene folder: the preset first, then the values of each of `tables`.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for an unknown key, a wrong type or a value out of range.
+    pub(crate) fn of_tables(tables: &[&Table]) -> Result<Self> {
+        let mut values = Vec::new();
+        for table in tables {
+            flatten((*table).clone(), "", &mut values);
+        }
+        let assignment = |(key, value)| Assignment {
+            key,
+            readings: vec![value],
+            file: None,
+        };
+        let given: Vec<_> = values.into_iter().map(assignment).collect();
+        Self::preset(chosen_preset(&given)?).with(&given)
+    }
+
     /// The settings that a run whose settings file is at `path` rendered with: its section `[raster]` and its
     /// `segmentation.min_coverage`, over its preset. The defaults where the file has no such section, as files of other
     /// programs. Other sections are ignored, so that unknown keys there do no harm.
