@@ -50,10 +50,10 @@ pub(super) struct Point {
 }
 
 impl Points {
-    /// Adds a row at `x` with the score `miou`.
-    pub fn add(&mut self, name: &str, x: Option<f64>, miou: Option<Statistic>) {
+    /// Adds a row at `x` with the score `miou`, called `name` in the legend.
+    pub fn add(&mut self, name: String, x: Option<f64>, miou: Option<Statistic>) {
         self.points.push(Point {
-            name: name.to_owned(),
+            name,
             place: x.zip(miou).map(|(x, miou)| [x, 100.0 * miou.mean]),
             spread: 100.0 * miou.and_then(|miou| miou.spread).unwrap_or(0.0),
         });
@@ -109,10 +109,7 @@ impl Points {
                     let [x, y] = within(area, chart.backend_coord(&(x, y)));
                     area.draw_text(&(row + 1).to_string(), &number, (x + 9, y - 20))?;
                 }
-                let names = self.points.iter().map(|point| match point.place {
-                    Some([_, y]) => format!("{}  {y:.1}", point.name),
-                    None => format!("{}  not measured", point.name),
-                });
+                let names = self.points.iter().map(|point| point.name.clone());
                 draw_legend(&legend, names)
             },
         )
@@ -177,6 +174,7 @@ impl Bars {
                     .label_style(font.clone())
                     .x_labels(6)
                     .y_labels(0)
+                    .x_label_formatter(&|x| tick(*x))
                     .draw()?;
                 let thickness = 0.84 / rows as f64;
                 let beside = font.pos(Pos::new(HPos::Right, VPos::Center));

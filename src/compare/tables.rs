@@ -293,35 +293,51 @@ impl<'a> Tables<'a> {
         )
     }
 
-    /// Names and texts of the plots.
+    /// File names and texts of the plots.
     fn plots(&self) -> Vec<(String, String)> {
-        let scenes = self.scenes();
         let mut plots = Vec::new();
         for labels in &self.plan.labels {
             let kind = &*labels.name;
-            for (against, column, title) in [
-                ("frames", &FRAMES, "frames a second, colour and labels"),
-                ("seconds", &SECONDS, "seconds of stage two"),
-            ] {
-                let mut points = Points {
-                    title: format!("{}: mIoU, %, labels {kind}", self.plan.title),
-                    x_title: title,
-                    points: Vec::new(),
-                };
-                for row in &self.plan.rows {
-                    let of = |column| self.statistic(kind, &row.name, &scenes, column);
-                    let (x, y) = (of(column), of(&MIOU));
-                    points.add(&row.name, x.map(|x| x.mean * column.unit), y);
-                }
-                let svg = points.svg(self.command);
-                plots.extend(svg.map(|svg| (format!("miou_{against}_{kind}.svg"), svg)));
-            }
-            for scene in &scenes {
-                let svg = self.class_bars(kind, scene).svg(self.command);
-                plots.extend(svg.map(|svg| (format!("iou_{kind}_{scene}.svg"), svg)));
+            let frames = self.points(kind, &FRAMES, "frames a second, colour and labels");
+            let seconds = self.points(kind, &SECONDS, "seconds of stage two");
+            plots.push((format!("miou_frames_{kind}"), frames.svg(self.command)));
+            plots.push((format!("miou_seconds_{kind}"), seconds.svg(self.command)));
+            for scene in self.scenes() {
+                let bars = self.class_bars(kind, scene);
+                plots.push((format!("iou_{kind}_{scene}"), bars.svg(self.command)));
             }
         }
         plots
+            .into_iter()
+            .filter_map(|(name, svg)| Some((name.replace(' ', "_") + ".svg", svg?)))
+            .collect()
+    }
+
+    /// mIoU against a cost. Rows without all of their cells have no point: others are means over more scenes.
+    fn points(&self, labels: &str, cost: &Column, x_title: &'static str) -> Points {
+        let scenes = self.scenes();
+        let all = scenes.len() * self.plan.seeds as usize;
+        let mut points = Points {
+            title: format!("{}: mIoU, %, labels {labels}", self.plan.title),
+            x_title,
+            points: Vec::new(),
+        };
+        for row in &self.plan.rows {
+            let finished = self.finished(labels, &row.name, &scenes);
+            if finished < all {
+                let name = format!("{}: {finished} of {all} cells", row.name);
+                points.add(name, None, None);
+                continue;
+            }
+            let x = self.statistic(labels, &row.name, &scenes, cost);
+            let y = self.statistic(labels, &row.name, &scenes, &MIOU);
+            let name = match (&x, &y) {
+                (Some(_), Some(y)) => format!("{}: {:.1}", row.name, MIOU.unit * y.mean),
+                _ => format!("{}: not measured", row.name),
+            };
+            points.add(name, x.map(|x| x.mean * cost.unit), y);
+        }
+        points
     }
 
     /// The IoU of each class of a scene, in the mean over seeds.
@@ -349,12 +365,14 @@ impl<'a> Tables<'a> {
     }
 }
 
-/// `52.3 ± 0.4`.
+/// `52.3 ± 0.4`. A cost that is the same under all seeds has no spread.
 fn shown(statistic: &Statistic, column: &Column) -> String {
     let number = |value: f64| format!("{:.*}", column.decimals, column.unit * value);
     let mean = number(statistic.mean);
     match statistic.spread {
-        Some(spread) => format!("{mean} ± {}", number(spread)),
-        None => mean,
+        Some(spread) if column.is_score || number(spread) != number(0.0) => {
+            format!("{mean} ± {}", number(spread))
+        }
+        _ => mean,
     }
 }

@@ -50,7 +50,7 @@ fn faults_are_named() {
             "titel = \"plates\"",
             &["line 2", "unknown field", "titel"],
         ),
-        ("title = \"plates\"", "title = [", &["line 2"]),
+        ("title = \"plates\"", "title = [", &["line 3"]),
         ("seeds = 2", "seeds = 0", &["seeds", "1 or more"]),
         ("seeds = 2", "seeds = -1", &["line 4"]),
         (
