@@ -2,7 +2,7 @@
 
 use crate::checkpoint::Scalar;
 use crate::config::{Config, LabelSource};
-use crate::data::{Scene, Split, View};
+use crate::data::{LabelRuns, Scene, Split, View};
 use crate::error::{Error, Result, invalid};
 use crate::splat::Gaussians;
 use rayon::prelude::*;
@@ -36,6 +36,8 @@ enum Data {
     Labels,
     ImageFeatures,
     PointEncoder,
+    /// What scores are of.
+    HeldOut,
 }
 
 impl Data {
@@ -46,13 +48,14 @@ impl Data {
             Self::Labels => "raw labels and cameras",
             Self::ImageFeatures => "image features",
             Self::PointEncoder => "point encoder",
+            Self::HeldOut => "labels of held-out views",
         }
     }
 
     /// What to resume with, where this data differs and no setting explains it.
     fn original(self) -> &'static str {
         match self {
-            Self::Photos | Self::Labels => {
+            Self::Photos | Self::Labels | Self::HeldOut => {
                 "the original files, as the settings of data are the same"
             }
             Self::Gaussians => "the original Gaussians",
@@ -129,6 +132,19 @@ impl Provenance {
                 digest_labels(scene),
                 values(config, &["data"]),
             )
+    }
+
+    /// The provenance of the held-out scores of a variant: that of its training, the photos, and the labels of held-out views.
+    pub fn scores(
+        config: &Config,
+        scene: &Scene,
+        gaussians: &Gaussians,
+        trains_decoder: bool,
+    ) -> Self {
+        let settings = || values(config, &["data"]);
+        Self::stage_two(config, scene, gaussians, trains_decoder)
+            .with(Data::Photos, digest_photos(scene), settings())
+            .with(Data::HeldOut, digest_held_out(scene), settings())
     }
 
     /// Adds image features by what they are made from: on a GPU their sums need not have the same bits each time.
@@ -261,13 +277,27 @@ fn digest_photos(scene: &Scene) -> Sha256 {
 fn digest_labels(scene: &Scene) -> Sha256 {
     let labelled = scene.split(Split::Train).filter(|v| v.raw.is_some());
     let views: Vec<&View> = labelled.collect();
-    let mut digest = digest_views(&views, |view, hash| {
-        let ids = view.raw.iter().flat_map(|raw| raw.map().ids);
-        hash.update(ids.flat_map(u16::to_le_bytes).collect::<Vec<u8>>());
-    });
+    let mut digest = digest_views(&views, |view, hash| digest_map(view.raw.as_ref(), hash));
     let classes = scene.classes.entries.iter();
     classes.for_each(|class| digest.update(class.id.to_le_bytes()));
     digest
+}
+
+/// Of every held-out view its name, split, camera, true and raw labels, and instances.
+fn digest_held_out(scene: &Scene) -> Sha256 {
+    let views: Vec<&View> = scene.split(Split::Test).collect();
+    digest_views(&views, |view, hash| {
+        for map in [&view.truth, &view.raw, &view.instances] {
+            hash.update([u8::from(map.is_some())]);
+            digest_map(map.as_ref(), hash);
+        }
+    })
+}
+
+/// The ids of a map, where there is one.
+fn digest_map(map: Option<&LabelRuns>, hash: &mut Sha256) {
+    let ids = map.into_iter().flat_map(|runs| runs.map().ids);
+    hash.update(ids.flat_map(u16::to_le_bytes).collect::<Vec<u8>>());
 }
 
 /// Name, split, camera and some content of each view.

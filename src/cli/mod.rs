@@ -3,6 +3,7 @@
 pub mod allocator;
 mod associate;
 mod bench;
+mod compare;
 mod data;
 mod edit;
 mod eval;
@@ -81,6 +82,7 @@ Examples:
   coseg separate --scene runs/living --out objects/scene.ply    each chair an object of its own
   coseg edit --scene runs/living --out without.ply --remove sofa
   coseg bench --run runs/living                speed on this machine
+  coseg compare configs/tables/table1.toml --data-root scenes --out runs/table1
 
 Exit code: 0 success, 1 an error that says what to do, 2 a mistake on the command line, 130 stopped by Ctrl-C.";
 
@@ -113,6 +115,8 @@ pub enum Command {
     Pretrain(pretrain::PretrainArgs),
     /// Measure speed, error and memory on this machine
     Bench(bench::BenchArgs),
+    /// Make a table of variants on equal Gaussians, as a plan states it
+    Compare(compare::CompareArgs),
 }
 
 impl Command {
@@ -121,6 +125,7 @@ impl Command {
         let done = match self {
             Self::Train(args) => return args.run(),
             Self::Label(args) => return args.run(),
+            Self::Compare(args) => return args.run(),
             Self::Data(args) => args.run(),
             Self::Eval(args) => args.run(),
             Self::Render(args) => args.run(),

@@ -290,7 +290,7 @@ fn scene_name(config: &Config) -> String {
 }
 
 /// This command line, quoted where a shell would need it.
-fn command_line() -> String {
+pub fn command_line() -> String {
     std::iter::once("coseg".to_owned())
         .chain(std::env::args().skip(1).map(quoted))
         .collect::<Vec<_>>()
@@ -298,7 +298,7 @@ fn command_line() -> String {
 }
 
 /// A word of a command line as a shell takes it.
-fn quoted(word: String) -> String {
+pub fn quoted(word: String) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=,:+".contains(c);
     if word.chars().all(plain) {
         word

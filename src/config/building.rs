@@ -129,6 +129,15 @@ pub struct BuildingConfig {
 }
 
 impl BuildingConfig {
+    /// The Gaussians of the file `gaussians` as they are.
+    pub(crate) fn taking(gaussians: PathBuf) -> Self {
+        Self {
+            gaussians: Some(gaussians),
+            iterations: 0,
+            ..Self::default()
+        }
+    }
+
     /// `densify_until`, or what its absence stands for.
     pub fn densify_until(&self) -> f32 {
         let usual = match self.strategy {

@@ -1,10 +1,11 @@
 //! From files and `--set` overrides to a checked [`Config`], and back to TOML.
 
-use super::assignment::{Assignment, assignments, fault, parse_set};
+use super::assignment::{Assignment, assignments, fault, flatten, parse_set};
 use super::{Config, Preset};
 use crate::error::{Error, Result, invalid};
 use crate::files;
 use std::path::Path;
+use toml::Table;
 
 impl Config {
     /// Reads the settings of a run: the preset first, then `file`, then each `section.key=value` of `sets`.
@@ -49,6 +50,24 @@ impl Config {
             given.push(parse_set(set)?);
         }
         base(chosen_preset(&given)?, &given).with(&given)
+    }
+
+    /// The settings of a run of a scene folder: the preset first, then the values of each of `tables`.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for an unknown key, a wrong type or a value out of range.
+    pub(crate) fn of_tables(tables: &[&Table]) -> Result<Self> {
+        let mut values = Vec::new();
+        for table in tables {
+            flatten((*table).clone(), "", &mut values);
+        }
+        let assignment = |(key, value)| Assignment {
+            key,
+            readings: vec![value],
+            file: None,
+        };
+        let given: Vec<_> = values.into_iter().map(assignment).collect();
+        Self::preset(chosen_preset(&given)?).with(&given)
     }
 
     /// The settings that a run whose settings file is at `path` rendered with: its section `[raster]` and its

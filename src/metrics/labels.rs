@@ -112,6 +112,8 @@ pub struct LabelScores {
     pub miou_per_view: Option<f64>,
     /// Share of labelled pixels predicted right, all views together.
     pub accuracy: Option<f64>,
+    /// Mean boundary IoU, see [`boundary_iou`](super::boundary_iou); [`label_scores`] leaves it out, as it needs maps.
+    pub boundary_iou: Option<f64>,
     /// IoU of each class present in the truth, all views together: (id, IoU).
     pub per_class: Vec<(u16, f64)>,
 }
@@ -140,6 +142,7 @@ pub fn label_scores(
         miou: pooled.miou(void),
         miou_per_view: mean(per_view),
         accuracy: pooled.accuracy(void),
+        boundary_iou: None,
         per_class: ids
             .enumerate()
             .filter_map(|(c, id)| Some((id, pooled.iou(c, void)?)))

@@ -1,9 +1,10 @@
-//! Scores: PSNR, SSIM, mIoU and accuracy of label maps, association accuracy and panoptic
+//! Scores: PSNR, SSIM, mIoU, boundary IoU and accuracy of label maps, association accuracy and panoptic
 //! quality of instance maps, also by class, Calinski-Harabasz and Davies-Bouldin of clusterings.
 //!
 //! No score is ever NaN: where there is nothing to score the answer is `None`.
 
 mod assignment;
+mod boundary;
 mod clusters;
 mod compactness;
 mod image;
@@ -12,6 +13,7 @@ mod labels;
 mod semantic;
 
 pub use self::assignment::assignment;
+pub use self::boundary::boundary_iou;
 pub use self::clusters::{calinski_harabasz, davies_bouldin};
 pub use self::compactness::{Agreement, Compactness};
 pub use self::image::{ImageScores, PSNR_CAP, psnr, ssim};

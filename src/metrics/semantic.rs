@@ -94,6 +94,7 @@ pub fn semantic_scores<'a>(
         miou_per_view,
         accuracy,
         per_class,
+        ..
     } = label_scores(classes, pairs, Void::Wrong);
     let named = |(id, iou)| ClassIou {
         id,

@@ -139,6 +139,24 @@ pub fn run(
 ) -> Result<Outcome> {
     let start = Instant::now();
     let scene = load(config, LoadOptions::for_training)?;
+    let loading = start.elapsed().as_secs_f64();
+    let mut outcome = run_on(scene, config, out, device, progress)?;
+    outcome.seconds.total += loading;
+    Ok(outcome)
+}
+
+/// As [`run`], on a scene that was loaded before.
+///
+/// # Errors
+/// Those of both stages, and of writing. Files written before stay.
+pub fn run_on(
+    scene: Scene,
+    config: &Config,
+    out: &Path,
+    device: &Device,
+    progress: &mut dyn Progress,
+) -> Result<Outcome> {
+    let start = Instant::now();
     let config = &settled(config, &scene);
     if !config.segmentation.rows().is_empty() && !has_raw_labels(&scene) {
         tracing::warn!(

@@ -30,6 +30,8 @@ pub enum Purpose {
     PcaCells = 32,
     /// Colours behind the scene; index = iteration.
     Background = 9,
+    /// Training photos that keep their raw labels; index 0.
+    LabelledPhotos = 10,
     /// Scenes and maps that benchmarks make up; index = size.
     Benchmark = 48,
 }

@@ -27,8 +27,8 @@ pub(super) struct Chart {
 
 /// The page shows charts at about half this size: plotters places points on whole units.
 const SIZE: (u32, u32) = (960, 520);
-const TEXT: RGBColor = RGBColor(118, 121, 130);
-const GRID: RGBColor = RGBColor(226, 226, 221);
+pub(crate) const TEXT: RGBColor = RGBColor(118, 121, 130);
+pub(crate) const GRID: RGBColor = RGBColor(226, 226, 221);
 /// Ticks of an axis, about.
 const TICKS: usize = 6;
 /// A logarithmic axis spans this ratio or more.
@@ -158,7 +158,7 @@ pub(super) fn swatch([r, g, b]: [u8; 3]) -> Markup {
 }
 
 /// The range that shows all of `values`, with a margin.
-fn around(values: impl Iterator<Item = f64>) -> Range<f64> {
+pub(crate) fn around(values: impl Iterator<Item = f64>) -> Range<f64> {
     let none = (f64::INFINITY, f64::NEG_INFINITY);
     let (mut low, mut high) = values.fold(none, |(low, high), v| (low.min(v), high.max(v)));
     if high - low <= 1e-9 * high.abs() {
@@ -177,7 +177,7 @@ fn two_digits(log10: f64) -> f64 {
 }
 
 /// A tick's text, with as few digits as tell it from its neighbours.
-fn tick(value: f64) -> String {
+pub(crate) fn tick(value: f64) -> String {
     let magnitude = value.abs();
     if magnitude >= 1_000.0 {
         let text = thousands(magnitude.round() as u64);

@@ -73,6 +73,9 @@ pub struct RowScores {
     pub miou_per_view: Option<f64>,
     /// Share of labelled pixels that are right.
     pub accuracy: Option<f64>,
+    /// Mean boundary IoU over the same classes, all held-out views together (Cheng et al. 2021).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub boundary_iou: Option<f64>,
     /// The same scores with unlabelled predictions left out instead of counted as wrong (raw labels).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub void_left_out: Option<Scores>,
@@ -111,6 +114,7 @@ impl From<&LabelScores> for RowScores {
             miou: scores.miou,
             miou_per_view: scores.miou_per_view,
             accuracy: scores.accuracy,
+            boundary_iou: scores.boundary_iou,
             class_iou: scores.per_class.iter().copied().collect(),
             ..Self::default()
         }

@@ -1,6 +1,6 @@
 //! The run folder's results: `metrics.json`, `classes.json`, `config.toml`, held-out pictures, and `report.html`.
 
-mod chart;
+pub(crate) mod chart;
 mod curves;
 mod from_run;
 mod history;

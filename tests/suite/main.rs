@@ -2,6 +2,7 @@
 
 mod backend;
 mod cli;
+mod compare;
 mod config;
 mod data;
 mod features;

@@ -4,7 +4,7 @@ use crate::config::Association;
 use crate::data::{LabelRuns, Split, View};
 use crate::error::Result;
 use crate::metrics::{
-    InstanceScores, LabelScores, SemanticScores, Void, instance_scores, label_scores,
+    InstanceScores, LabelScores, SemanticScores, Void, boundary_iou, instance_scores, label_scores,
 };
 use crate::objects::{Identities, LabelMaps, LabelRule, Semantics, has_truth};
 use crate::pipeline::encode::Inputs;
@@ -103,10 +103,16 @@ impl<'a> HeldOut<'a> {
 
     /// Against true labels, as far as there are any.
     fn labels(&self, found: &[(&View, LabelRuns)], inputs: &Inputs, void: Void) -> LabelScores {
-        let pairs = found
-            .iter()
-            .filter_map(|(view, found)| Some((view.truth.as_ref()?.map(), found.map())));
-        label_scores(&inputs.scene.classes, pairs, void)
+        let classes = &inputs.scene.classes;
+        let pairs = || {
+            found
+                .iter()
+                .filter_map(|(view, found)| Some((view.truth.as_ref()?.map(), found.map())))
+        };
+        LabelScores {
+            boundary_iou: boundary_iou(classes, pairs(), void),
+            ..label_scores(classes, pairs(), void)
+        }
     }
 
     /// Against true instances, where classes are objects.

@@ -6,7 +6,7 @@ use coseg::backend::device::BackendName;
 use std::path::Path;
 
 /// The name of a CPU backend.
-fn backend() -> String {
+pub fn backend() -> String {
     BackendName::compiled()
         .iter()
         .rfind(|name| **name != BackendName::Wgpu)

@@ -78,6 +78,7 @@ fn help_names_every_command_and_shows_examples() {
         "edit",
         "pretrain",
         "bench",
+        "compare",
         "Examples:",
         "Exit code",
     ] {

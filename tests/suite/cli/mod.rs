@@ -2,5 +2,6 @@
 
 pub mod bench;
 pub mod commands;
+pub mod compare;
 pub mod render_settings;
 pub mod views;

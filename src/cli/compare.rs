@@ -1,0 +1,162 @@
+//! `coseg compare`: a table of variants on equal Gaussians, as a plan states it.
+
+use super::progress::Bars;
+use super::scene_file::scene_path;
+use super::train::{command_line, quoted};
+use super::{BackendArgs, interrupt, terminal};
+use clap::Args;
+use coseg::compare::{Cell, Options, Plan, Tables, Watch, run};
+use coseg::error::{Error, Result};
+use coseg::progress::{Event, Progress};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+
+const HELP: &str = "\
+A plan is a TOML file; docs/compare.md describes it, and configs/tables holds those of this crate.
+
+For each scene, stage one is trained once, into DIR/scenes. For each kind of labels, row and seed, stage two is trained on these
+Gaussians. A cell is stored as soon as it is done, and the next command keeps it: a table may be made in many parts. Cells of
+other settings, data or Gaussians, or of another commit of this program, are refused.
+
+DIR gets
+  table.md       the tables, with means and spreads over the seeds
+  compare.json   the same figures and all cells, for programs
+  *.svg          mIoU against frames a second and against seconds, and the IoU of each class
+  cells/         one file a cell; delete one to train it again
+
+Examples:
+  coseg compare configs/tables/table1.toml --data-root scenes --out runs/table1
+  coseg compare configs/tables/table1.toml --data-root scenes --out runs/table1 --only kitchen/corr/
+  coseg compare configs/tables/table1.toml --data-root scenes --out runs/table1 --gaussians studio=runs/studio";
+
+/// Arguments of `coseg compare`.
+#[derive(Args, Debug)]
+#[command(after_help = HELP)]
+pub struct CompareArgs {
+    /// Plan of the table
+    #[arg(value_name = "PLAN.toml")]
+    plan: PathBuf,
+    /// Folder to write to; made if absent
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Folder that holds the scenes of the plan [default: that of the plan]
+    #[arg(long, value_name = "DIR")]
+    data_root: Option<PathBuf>,
+    /// Take the Gaussians of this file or run as stage one of a scene; may be repeated
+    #[arg(long, value_name = "SCENE=FILE.ply|RUN", value_parser = scene_and_file)]
+    gaussians: Vec<(String, PathBuf)>,
+    /// Run only cells with this in their name scene/labels/row/seed
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    only: String,
+    /// Commit of this program, for the tables [default: as git says]
+    #[arg(long, value_name = "TEXT")]
+    commit: Option<String>,
+    /// Keep finished cells of other commits
+    #[arg(long)]
+    keep_cells: bool,
+    #[command(flatten)]
+    backend: BackendArgs,
+}
+
+fn scene_and_file(text: &str) -> std::result::Result<(String, PathBuf), String> {
+    match text.split_once('=') {
+        Some((scene, file)) if !scene.is_empty() && !file.is_empty() => {
+            Ok((scene.to_owned(), file.into()))
+        }
+        _ => Err("expected a scene and a file, for instance studio=runs/studio".into()),
+    }
+}
+
+impl CompareArgs {
+    /// Runs missing cells and writes the tables of all that are finished.
+    pub fn run(self) -> Result<ExitCode> {
+        let plan = Plan::read(&self.plan, self.data_root.as_deref())?;
+        let out = std::path::absolute(&self.out).map_err(|e| Error::io(&self.out, "find", e))?;
+        let given = self.gaussians.iter();
+        let given = given.map(|(scene, path)| Ok((scene.clone(), scene_path(path)?)));
+        let gaussians = given.collect::<Result<_>>()?;
+        let (backend, device) = self.backend.choose()?;
+        let threads = rayon::current_num_threads();
+        let options = Options {
+            out: out.clone(),
+            command: command_line(),
+            commit: self
+                .commit
+                .unwrap_or_else(|| commit(Path::new(env!("CARGO_MANIFEST_DIR")))),
+            device: format!("{backend} backend, {threads} threads"),
+            keep_cells: self.keep_cells,
+            only: self.only,
+            gaussians,
+        };
+        let cells = plan.cells().len();
+        terminal::note(&format!(
+            "{}: {cells} cells ({})",
+            plan.title, options.device
+        ));
+        interrupt::watch();
+        let finished = run(&plan, &options, &device, &mut Lines::default())?;
+        let tables = Tables::new(&plan, &finished.cells, &options.command);
+        for file in tables.write(&out)? {
+            terminal::say(&format!("wrote {}", file.display()));
+        }
+        let empty = cells - finished.cells.len();
+        terminal::say(&format!("{empty} of {cells} cells are empty"));
+        if finished.stopped {
+            let folder = quoted(self.out.display().to_string());
+            terminal::note(&format!(
+                "stopped; the same command with --out {folder} continues"
+            ));
+            return Ok(ExitCode::from(interrupt::EXIT));
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// The commit of the sources at `dir`, with `+changes` where files differ from it; `unknown` without git.
+fn commit(dir: &Path) -> String {
+    let git = |words: &[&str]| {
+        let output = Command::new("git")
+            .arg("-C")
+            .arg(dir)
+            .args(words)
+            .output()
+            .ok()?;
+        let text = String::from_utf8(output.stdout).ok()?;
+        output.status.success().then(|| text.trim().to_owned())
+    };
+    let Some(commit) = git(&["rev-parse", "--short", "HEAD"]) else {
+        return "unknown".to_owned();
+    };
+    match git(&["status", "--porcelain", "--untracked-files=no"]) {
+        Some(changes) if changes.is_empty() => commit,
+        _ => format!("{commit}+changes"),
+    }
+}
+
+/// Shows what a comparison does.
+#[derive(Default)]
+struct Lines(Bars);
+
+impl Progress for Lines {
+    fn event(&mut self, event: &Event) {
+        self.0.event(event);
+    }
+
+    fn stop(&mut self) -> bool {
+        self.0.stop()
+    }
+}
+
+impl Watch for Lines {
+    fn begins(&mut self, what: &str) {
+        terminal::note(what);
+    }
+
+    fn finished(&mut self, cell: &Cell) {
+        let miou = cell.figures.miou;
+        let miou = miou.map_or("no score".to_owned(), |miou| {
+            format!("mIoU {:.1} %", 100.0 * miou)
+        });
+        terminal::note(&format!("{}: {miou}", cell.id));
+    }
+}

@@ -1,0 +1,155 @@
+//! Cells of a table: the scores of one variant on one scene under one seed, each in a file of its own.
+
+use super::{Figures, LabelKind, Row, SceneFolder};
+use crate::config::Variant;
+use crate::error::{Error, Result};
+use crate::files::{self, atomic};
+use crate::metrics::ClassIou;
+use crate::provenance::Provenance;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// What to do about a file of something else.
+const HELP: &str = "delete the file to train it again, or choose another --out";
+
+/// Which cell.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct CellId {
+    /// Name of the scene.
+    pub scene: String,
+    /// Name of the kind of labels.
+    pub labels: String,
+    /// Name of the row.
+    pub row: String,
+    /// Seed of stage two.
+    pub seed: u64,
+}
+
+impl std::fmt::Display for CellId {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "{}/{}/{}/{}",
+            self.scene, self.labels, self.row, self.seed
+        )
+    }
+}
+
+impl CellId {
+    /// The cell of a scene, labels, a row and a seed.
+    pub(super) fn new(scene: &SceneFolder, labels: &LabelKind, row: &Row, seed: u64) -> Self {
+        Self {
+            scene: scene.name.clone(),
+            labels: labels.name.clone(),
+            row: row.name.clone(),
+            seed,
+        }
+    }
+
+    /// The cell's file in the folder `out` of a comparison.
+    pub fn file(&self, out: &Path) -> PathBuf {
+        let folder = out.join("cells").join(&self.scene).join(&self.labels);
+        folder.join(&self.row).join(format!("{}.json", self.seed))
+    }
+}
+
+/// A finished cell.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Cell {
+    /// Which.
+    #[serde(flatten)]
+    pub id: CellId,
+    /// What was trained.
+    pub variant: Variant,
+    /// Commit of the program.
+    pub commit: String,
+    /// Command that trained it.
+    pub command: String,
+    /// Backend and processor threads, in words.
+    pub device: String,
+    /// What was measured.
+    pub figures: Figures,
+    /// IoU of each class in the truth, ascending by id.
+    pub class_iou: Vec<ClassIou>,
+}
+
+/// A cell's file.
+#[derive(Serialize, Deserialize)]
+struct CellFile {
+    #[serde(flatten)]
+    cell: Cell,
+    provenance: Provenance,
+}
+
+/// Writes the file of `cell`, which has `provenance`, in the folder `out` of a comparison.
+pub(super) fn write_cell(out: &Path, cell: Cell, provenance: Provenance) -> Result<()> {
+    let path = cell.id.file(out);
+    write_json(&path, &CellFile { cell, provenance })
+}
+
+/// The finished cell `id` in the folder `out`, if there is one. It has to have `provenance`, and be of `commit` unless that is
+/// `None`.
+///
+/// # Errors
+/// [`Error::Input`] naming the file and what differs.
+pub(super) fn read_cell(
+    out: &Path,
+    id: &CellId,
+    provenance: &Provenance,
+    commit: Option<&str>,
+) -> Result<Option<Cell>> {
+    let path = &id.file(out);
+    if !path.exists() {
+        return Ok(None);
+    }
+    let stored: CellFile = files::json(path, "a cell of `coseg compare`")?;
+    let cell = stored.cell;
+    if cell.id != *id {
+        let (found, expected) = (cell.id.to_string(), id.to_string());
+        return Err(Error::input(
+            path,
+            "scene, labels, row, seed",
+            found,
+            expected,
+            HELP,
+        ));
+    }
+    let differs = provenance.check(&stored.provenance, false, path);
+    differs.map_err(|error| other_provenance(error, path))?;
+    if let Some(commit) = commit.filter(|commit| *commit != cell.commit) {
+        let expected = format!("{commit}, that of this program");
+        let help = format!("{HELP}, or keep such cells with --keep-cells");
+        return Err(Error::input(path, "commit", cell.commit, expected, help));
+    }
+    Ok(Some(cell))
+}
+
+/// The refusal of a run to resume, as the refusal of a finished file of a comparison.
+pub(super) fn other_provenance(error: Error, path: &Path) -> Error {
+    match error {
+        // There the plan's value is found, and the file's is expected.
+        Error::Config {
+            key,
+            found,
+            expected,
+            ..
+        } => {
+            let then = expected.split(", as when ").next().unwrap_or_default();
+            Error::input(path, key, then, format!("{found}, as in the plan"), HELP)
+        }
+        Error::Input {
+            field,
+            found,
+            expected: _,
+            ..
+        } => Error::input(path, field, found, "those of the plan", HELP),
+        other => other,
+    }
+}
+
+/// Writes `value` as JSON for people too.
+pub(super) fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
+    let text = serde_json::to_string_pretty(value);
+    let text = text.map_err(|e| Error::io(path, "encode", e.into()))?;
+    atomic::write_bytes(path, (text + "\n").as_bytes())
+}

@@ -1,0 +1,95 @@
+//! What is measured of a cell.
+
+use crate::data::Split;
+use crate::error::Result;
+use crate::objects::{RenderOptions, Renderer};
+use crate::pipeline::{Outcome, VariantOutcome};
+use crate::raster::Settings;
+use burn::tensor::Device;
+use serde::{Deserialize, Serialize};
+use std::time::Instant;
+
+/// What is measured of a cell. Scores are in 0..1; `None` where there is nothing to measure.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Figures {
+    /// Mean IoU of all held-out views together.
+    pub miou: Option<f64>,
+    /// Mean over views of each view's mean IoU.
+    pub miou_per_view: Option<f64>,
+    /// Share of labelled pixels that are right.
+    pub accuracy: Option<f64>,
+    /// Mean boundary IoU.
+    pub boundary_iou: Option<f64>,
+    /// Frames of colour and labels in a second: 1 over the median time of the held-out views.
+    pub frames_per_second: Option<f64>,
+    /// Bytes of everything that stage two learned.
+    pub learnable_bytes: u64,
+    /// Seconds of training; those of image features are beside it.
+    pub training_seconds: Option<f64>,
+    /// Seconds of extracting and lifting image features, for variants of the decoder.
+    pub feature_seconds: Option<f64>,
+    /// Mean PSNR of the held-out views in dB, after attendance pruning.
+    pub psnr: Option<f64>,
+    /// Gaussians after attendance pruning.
+    pub gaussians: usize,
+}
+
+impl Figures {
+    /// Seconds of stage two: training, and image features where the variant reads them.
+    pub fn seconds(&self) -> Option<f64> {
+        Some(self.training_seconds? + self.feature_seconds.unwrap_or(0.0))
+    }
+
+    /// Those of `row`, a variant of `outcome`.
+    ///
+    /// # Errors
+    /// As [`Renderer::frame`].
+    pub(super) fn of(row: &VariantOutcome, outcome: &Outcome, device: &Device) -> Result<Self> {
+        let seconds = &outcome.seconds;
+        let features = seconds.features + seconds.unprojection;
+        Ok(Self {
+            miou: row.scores.miou,
+            miou_per_view: row.scores.miou_per_view,
+            accuracy: row.scores.accuracy,
+            boundary_iou: row.scores.boundary_iou,
+            frames_per_second: frames_per_second(row, outcome, device)?,
+            learnable_bytes: row.learnable_bytes as u64,
+            training_seconds: row.curve.last().map(|_| row.seconds),
+            feature_seconds: row.row.trains_decoder().then_some(features),
+            psnr: outcome.test.psnr,
+            gaussians: outcome.gaussians.len(),
+        })
+    }
+}
+
+/// Frames of colour and labels in a second, as `coseg render` makes them: 1 over the median time of the held-out views, after one
+/// for practice. `None` for a variant without identities.
+fn frames_per_second(
+    row: &VariantOutcome,
+    outcome: &Outcome,
+    device: &Device,
+) -> Result<Option<f64>> {
+    let Some(identities) = &row.identities else {
+        return Ok(None);
+    };
+    let config = &outcome.config;
+    let options = RenderOptions {
+        settings: Settings::from(&config.raster),
+        background: config.raster.background,
+        min_coverage: config.segmentation.min_coverage as f32,
+    };
+    let labels = identities.ids(&outcome.scene.classes);
+    let renderer = Renderer::new(outcome.gaussians.clone(), Some(labels), options, device)?;
+    let views: Vec<_> = outcome.scene.split(Split::Test).collect();
+    if let Some(view) = views.first() {
+        renderer.frame(&view.camera)?;
+    }
+    let mut seconds = Vec::with_capacity(views.len());
+    for view in views {
+        let start = Instant::now();
+        renderer.frame(&view.camera)?;
+        seconds.push(start.elapsed().as_secs_f64());
+    }
+    seconds.sort_unstable_by(f64::total_cmp);
+    Ok(seconds.get(seconds.len() / 2).map(|median| 1.0 / median))
+}

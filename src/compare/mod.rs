@@ -1,0 +1,21 @@
+//! Tables of variants of stage two on equal Gaussians, features and labels: `coseg compare`.
+//!
+//! A [`Plan`] states a table completely. [`run`] trains stage one once for each scene, then every missing [`Cell`] on its
+//! Gaussians, and keeps each in a file of its own, so that a table is made in as many parts as needed. [`Tables`] holds the means
+//! and spreads of the cells and writes them as JSON, Markdown and plots.
+
+mod cells;
+mod figures;
+mod plan;
+mod plots;
+mod run;
+mod stage_one;
+mod statistics;
+mod tables;
+
+pub use self::cells::{Cell, CellId};
+pub use self::figures::Figures;
+pub use self::plan::{LabelKind, Plan, Row, SceneFolder};
+pub use self::run::{Finished, Options, Watch, run};
+pub use self::statistics::Statistic;
+pub use self::tables::Tables;

@@ -1,0 +1,122 @@
+//! The Gaussians of a scene that all of its cells share: trained once, or taken from a file.
+
+use super::cells::{other_provenance, write_json};
+use super::plan::{Plan, SceneFolder};
+use super::{Options, Watch};
+use crate::config::{BuildingConfig, Config};
+use crate::data::Limits;
+use crate::error::{Error, Result, invalid};
+use crate::files;
+use crate::pipeline::{self, load_scene};
+use crate::provenance::Provenance;
+use crate::splat::{Gaussians, ply};
+use burn::tensor::Device;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// The Gaussians of a scene.
+pub(super) struct SharedGaussians {
+    /// In the folder of the comparison.
+    pub file: PathBuf,
+    /// As in the file.
+    pub gaussians: Gaussians,
+}
+
+impl SharedGaussians {
+    /// Those of `scene`, trained first or taken from the file that `options` name, unless that is done. None where `watch` stopped
+    /// it.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for Gaussians of other settings or photos, or from another file; those of [`pipeline::run`].
+    pub fn of(
+        scene: &SceneFolder,
+        plan: &Plan,
+        options: &Options,
+        device: &Device,
+        watch: &mut dyn Watch,
+    ) -> Result<Option<Self>> {
+        let folder = options.out.join("scenes").join(&scene.name);
+        let record = folder.join("stage_one.json");
+        let named = match options.gaussians.get(&scene.name) {
+            Some(path) => Some(std::path::absolute(path).map_err(|e| Error::io(path, "find", e))?),
+            None => None,
+        };
+        if record.exists() {
+            let done: Record = files::json(&record, "what `coseg compare` says of stage one")?;
+            done.check(&record, scene, plan, named.as_deref())?;
+        } else {
+            watch.begins(&format!("{}: Gaussians", scene.name));
+            let config = settings(plan, scene, named.as_deref())?;
+            let outcome = pipeline::run(&config, &folder, device, watch)?;
+            if outcome.stopped {
+                return Ok(None);
+            }
+            let done = Record {
+                given: named,
+                commit: options.commit.clone(),
+                command: options.command.clone(),
+                device: options.device.clone(),
+                gaussians: outcome.gaussians.len(),
+                psnr: outcome.test.psnr,
+                ssim: outcome.test.ssim,
+                seconds: outcome.seconds.building,
+                provenance: Provenance::stage_one(&config, &outcome.scene),
+            };
+            write_json(&record, &done)?;
+        }
+        let file = folder.join("scene.ply");
+        let gaussians = ply::read(&file, &Limits::default())?.gaussians;
+        Ok(Some(Self { file, gaussians }))
+    }
+}
+
+/// Settings of stage one of `scene`, on the Gaussians of the file `given` if there is one.
+fn settings(plan: &Plan, scene: &SceneFolder, given: Option<&Path>) -> Result<Config> {
+    let mut config = plan.stage_one(scene)?;
+    if let Some(given) = given {
+        config.building = BuildingConfig::taking(given.to_owned());
+    }
+    Ok(config)
+}
+
+/// What the folder of a scene says of its Gaussians.
+#[derive(Serialize, Deserialize)]
+struct Record {
+    /// The file that they were taken from; absent where they were trained.
+    given: Option<PathBuf>,
+    commit: String,
+    command: String,
+    device: String,
+    gaussians: usize,
+    psnr: Option<f64>,
+    ssim: Option<f64>,
+    /// Of stage one.
+    seconds: f64,
+    provenance: Provenance,
+}
+
+impl Record {
+    /// Checks that the Gaussians are those of `plan`, and from the file `named` if that is given; `path` is that of the record.
+    fn check(
+        &self,
+        path: &Path,
+        scene: &SceneFolder,
+        plan: &Plan,
+        named: Option<&Path>,
+    ) -> Result<()> {
+        let origin = match &self.given {
+            Some(file) => file.display().to_string(),
+            None => "trained ones".to_owned(),
+        };
+        if let Some(named) = named.filter(|named| self.given.as_deref() != Some(named)) {
+            return Err(
+                invalid!(path, "Gaussians"; found "{origin}"; expected "{}", named.display();
+                help "leave out --gaussians for this scene, or choose another --out"),
+            );
+        }
+        let config = settings(plan, scene, self.given.as_deref())?;
+        Provenance::stage_one(&config, &load_scene(&config)?)
+            .check(&self.provenance, false, path)
+            .map_err(|error| other_provenance(error, path))
+    }
+}

@@ -1,0 +1,378 @@
+//! Means and spreads of the cells of a plan, as JSON, Markdown and plots.
+
+use super::cells::write_json;
+use super::plots::{Bars, Points};
+use super::statistics::{best, mean};
+use super::{Cell, Figures, Plan, Statistic};
+use crate::error::Result;
+use crate::files::atomic;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// A column of the tables.
+struct Column {
+    /// In JSON.
+    key: &'static str,
+    /// In Markdown.
+    title: &'static str,
+    /// Of one, in the unit of the title.
+    unit: f64,
+    decimals: usize,
+    /// The best is set in bold.
+    is_score: bool,
+    of: fn(&Figures) -> Option<f64>,
+}
+
+impl Column {
+    const fn score(
+        key: &'static str,
+        title: &'static str,
+        of: fn(&Figures) -> Option<f64>,
+    ) -> Self {
+        Self {
+            key,
+            title,
+            unit: 100.0,
+            decimals: 1,
+            is_score: true,
+            of,
+        }
+    }
+
+    const fn cost(
+        key: &'static str,
+        title: &'static str,
+        (unit, decimals): (f64, usize),
+        of: fn(&Figures) -> Option<f64>,
+    ) -> Self {
+        Self {
+            key,
+            title,
+            unit,
+            decimals,
+            is_score: false,
+            of,
+        }
+    }
+}
+
+const MIOU: Column = Column::score("miou", "mIoU, %", |f| f.miou);
+const COLUMNS: [Column; 8] = [
+    MIOU,
+    Column::score("miou_per_view", "mIoU per view, %", |f| f.miou_per_view),
+    Column::score("accuracy", "accuracy, %", |f| f.accuracy),
+    Column::score("boundary_iou", "boundary IoU, %", |f| f.boundary_iou),
+    FRAMES,
+    Column::cost("learnable_bytes", "learnable, MB", (1e-6, 2), |f| {
+        Some(f.learnable_bytes as f64)
+    }),
+    SECONDS,
+    Column::cost("psnr", "PSNR, dB", (1.0, 2), |f| f.psnr),
+];
+const FRAMES: Column = Column::cost("frames_per_second", "frames/s", (1.0, 1), |f| {
+    f.frames_per_second
+});
+const SECONDS: Column = Column::cost("seconds", "seconds", (1.0, 0), Figures::seconds);
+
+/// The tables of a plan.
+pub struct Tables<'a> {
+    plan: &'a Plan,
+    command: &'a str,
+    cells: BTreeMap<(&'a str, &'a str, &'a str, u64), &'a Cell>,
+}
+
+/// A line of a table, for programs.
+#[derive(Serialize)]
+struct Line<'a> {
+    labels: &'a str,
+    row: &'a str,
+    figures: BTreeMap<&'static str, Option<Statistic>>,
+    /// By scene.
+    miou: BTreeMap<&'a str, Option<Statistic>>,
+}
+
+impl<'a> Tables<'a> {
+    /// Of the finished `cells` of `plan`, for files that `command` writes.
+    pub fn new(plan: &'a Plan, cells: &'a [Cell], command: &'a str) -> Self {
+        let key = |cell: &'a Cell| {
+            let id = &cell.id;
+            ((&*id.scene, &*id.labels, &*id.row, id.seed), cell)
+        };
+        Self {
+            plan,
+            command,
+            cells: cells.iter().map(key).collect(),
+        }
+    }
+
+    /// Writes `compare.json`, `table.md` and the plots into `out`; returns their paths.
+    ///
+    /// # Errors
+    /// [`crate::Error::Io`] naming the file.
+    pub fn write(&self, out: &Path) -> Result<Vec<PathBuf>> {
+        let mut files = vec![out.join("table.md"), out.join("compare.json")];
+        atomic::write_bytes(&files[0], self.markdown().as_bytes())?;
+        write_json(&files[1], &self.json())?;
+        for (name, svg) in self.plots() {
+            let path = out.join(name);
+            atomic::write_bytes(&path, svg.as_bytes())?;
+            files.push(path);
+        }
+        Ok(files)
+    }
+
+    /// The mean of a column over `scenes`; `None` where no cell has it.
+    fn statistic(
+        &self,
+        labels: &str,
+        row: &str,
+        scenes: &[&str],
+        column: &Column,
+    ) -> Option<Statistic> {
+        let value =
+            |scene: &str, seed| (column.of)(&self.cells.get(&(scene, labels, row, seed))?.figures);
+        let of_scene = |scene: &&str| {
+            (0..self.plan.seeds)
+                .map(|seed| value(scene, seed))
+                .collect()
+        };
+        Statistic::of(&scenes.iter().map(of_scene).collect::<Vec<_>>())
+    }
+
+    fn scenes(&self) -> Vec<&'a str> {
+        self.plan.scenes.iter().map(|scene| &*scene.name).collect()
+    }
+
+    /// Finished cells of a line on `scenes`.
+    fn finished(&self, labels: &str, row: &str, scenes: &[&str]) -> usize {
+        let is_one = |(scene, kind, line, _): &&(&str, &str, &str, u64)| {
+            *kind == labels && *line == row && scenes.contains(scene)
+        };
+        self.cells.keys().filter(is_one).count()
+    }
+
+    fn commits(&self) -> BTreeMap<&'a str, usize> {
+        let mut commits = BTreeMap::new();
+        for cell in self.cells.values() {
+            *commits.entry(&*cell.commit).or_default() += 1;
+        }
+        commits
+    }
+
+    fn json(&self) -> serde_json::Value {
+        let scenes = self.scenes();
+        let mut lines = Vec::new();
+        for labels in &self.plan.labels {
+            for row in &self.plan.rows {
+                let of = |scenes: &[&str], column| {
+                    self.statistic(&labels.name, &row.name, scenes, column)
+                };
+                let figures = COLUMNS
+                    .iter()
+                    .map(|column| (column.key, of(&scenes, column)));
+                let miou = scenes.iter().map(|scene| (*scene, of(&[scene], &MIOU)));
+                lines.push(Line {
+                    labels: &labels.name,
+                    row: &row.name,
+                    figures: figures.collect(),
+                    miou: miou.collect(),
+                });
+            }
+        }
+        let all = self.plan.cells();
+        let is_empty = |id: &&super::CellId| {
+            !self
+                .cells
+                .contains_key(&(&*id.scene, &*id.labels, &*id.row, id.seed))
+        };
+        let empty = all.iter().filter(is_empty).map(ToString::to_string);
+        serde_json::json!({
+            "title": self.plan.title,
+            "plan": self.plan.path,
+            "command": self.command,
+            "commits": self.commits(),
+            "empty": empty.collect::<Vec<_>>(),
+            "lines": lines,
+            "cells": self.cells.values().collect::<Vec<_>>(),
+        })
+    }
+
+    /// `table.md`.
+    pub fn markdown(&self) -> String {
+        let scenes = self.scenes();
+        let mut text = format!("# {}\n", self.plan.title);
+        for labels in &self.plan.labels {
+            text += &format!("\n## Labels: {}\n\n", labels.name);
+            let columns: Vec<_> = COLUMNS
+                .iter()
+                .map(|column| (column.title, &scenes[..], column))
+                .collect();
+            text += &self.table(&labels.name, &columns);
+            if scenes.len() > 1 {
+                text += "\nmIoU by scene, %:\n\n";
+                let columns: Vec<_> = scenes
+                    .iter()
+                    .map(|scene| (*scene, std::slice::from_ref(scene), &MIOU))
+                    .collect();
+                text += &self.table(&labels.name, &columns);
+            }
+        }
+        text + &self.footer()
+    }
+
+    /// A table of rows by `columns`: a heading, the scenes that its cells are means over, and what they show.
+    fn table(&self, labels: &str, columns: &[(&str, &[&str], &Column)]) -> String {
+        let rows = &self.plan.rows;
+        let found: Vec<Vec<Option<Statistic>>> = columns
+            .iter()
+            .map(|(_, scenes, column)| {
+                let rows = rows.iter();
+                rows.map(|row| self.statistic(labels, &row.name, scenes, column))
+                    .collect()
+            })
+            .collect();
+        let headings: Vec<&str> = columns.iter().map(|(heading, ..)| *heading).collect();
+        let mut text = format!(
+            "| | {} |\n|---|{}\n",
+            headings.join(" | "),
+            "---:|".repeat(columns.len())
+        );
+        for (r, row) in rows.iter().enumerate() {
+            text += &format!("| {}", row.name);
+            for ((_, scenes, column), found) in columns.iter().zip(&found) {
+                let finished = self.finished(labels, &row.name, scenes);
+                let all = scenes.len() * self.plan.seeds as usize;
+                let mut shown = match &found[r] {
+                    _ if finished == 0 => "empty".to_owned(),
+                    None => "–".to_owned(),
+                    Some(statistic) => shown(statistic, column),
+                };
+                if finished > 0 && finished < all {
+                    shown += &format!(" ({finished} of {all})");
+                } else if column.is_score && best(found, all) == Some(r) {
+                    shown = format!("**{shown}**");
+                }
+                text += &format!(" | {shown}");
+            }
+            text += " |\n";
+        }
+        text
+    }
+
+    fn footer(&self) -> String {
+        let seeds = self.plan.seeds;
+        let all = self.plan.cells().len();
+        let spread = if seeds > 1 {
+            format!(
+                "± is the standard deviation over the {seeds} seeds of stage two (of the mean over scenes). Bold: ahead of the \
+                 next row by more than the larger ± of the two."
+            )
+        } else {
+            "There is one seed, so no spread is known and nothing is bold.".to_owned()
+        };
+        let commits: Vec<String> = self
+            .commits()
+            .into_iter()
+            .map(|(commit, cells)| format!("{commit} ({cells} cells)"))
+            .collect();
+        let commits = if commits.is_empty() {
+            "none".to_owned()
+        } else {
+            commits.join(", ")
+        };
+        format!(
+            "\nFigures are means over scenes and seeds, of held-out views; all rows of a scene share the Gaussians of one stage \
+             one. {spread} frames/s: colour and labels together. seconds: training of stage two, with extraction and lifting of \
+             image features where the decoder reads them; of raw labels and votes they are not measured. PSNR: after attendance \
+             pruning. \"3 of 9\": a mean over those cells alone, the others are empty.\n\n\
+             - plan: `{}`\n- command: `{}`\n- commit: {commits}\n- empty cells: {} of {all}\n",
+            self.plan.path.display(),
+            self.command,
+            all - self.cells.len(),
+        )
+    }
+
+    /// File names and texts of the plots.
+    fn plots(&self) -> Vec<(String, String)> {
+        let mut plots = Vec::new();
+        for labels in &self.plan.labels {
+            let kind = &*labels.name;
+            let frames = self.points(kind, &FRAMES, "frames a second, colour and labels");
+            let seconds = self.points(kind, &SECONDS, "seconds of stage two");
+            plots.push((format!("miou_frames_{kind}"), frames.svg(self.command)));
+            plots.push((format!("miou_seconds_{kind}"), seconds.svg(self.command)));
+            for scene in self.scenes() {
+                let bars = self.class_bars(kind, scene);
+                plots.push((format!("iou_{kind}_{scene}"), bars.svg(self.command)));
+            }
+        }
+        plots
+            .into_iter()
+            .filter_map(|(name, svg)| Some((name.replace(' ', "_") + ".svg", svg?)))
+            .collect()
+    }
+
+    /// mIoU against a cost. Rows without all of their cells have no point: others are means over more scenes.
+    fn points(&self, labels: &str, cost: &Column, x_title: &'static str) -> Points {
+        let scenes = self.scenes();
+        let all = scenes.len() * self.plan.seeds as usize;
+        let mut points = Points {
+            title: format!("{}: mIoU, %, labels {labels}", self.plan.title),
+            x_title,
+            points: Vec::new(),
+        };
+        for row in &self.plan.rows {
+            let finished = self.finished(labels, &row.name, &scenes);
+            if finished < all {
+                let name = format!("{}: {finished} of {all} cells", row.name);
+                points.add(name, None, None);
+                continue;
+            }
+            let x = self.statistic(labels, &row.name, &scenes, cost);
+            let y = self.statistic(labels, &row.name, &scenes, &MIOU);
+            let name = match (&x, &y) {
+                (Some(_), Some(y)) => format!("{}: {:.1}", row.name, MIOU.unit * y.mean),
+                _ => format!("{}: not measured", row.name),
+            };
+            points.add(name, x.map(|x| x.mean * cost.unit), y);
+        }
+        points
+    }
+
+    /// The IoU of each class of a scene, in the mean over seeds.
+    fn class_bars(&self, labels: &str, scene: &str) -> Bars {
+        let mut bars = Bars::new(format!(
+            "{}: IoU by class, %, {scene}, labels {labels}",
+            self.plan.title
+        ));
+        for row in &self.plan.rows {
+            let mut by_class: BTreeMap<(u16, &str), Vec<f64>> = BTreeMap::new();
+            let cells = (0..self.plan.seeds)
+                .filter_map(|seed| self.cells.get(&(scene, labels, &*row.name, seed)));
+            for class in cells.flat_map(|cell| &cell.class_iou) {
+                by_class
+                    .entry((class.id, &class.name))
+                    .or_default()
+                    .push(class.iou);
+            }
+            let means = by_class
+                .into_iter()
+                .filter_map(|(class, iou)| Some((class, mean(iou.iter())?)));
+            bars.add(&row.name, means);
+        }
+        bars
+    }
+}
+
+/// `52.3 ± 0.4`. A cost that is the same under all seeds has no spread.
+fn shown(statistic: &Statistic, column: &Column) -> String {
+    let number = |value: f64| format!("{:.*}", column.decimals, column.unit * value);
+    let mean = number(statistic.mean);
+    match statistic.spread {
+        Some(spread) if column.is_score || number(spread) != number(0.0) => {
+            format!("{mean} ± {}", number(spread))
+        }
+        _ => mean,
+    }
+}
