@@ -105,18 +105,14 @@ impl Provenance {
         Self::stage_one(config, scene).with(Data::Gaussians, digest, Values::new())
     }
 
-    /// The provenance of a variant of stage two, by a decoder or per Gaussian.
+    /// The provenance of a variant of stage two; `of_features`: it learns from features of the Gaussians.
     pub fn stage_two(
         config: &Config,
         scene: &Scene,
         gaussians: &Gaussians,
-        trains_decoder: bool,
+        of_features: bool,
     ) -> Self {
-        let sections = if trains_decoder {
-            DECODER
-        } else {
-            PER_GAUSSIAN
-        };
+        let sections = if of_features { DECODER } else { PER_GAUSSIAN };
         let mut pruning = config.clone();
         pruning.unprojection.normalisation = Default::default();
         let provenance = Self {

@@ -14,6 +14,12 @@ pub enum Variant {
     PooledVote,
     /// Identities learned per Gaussian with CE (ablation row 1 of the paper).
     PerGaussian,
+    /// Gaussian Grouping (Ye et al. 2024): a code per Gaussian, blended and classified.
+    Grouping,
+    /// Feature 3DGS (Zhou et al. 2024): features distilled from 2D maps, with a linear head.
+    Distilled,
+    /// The losses of Panoptic Lifting (Siddiqui et al. 2023) on classes of Gaussians.
+    PanopticLifting,
     /// The decoder with CE.
     OursCe,
     /// The decoder with [`SegmentationConfig::loss`](super::SegmentationConfig::loss).
@@ -51,8 +57,19 @@ impl Variant {
     pub fn trains_decoder(self) -> bool {
         !matches!(
             self,
-            Self::Raw | Self::Vote | Self::PooledVote | Self::PerGaussian
+            Self::Raw
+                | Self::Vote
+                | Self::PooledVote
+                | Self::PerGaussian
+                | Self::Grouping
+                | Self::Distilled
+                | Self::PanopticLifting
         )
+    }
+
+    /// Whether the variant reads 2D image features.
+    pub fn reads_image_features(self) -> bool {
+        self == Self::Distilled || (self.trains_decoder() && self != Self::NoImageFeatures)
     }
 
     /// The variant's name in `config.toml` and `metrics.json`.
@@ -62,6 +79,9 @@ impl Variant {
             Self::Vote => "vote",
             Self::PooledVote => "pooled_vote",
             Self::PerGaussian => "per_gaussian",
+            Self::Grouping => "grouping",
+            Self::Distilled => "distilled",
+            Self::PanopticLifting => "panoptic_lifting",
             Self::OursCe => "ours_ce",
             Self::Ours => "ours",
             Self::NoImageFeatures => "no_image_features",
@@ -78,6 +98,9 @@ impl Variant {
             Self::Vote => "vote",
             Self::PooledVote => "pooled vote",
             Self::PerGaussian => "per-Gaussian CE",
+            Self::Grouping => "Gaussian Grouping",
+            Self::Distilled => "Feature 3DGS",
+            Self::PanopticLifting => "Panoptic Lifting",
             Self::OursCe => "ours, CE",
             Self::Ours => "ours",
             Self::NoImageFeatures => "ours without image features",

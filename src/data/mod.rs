@@ -253,7 +253,7 @@ impl View {
 }
 
 /// Label ids of an image, `[H, W]` row-major. Ids are those of the [`Classes`] table.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LabelMap {
     /// Pixels across.
     pub width: usize,

@@ -215,7 +215,10 @@ fn reads_features(config: &Config) -> bool {
     let cells = config.unprojection.resolution == Resolution::Feature
         && config.unprojection.attendance > 0.0;
     let variants = config.segmentation.rows();
-    cells || variants.iter().any(|variant| variant.trains_decoder())
+    cells
+        || variants
+            .iter()
+            .any(|variant| variant.reads_image_features() || variant.trains_decoder())
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@
 //! ```
 //!
 //! [`run`] calls the steps in order; each has a file of its name. `variants` trains and scores the lines of the label table,
-//! `evaluate` holds the scores, `initial_scene` reads Gaussians of another trainer.
+//! `rivals` has the methods of other papers among them, `evaluate` holds the scores, `initial_scene` reads Gaussians of another trainer.
 
 pub mod train_decoder;
 
@@ -15,6 +15,7 @@ pub(crate) mod evaluate;
 mod initial_scene;
 pub(crate) mod lift;
 mod reconstruct;
+mod rivals;
 mod run;
 mod suggest;
 pub(crate) mod variant_training;

@@ -1,10 +1,11 @@
 //! How a variant is trained: its loss, its schedule, what its result follows from, and its decoder before the first step.
 
 use super::encode::Inputs;
+use super::rivals::Grouping;
 use super::train_decoder::{
     Adam, DecoderInput, DecoderModel, DecoderPlan, Plan, Schedule, Training,
 };
-use crate::config::{SegmentationConfig, Variant};
+use crate::config::{Blend, SegmentationConfig, Variant};
 use crate::error::Result;
 use crate::provenance::Provenance;
 use crate::segmentation::decoder::DecoderConfig;
@@ -19,10 +20,31 @@ const GJS_DROPOUT: f64 = 0.2;
 pub(super) fn plan(variant: Variant, inputs: &Inputs) -> Result<Plan> {
     let config = &inputs.config.segmentation;
     let loss = match variant {
-        Variant::PerGaussian | Variant::OursCe => LabelLoss::Ce,
-        _ => LabelLoss::from_config(config)?,
+        Variant::OursCe => LabelLoss::Ce,
+        _ if variant.trains_decoder() => LabelLoss::from_config(config)?,
+        _ => LabelLoss::Ce,
     };
-    Ok(Plan::new(config, loss, inputs.config.seed))
+    let plan = Plan::new(config, loss, inputs.config.seed);
+    Ok(match variant {
+        Variant::Grouping => Plan {
+            blend: Blend::Logits,
+            // The original divides cross-entropy by its value for a uniform prediction.
+            lambda: [
+                1.0 / (inputs.scene.classes.len().max(2) as f64).ln(),
+                Grouping::LAMBDA_3D,
+            ],
+            ..plan
+        },
+        Variant::Distilled => Plan {
+            blend: Blend::Logits,
+            ..plan
+        },
+        Variant::PanopticLifting => Plan {
+            blend: Blend::Probabilities,
+            ..plan
+        },
+        _ => plan,
+    })
 }
 
 /// When `variant` is evaluated and saved.
@@ -48,11 +70,11 @@ pub(super) fn schedule(variant: Variant, inputs: &Inputs, checkpoints: &Path) ->
 /// What the training of `variant` follows from.
 fn provenance(variant: Variant, inputs: &Inputs) -> Result<Provenance> {
     let decoder = variant.trains_decoder();
+    let features = decoder || variant.reads_image_features();
     let mut provenance =
-        Provenance::stage_two(inputs.config, inputs.scene, inputs.gaussians, decoder);
+        Provenance::stage_two(inputs.config, inputs.scene, inputs.gaussians, features);
     if let Some(lifted) = &inputs.lifted
-        && decoder
-        && variant != Variant::NoImageFeatures
+        && variant.reads_image_features()
     {
         provenance = provenance.with_image_features(&lifted.content);
     }

@@ -2,6 +2,7 @@
 
 use super::encode::{Encodings, Inputs, encode, spatial_of};
 use super::evaluate::{HeldOut, HeldOutScores};
+use super::rivals::{Grouping, LinearHead, PanopticLifting, distil};
 use super::train_decoder::{Adam, IdentityModel, PerGaussian, Plan, Training, TrainingViews};
 use super::variant_training::{decoder_training, plan, schedule};
 use super::vote_share::{best_share, mixed};
@@ -13,12 +14,16 @@ use crate::objects::{
     Identities, NeighbourGraph, PooledVote, Votes, pooled_vote, vote, weighted_vote,
 };
 use crate::progress::{CurvePoint, Progress};
+use burn::module::Module;
 use std::cell::OnceCell;
 use std::path::Path;
 use std::time::Instant;
 
 /// Learning rate of per-Gaussian identities.
 const LR_PER_GAUSSIAN: f64 = 5e-2;
+/// Learning rates of Gaussian Grouping and of the linear head of Feature 3DGS: the best of several on the built-in room.
+const LR_GROUPING: f64 = 1e-2;
+const LR_LINEAR_HEAD: f64 = 1e-2;
 /// Share added to every class of the votes that a decoder starts from.
 const VOTE_FLOOR: f32 = 0.02;
 
@@ -124,6 +129,9 @@ pub fn train_variants(
             Variant::Vote => stage.vote()?,
             Variant::PooledVote => stage.pooled_vote()?,
             Variant::PerGaussian => stage.per_gaussian(progress)?,
+            Variant::Grouping => stage.grouping(progress)?,
+            Variant::Distilled => stage.distilled(progress)?,
+            Variant::PanopticLifting => stage.panoptic_lifting(progress)?,
             _ => stage.decoder(variant, progress)?,
         };
         let compactness = |identities: &Identities| Compactness {
@@ -214,6 +222,56 @@ impl<'a> StageTwo<'a> {
         let rate = LR_PER_GAUSSIAN;
         let training = Training::new(model, Adam::new(rate, None), classes);
         self.trained(Variant::PerGaussian, training, &plan, rate, progress)
+    }
+
+    /// Gaussian Grouping.
+    fn grouping(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
+        let plan = plan(Variant::Grouping, self.inputs)?;
+        self.views.use_raw_labels();
+        let device = self.inputs.device.clone().autodiff();
+        let model = Grouping::new(self.inputs, &device)?;
+        let classes = self.inputs.scene.classes.len();
+        let training = Training::new(model, Adam::new(LR_GROUPING, None), classes);
+        self.trained(Variant::Grouping, training, &plan, LR_GROUPING, progress)
+    }
+
+    /// Feature 3DGS: distillation, then a linear head on the raw labels.
+    fn distilled(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
+        let inputs = self.inputs;
+        let plan = plan(Variant::Distilled, inputs)?;
+        let device = inputs.device.clone().autodiff();
+        let Some(distilled) = distil(inputs, &device, progress)? else {
+            return Ok(VariantOutcome::new(
+                Variant::Distilled,
+                HeldOutScores::default(),
+            ));
+        };
+        self.views.use_raw_labels();
+        let head = LinearHead::new(&distilled.field, inputs, &device);
+        let adam = Adam::new(LR_LINEAR_HEAD, None);
+        let training = Training::new(head, adam, inputs.scene.classes.len());
+        let mut outcome = self.trained(
+            Variant::Distilled,
+            training,
+            &plan,
+            LR_LINEAR_HEAD,
+            progress,
+        )?;
+        outcome.seconds += distilled.seconds;
+        outcome.learnable_bytes += 4 * distilled.field.num_params();
+        Ok(outcome)
+    }
+
+    /// The losses of Panoptic Lifting.
+    fn panoptic_lifting(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
+        let plan = plan(Variant::PanopticLifting, self.inputs)?;
+        self.views.use_raw_labels();
+        let device = self.inputs.device.clone().autodiff();
+        let model = PanopticLifting::new(self.inputs, plan.iterations, &device);
+        let classes = self.inputs.scene.classes.len();
+        let training = Training::new(model, Adam::new(LR_PER_GAUSSIAN, None), classes);
+        let variant = Variant::PanopticLifting;
+        self.trained(variant, training, &plan, LR_PER_GAUSSIAN, progress)
     }
 
     /// A decoder (Eq. 7).

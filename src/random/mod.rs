@@ -26,6 +26,8 @@ pub enum Purpose {
     PositionNoise = 7,
     /// Channels that a prediction does without; index = 2 iteration + prediction.
     Dropout = 8,
+    /// First parameters of rivals; index 0.
+    RivalParameters = 11,
     /// Cells that a PCA is fitted on; index = 4 * training view + scale.
     PcaCells = 32,
     /// Colours behind the scene; index = iteration.

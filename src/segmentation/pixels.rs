@@ -40,7 +40,7 @@ impl PixelWeights {
     }
 
     /// The weights of the pixels at `places`.
-    fn at(&self, places: &[u32]) -> Self {
+    pub(crate) fn at(&self, places: &[u32]) -> Self {
         match self {
             Self::Stored(weights) => Self::Stored(Arc::new(weights.select_rows(places))),
             Self::Rendered { view, pixels } => {
@@ -54,7 +54,7 @@ impl PixelWeights {
     }
 
     /// Bytes held.
-    fn bytes(&self) -> Result<usize> {
+    pub(crate) fn bytes(&self) -> Result<usize> {
         match self {
             Self::Stored(weights) => Ok(weights.bytes()),
             Self::Rendered { view, pixels } => Ok(view.bytes()? + 4 * pixels.len()),
@@ -78,8 +78,7 @@ impl FrozenGaussians {
         }
     }
 
-    /// The pixels of `camera` that have one of `labels` and a coverage 1 - T of at least `min_coverage`. Also returns the scene
-    /// index of each Gaussian that they show, ascending: the columns of their weights.
+    /// The pixels of `camera` that have one of `labels` and a coverage 1 - T of at least `min_coverage`, with their weights.
     ///
     /// # Errors
     /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite; on a GPU those of [`SplatView::blend`].
@@ -88,7 +87,7 @@ impl FrozenGaussians {
         camera: &Camera,
         labels: &[u16],
         min_coverage: f32,
-    ) -> Result<(Vec<u32>, LabelledPixels)> {
+    ) -> Result<(LabelledView, PixelWeights)> {
         let wanted: Vec<u32> = (0..labels.len() as u32)
             .filter(|&pixel| labels[pixel as usize] != UNLABELLED)
             .collect();
@@ -99,8 +98,47 @@ impl FrozenGaussians {
             rendered(&view, wanted, min_coverage)?
         };
         let labels = pixels.iter().map(|&p| labels[p as usize]).collect();
-        Ok((visible, LabelledPixels::new(weights, labels)))
+        let view = LabelledView {
+            visible: Arc::new(visible),
+            numbers: Arc::new(pixels),
+            labels: Arc::new(labels),
+        };
+        Ok((view, weights))
     }
+
+    /// The weights of the pixels `numbers` of `camera` over the Gaussians `visible`: bit for bit those that
+    /// [`FrozenGaussians::labelled_pixels`] gives.
+    ///
+    /// # Errors
+    /// As [`FrozenGaussians::labelled_pixels`].
+    pub fn weights(
+        &self,
+        camera: &Camera,
+        visible: &[u32],
+        numbers: Arc<Vec<u32>>,
+    ) -> Result<PixelWeights> {
+        let view = self.splats.seen_by(camera, &self.settings);
+        if self.splats.have_stored_weights() {
+            let weights = view.weights(&numbers)?.normalised(0.0);
+            let weights = weights.over_columns(visible);
+            return Ok(PixelWeights::Stored(Arc::new(weights)));
+        }
+        Ok(PixelWeights::Rendered {
+            view: Box::new(view.of_gaussians(visible)),
+            pixels: numbers,
+        })
+    }
+}
+
+/// The labelled, covered pixels of a view.
+#[derive(Clone, Debug)]
+pub(crate) struct LabelledView {
+    /// Scene index of each Gaussian that the pixels show, ascending: the columns of their weights.
+    pub visible: Arc<Vec<u32>>,
+    /// Row-major number of each pixel.
+    pub numbers: Arc<Vec<u32>>,
+    /// Class index of each pixel.
+    pub labels: Arc<Vec<u16>>,
 }
 
 /// Visible Gaussians, covered pixels among `wanted`, and their weights as a matrix.
@@ -218,14 +256,6 @@ impl LabelledPixels {
         let own = weights.of_channels(&self.labels, classes);
         let flat = values.reshape([gaussians * classes, 1]);
         Ok(sparse_apply(flat, Arc::new(own)))
-    }
-
-    /// Bytes held.
-    ///
-    /// # Errors
-    /// As [`SplatView::blend`].
-    pub(crate) fn bytes(&self) -> Result<usize> {
-        Ok(self.weights.bytes()? + 2 * self.len())
     }
 }
 

@@ -15,11 +15,13 @@ mod view_input;
 mod views;
 
 pub use self::adam::{Adam, NamedValues};
+pub(super) use self::adam::{finite_loss, parameter_gradients, values};
 pub use self::class_recall::ClassRecall;
 pub use self::decoder_model::{DecodedParts, DecoderModel, DecoderPlan, dropped_channels};
-pub use self::per_gaussian::PerGaussian;
+pub use self::per_gaussian::{Logits, PerGaussian};
 pub use self::plan::Plan;
 pub use self::sampling::view_at;
+pub(super) use self::view_cache::ViewCache;
 pub use self::view_input::{DecoderInput, Encoded};
 pub use self::views::{TrainingViews, ViewSample};
 
@@ -29,7 +31,6 @@ use crate::progress::{CurvePoint, Event, Progress};
 use crate::provenance::Provenance;
 use crate::random::{Purpose, stream};
 use crate::segmentation::loss::{CoSegLoss, Scores};
-use adam::{finite_loss, parameter_gradients};
 use burn::module::Module;
 use burn::tensor::{Gradients, Tensor};
 use std::path::PathBuf;
@@ -43,6 +44,20 @@ pub struct Decoded {
     pub regularisation: Option<Tensor<1>>,
     /// Present where the scores were decoded in parts, without autodiff: they are leaves.
     pub parts: Option<DecodedParts>,
+}
+
+/// The scores of an iteration in the pixels of a view.
+pub struct Rendered<'a> {
+    /// Number of the training view.
+    pub view: usize,
+    /// From 0.
+    pub iteration: usize,
+    /// Its drawn pixels.
+    pub sample: &'a ViewSample,
+    /// The scores in them.
+    pub scores: Scores,
+    /// Eq. 9, where the model has one.
+    pub regularisation: Option<Tensor<1>>,
 }
 
 /// A model that stage two trains: parameters from which every Gaussian gets its class scores.
@@ -61,6 +76,15 @@ pub trait IdentityModel {
     /// # Errors
     /// When a frozen input is not finite.
     fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<Decoded>;
+
+    /// The loss of an iteration, `[1]`: the CoSeg loss, unless the model has its own.
+    ///
+    /// # Errors
+    /// Those of blending and of reading labels.
+    fn loss(&mut self, coseg: &CoSegLoss, rendered: Rendered) -> Result<Tensor<1>> {
+        let pixels = &rendered.sample.pixels;
+        coseg.forward(rendered.scores, pixels, rendered.regularisation)
+    }
 
     /// The gradient of all parameters, `[P]`, from the `gradients` of a loss of what was `decoded` in `view`.
     fn gradient(&self, _view: usize, _decoded: &Decoded, gradients: &mut Gradients) -> Tensor<1> {
@@ -177,8 +201,15 @@ impl<M: IdentityModel> Training<M> {
         }
         let decoded = self.model.decode(view, &sample.visible, self.iteration)?;
         let scores = sample.blended(decoded.scores.clone(), plan.blend)?;
-        let loss = self.coseg_loss(plan, &scores, &sample)?;
-        let loss = loss.forward(scores, &sample.pixels, decoded.regularisation.clone())?;
+        let coseg = self.coseg_loss(plan, &scores, &sample)?;
+        let rendered = Rendered {
+            view,
+            iteration: self.iteration,
+            sample: &sample,
+            scores,
+            regularisation: decoded.regularisation.clone(),
+        };
+        let loss = self.model.loss(&coseg, rendered)?;
         let gradient = self.model.gradient(view, &decoded, &mut loss.backward());
         let value = finite_loss(loss.inner(), &gradient)?;
         let module = self.model.module().clone();

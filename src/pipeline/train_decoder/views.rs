@@ -1,7 +1,6 @@
 //! The training views of stage two: their labelled pixels, with blending weights over the Gaussians that they show.
 
 use super::sampling::stratified_sample;
-use super::view_cache::ViewCache;
 use crate::backend::device::read;
 use crate::config::{Blend, SegmentationConfig};
 use crate::data::{Classes, LabelRuns, View};
@@ -10,7 +9,7 @@ use crate::objects::Identities;
 use crate::ops::select;
 use crate::raster::Settings;
 use crate::segmentation::loss::Scores;
-use crate::segmentation::pixels::{FrozenGaussians, LabelledPixels};
+use crate::segmentation::pixels::{FrozenGaussians, LabelledPixels, LabelledView, PixelWeights};
 use crate::splat::Gaussians;
 use burn::tensor::{Device, Tensor, TensorData};
 use rand::Rng;
@@ -23,6 +22,8 @@ pub struct ViewSample {
     pub visible: Arc<Vec<u32>>,
     /// The pixels over `visible`.
     pub pixels: LabelledPixels,
+    /// Row-major number of each pixel in its view.
+    pub numbers: Arc<Vec<u32>>,
 }
 
 impl ViewSample {
@@ -52,10 +53,16 @@ impl ViewSample {
 pub struct TrainingViews<'a> {
     gaussians: FrozenGaussians,
     views: Vec<&'a View>,
-    /// Class index of each label id, [`UNLABELLED`](crate::segmentation::pixels::UNLABELLED) for the others.
-    lookup: Vec<u16>,
+    /// Class index of each label id, [`UNLABELLED`](crate::segmentation::pixels::UNLABELLED) for the others. Absent where labels do
+    /// not count.
+    lookup: Option<Vec<u16>>,
     min_coverage: f32,
-    samples: ViewCache<ViewSample>,
+    /// The labelled pixels of the views that were used already.
+    used: Vec<Option<LabelledView>>,
+    /// Weights of all labelled pixels of a view, while the budget lasts.
+    weights: Vec<Option<PixelWeights>>,
+    /// Bytes left for weights.
+    budget: usize,
     /// What replaces the raw labels.
     replaced: Option<ReplacedLabels>,
 }
@@ -64,7 +71,8 @@ pub struct TrainingViews<'a> {
 struct ReplacedLabels {
     /// `[N, C]`, without autodiff.
     scores: Tensor<2>,
-    labels: ViewCache<Vec<u16>>,
+    /// Of the views that were used already.
+    labels: Vec<Option<Arc<Vec<u16>>>>,
 }
 
 impl<'a> TrainingViews<'a> {
@@ -77,12 +85,29 @@ impl<'a> TrainingViews<'a> {
         config: &SegmentationConfig,
         device: &Device,
     ) -> Self {
-        let views: Vec<_> = views.filter(|v| v.raw.is_some()).collect();
+        let views = views.filter(|view| view.raw.is_some());
+        Self {
+            lookup: Some(classes.lookup()),
+            ..Self::of_all_pixels(gaussians, views, settings, config, device)
+        }
+    }
+
+    /// All views with all of their covered pixels, which have label 0.
+    pub fn of_all_pixels(
+        gaussians: &'a Gaussians,
+        views: impl Iterator<Item = &'a View>,
+        settings: Settings,
+        config: &SegmentationConfig,
+        device: &Device,
+    ) -> Self {
+        let views: Vec<_> = views.collect();
         Self {
             gaussians: FrozenGaussians::new(gaussians, settings, device),
-            lookup: classes.lookup(),
+            lookup: None,
             min_coverage: config.min_coverage as f32,
-            samples: ViewCache::new(views.len(), config.weight_cache_mb << 20),
+            used: vec![None; views.len()],
+            weights: vec![None; views.len()],
+            budget: config.weight_cache_mb << 20,
             views,
             replaced: None,
         }
@@ -101,8 +126,7 @@ impl<'a> TrainingViews<'a> {
         let scores = TensorData::new(identities.scores.clone(), size);
         self.replaced = Some(ReplacedLabels {
             scores: Tensor::from_data(scores, device),
-            // Two bytes a pixel: less than a hundredth of what the weights take.
-            labels: ViewCache::new(self.views.len(), usize::MAX),
+            labels: vec![None; self.views.len()],
         });
     }
 
@@ -128,59 +152,113 @@ impl<'a> TrainingViews<'a> {
     /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite; on a GPU those of
     /// [`crate::raster::SplatView::blend`].
     pub fn sample(&mut self, index: usize, share: f64, rng: &mut impl Rng) -> Result<ViewSample> {
-        let mut all = self.all_pixels(index)?;
-        if let Some(ReplacedLabels { scores, labels }) = &mut self.replaced {
-            let labels = labels.get(index, || {
-                let labels = largest_blended(scores, &all)?;
-                let bytes = 2 * labels.len();
-                Ok((labels, bytes))
-            })?;
-            all = Arc::new(ViewSample {
-                visible: all.visible.clone(),
-                pixels: LabelledPixels {
-                    weights: all.pixels.weights.clone(),
-                    labels,
-                },
+        let (view, weights) = self.labelled(index)?;
+        let (labels, weights) = self.labels(index, &view, weights)?;
+        let visible = view.visible;
+        if share >= 1.0 {
+            let weights = match weights {
+                Some(weights) => weights,
+                None => self.weights_of(index, &visible, &view.numbers)?,
+            };
+            return Ok(ViewSample {
+                visible,
+                pixels: LabelledPixels { weights, labels },
+                numbers: view.numbers,
             });
         }
-        if share >= 1.0 {
-            return Ok(ViewSample::clone(&all));
-        }
-        let drawn = stratified_sample(all.pixels.len(), share, rng);
+        let drawn = stratified_sample(labels.len(), share, rng);
+        let numbers = drawn.iter().map(|&i| view.numbers[i as usize]).collect();
+        let numbers = Arc::new(numbers);
+        let weights = match weights {
+            Some(weights) => weights.at(&drawn),
+            None => self.weights_of(index, &visible, &numbers)?,
+        };
+        let labels = drawn.iter().map(|&i| labels[i as usize]).collect();
         Ok(ViewSample {
-            visible: all.visible.clone(),
-            pixels: all.pixels.at(&drawn),
+            visible,
+            pixels: LabelledPixels::new(weights, labels),
+            numbers,
         })
     }
 
-    /// All labelled, covered pixels of view `index`.
-    fn all_pixels(&mut self, index: usize) -> Result<Arc<ViewSample>> {
-        let (gaussians, view) = (&self.gaussians, self.views[index]);
-        let (lookup, min_coverage) = (&self.lookup, self.min_coverage);
-        self.samples.get(index, || {
-            let raw = view.raw.as_ref().map(LabelRuns::map);
-            let ids = raw.map_or_else(Vec::new, |map| map.ids);
-            let labels: Vec<u16> = ids.iter().map(|&id| lookup[usize::from(id)]).collect();
-            let (visible, pixels) =
-                gaussians.labelled_pixels(&view.camera, &labels, min_coverage)?;
-            let bytes = pixels.bytes()? + 4 * visible.len();
-            let sample = ViewSample {
-                visible: Arc::new(visible),
-                pixels,
-            };
-            Ok((sample, bytes))
-        })
+    /// The weights of the pixels `numbers` of view `index` over the Gaussians `visible`.
+    fn weights_of(
+        &self,
+        index: usize,
+        visible: &[u32],
+        numbers: &Arc<Vec<u32>>,
+    ) -> Result<PixelWeights> {
+        let camera = &self.views[index].camera;
+        self.gaussians.weights(camera, visible, numbers.clone())
+    }
+
+    /// The labelled, covered pixels of view `index`, and their weights at the first use and while they are kept.
+    fn labelled(&mut self, index: usize) -> Result<(LabelledView, Option<PixelWeights>)> {
+        if let Some(view) = &self.used[index] {
+            return Ok((view.clone(), self.weights[index].clone()));
+        }
+        let view = self.views[index];
+        let labels = match &self.lookup {
+            Some(lookup) => {
+                let raw = view.raw.as_ref().map(LabelRuns::map);
+                let ids = raw.map_or_else(Vec::new, |map| map.ids);
+                ids.iter().map(|&id| lookup[usize::from(id)]).collect()
+            }
+            None => vec![0; view.camera.width * view.camera.height],
+        };
+        let (view, weights) =
+            self.gaussians
+                .labelled_pixels(&view.camera, &labels, self.min_coverage)?;
+        if let Some(left) = self.budget.checked_sub(weights.bytes()?) {
+            self.budget = left;
+            self.weights[index] = Some(weights.clone());
+        }
+        self.used[index] = Some(view.clone());
+        Ok((view, Some(weights)))
+    }
+
+    /// The labels of the pixels of `view`, number `index`: its own or what replaces them; and `weights`, which that may need.
+    fn labels(
+        &mut self,
+        index: usize,
+        view: &LabelledView,
+        weights: Option<PixelWeights>,
+    ) -> Result<(Arc<Vec<u16>>, Option<PixelWeights>)> {
+        let Some(replaced) = &self.replaced else {
+            return Ok((view.labels.clone(), weights));
+        };
+        if let Some(labels) = &replaced.labels[index] {
+            return Ok((labels.clone(), weights));
+        }
+        let weights = match weights {
+            Some(weights) => weights,
+            None => self.weights_of(index, &view.visible, &view.numbers)?,
+        };
+        let pixels = LabelledPixels {
+            weights: weights.clone(),
+            labels: view.labels.clone(),
+        };
+        let labels = Arc::new(largest_blended(&replaced.scores, &view.visible, &pixels)?);
+        if let Some(replaced) = &mut self.replaced {
+            replaced.labels[index] = Some(labels.clone());
+        }
+        Ok((labels, Some(weights)))
     }
 }
 
-/// The class of the largest blended score of each pixel of `view`, its own label where all are zero.
-fn largest_blended(scores: &Tensor<2>, view: &ViewSample) -> Result<Vec<u16>> {
+/// The class of the largest blended score of each of `pixels`, its own label where all are zero. `visible` are the Gaussians that
+/// they show.
+fn largest_blended(
+    scores: &Tensor<2>,
+    visible: &[u32],
+    pixels: &LabelledPixels,
+) -> Result<Vec<u16>> {
     let classes = scores.dims()[1];
-    let blended = view.pixels.blend(select(scores, &view.visible))?;
+    let blended = pixels.blend(select(scores, visible))?;
     let blended = read("labels of pixels", blended)?;
     let rows = blended
         .chunks_exact(classes.max(1))
-        .zip(view.pixels.labels.iter());
+        .zip(pixels.labels.iter());
     let label = |(row, &own): (&[f32], &u16)| {
         let best = (0..classes).reduce(|a, b| if row[b] > row[a] { b } else { a });
         best.filter(|&c| row[c] > 0.0).map_or(own, |c| c as u16)

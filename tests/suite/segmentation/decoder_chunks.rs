@@ -86,6 +86,7 @@ impl Scene {
             drawn: ViewSample {
                 visible: Arc::new(visible),
                 pixels,
+                numbers: Arc::new((0..PIXELS as u32).collect()),
             },
             blend,
         }

@@ -1,0 +1,197 @@
+//! Feature 3DGS (Zhou et al. 2024): a feature for each Gaussian, distilled from 2D feature maps by rendering.
+
+use super::super::encode::Inputs;
+use super::super::train_decoder::{
+    Adam, Decoded, IdentityModel, TrainingViews, ViewSample, finite_loss, parameter_gradients,
+    values, view_at,
+};
+use super::{first_parameters, linear, uniform};
+use crate::data::{Split, View};
+use crate::error::Result;
+use crate::features::{Reduction, SCALES, ViewFeatures};
+use crate::objects::Identities;
+use crate::ops::select;
+use crate::progress::{Event, Progress};
+use crate::random::{Purpose, stream};
+use crate::segmentation::pixels::constant;
+use crate::segmentation::randla::parameter;
+use burn::module::{Module, Param};
+use burn::nn::Linear;
+use burn::tensor::{Device, Tensor, TensorData};
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+/// Channels of a Gaussian's feature.
+const CHANNELS: usize = 64;
+/// First features are uniform in +- this.
+const FIRST_FEATURE: f32 = 0.1;
+/// Learning rate of features and decoder.
+const RATE: f64 = 1e-2;
+
+/// A feature of 64 channels for each Gaussian, and the 1x1 convolution that maps blended features to those of the 2D maps.
+#[derive(Module, Debug)]
+pub struct FeatureField {
+    features: Param<Tensor<2>>,
+    decoder: Linear,
+}
+
+/// A distilled field.
+pub struct Distilled {
+    /// The field.
+    pub field: FeatureField,
+    /// Seconds of feature extraction and training.
+    pub seconds: f64,
+}
+
+/// Trains a feature field on the 2D features of all training photos: the mean absolute difference of decoded blended features and
+/// the maps of all four scales, read bilinearly at the drawn pixels. None where `progress` stops it.
+///
+/// Differences from the original: its maps have one scale, and it renders whole images.
+///
+/// # Errors
+/// Those of [`Reduction::fit`]; [`crate::Error::NonFinite`] for a loss or gradient that is not finite.
+pub fn distil(
+    inputs: &Inputs,
+    device: &Device,
+    progress: &mut dyn Progress,
+) -> Result<Option<Distilled>> {
+    let clock = Instant::now();
+    let config = inputs.config;
+    let mut looked = || {
+        if progress.stop() {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    };
+    let (features, seed) = (&config.features, config.seed);
+    let reduction = Reduction::fit(inputs.scene, features, seed, inputs.device, &mut looked)?;
+    let ControlFlow::Continue(mut reduction) = reduction else {
+        return Ok(None);
+    };
+    let maps: Vec<ViewFeatures> = reduction.training_views().collect::<Result<_>>()?;
+    let views = inputs.scene.split(Split::Train);
+    let targets: Vec<(&View, ViewFeatures)> = views.zip(maps).collect();
+    let mut views = TrainingViews::of_all_pixels(
+        inputs.gaussians,
+        targets.iter().map(|(view, _)| *view),
+        inputs.settings,
+        &config.segmentation,
+        inputs.device,
+    );
+    let (count, dimensions) = (inputs.gaussians.len(), config.features.dimensions);
+    let mut rng = first_parameters(inputs);
+    let features = uniform(count * CHANNELS, FIRST_FEATURE, &mut rng);
+    let mut field = FeatureField {
+        features: parameter(features, [count, CHANNELS], device),
+        decoder: linear(CHANNELS, SCALES * dimensions, &mut rng, device),
+    };
+    let mut adam = Adam::new(RATE, None);
+    let iterations = config.segmentation.iterations;
+    progress.event(&Event::Started {
+        stage: "distillation",
+        done: 0,
+        iterations,
+    });
+    for iteration in 0..iterations {
+        let view = view_at(config.seed, iteration, views.len());
+        let mut rng = stream(config.seed, Purpose::Pixels, iteration as u64);
+        let sample = views.sample(view, config.segmentation.pixel_share, &mut rng)?;
+        let loss = if sample.pixels.is_empty() {
+            0.0
+        } else {
+            let (view, maps) = &targets[view];
+            let target = target(&sample, view, maps, dimensions, inputs.device);
+            let features = select(&field.features.val(), &sample.visible);
+            let decoded = field.decoder.forward(sample.pixels.blend(features)?);
+            let loss = (decoded - constant(target, device)).abs().mean();
+            let gradient = parameter_gradients(&field, &mut loss.backward());
+            let value = finite_loss(loss.inner(), &gradient)?;
+            field = adam.step(field, gradient, 1.0);
+            f64::from(value)
+        };
+        progress.event(&Event::Step {
+            iteration: iteration + 1,
+            loss,
+            gaussians: count,
+        });
+        if progress.stop() {
+            return Ok(None);
+        }
+    }
+    progress.event(&Event::Finished);
+    Ok(Some(Distilled {
+        field,
+        seconds: clock.elapsed().as_secs_f64(),
+    }))
+}
+
+/// The maps of all scales at the pixels of `sample`, `[P, 4 dimensions]`.
+fn target(
+    sample: &ViewSample,
+    view: &View,
+    maps: &ViewFeatures,
+    dimensions: usize,
+    device: &Device,
+) -> Tensor<2> {
+    let [width, height] = [view.camera.width, view.camera.height];
+    let mut target = vec![0.0; sample.numbers.len() * SCALES * dimensions];
+    let rows = target.chunks_exact_mut(SCALES * dimensions);
+    for (row, &pixel) in rows.zip(sample.numbers.iter()) {
+        let (x, y) = (pixel as usize % width, pixel as usize / width);
+        let [u, v] = [x as f64 + 0.5, y as f64 + 0.5];
+        for (out, map) in row.chunks_exact_mut(dimensions).zip(&maps.maps) {
+            map.sample(u, v, width, height, out);
+        }
+    }
+    let shape = [sample.numbers.len(), SCALES * dimensions];
+    Tensor::from_data(TensorData::new(target, shape), device)
+}
+
+/// A linear classifier of the frozen features of a field, trained on labels. It commutes with blending.
+pub struct LinearHead {
+    module: Linear,
+    /// `[N, 64]`, without autodiff.
+    features: Tensor<2>,
+}
+
+impl LinearHead {
+    /// Random weights over `field`, on an autodiff `device`.
+    pub fn new(field: &FeatureField, inputs: &Inputs, device: &Device) -> Self {
+        let mut rng = first_parameters(inputs);
+        Self {
+            module: linear(CHANNELS, inputs.scene.classes.len(), &mut rng, device),
+            features: field.features.val().inner(),
+        }
+    }
+}
+
+impl IdentityModel for LinearHead {
+    type Module = Linear;
+
+    fn module(&self) -> &Linear {
+        &self.module
+    }
+
+    fn set_module(&mut self, module: Linear) {
+        self.module = module;
+    }
+
+    fn decode(&mut self, _view: usize, visible: &[u32], _iteration: usize) -> Result<Decoded> {
+        let features = select(&self.features, visible);
+        let features = constant(features, &self.module.weight.device());
+        Ok(Decoded {
+            scores: vec![self.module.forward(features)],
+            regularisation: None,
+            parts: None,
+        })
+    }
+
+    fn identities(&self, module: Linear) -> Identities {
+        let logits = module.valid().forward(self.features.clone());
+        Identities {
+            classes: logits.dims()[1],
+            scores: values(logits),
+        }
+    }
+}

@@ -1,0 +1,212 @@
+//! The losses of Panoptic Lifting (Siddiqui et al. 2023) on classes of Gaussians.
+
+use super::super::encode::Inputs;
+use super::super::train_decoder::{
+    Decoded, IdentityModel, Logits, PerGaussian, Rendered, ViewCache,
+};
+use crate::backend::device::read;
+use crate::config::Blend;
+use crate::data::{Classes, LabelMap, LabelRuns, Split, View};
+use crate::error::Result;
+use crate::objects::Identities;
+use crate::segmentation::loss::CoSegLoss;
+use crate::segmentation::pixels::{constant, one_hot};
+use burn::tensor::{Device, Tensor, TensorData};
+use union_find::{QuickUnionUf, UnionBySize, UnionFind};
+
+/// Weight of the segment consistency against the label loss.
+const LAMBDA_SEGMENT: f64 = 1.2;
+/// Share of the iterations before segment consistency begins.
+const SEGMENTS_FROM: f64 = 0.6;
+/// Keeps the logarithm of a blended probability finite.
+const LEAST_PROBABILITY: f64 = 1e-8;
+
+/// Class probabilities of each Gaussian, blended, under cross-entropy weighted by the segmenter's confidence, and under consistency
+/// within 2D segments: every pixel of a segment learns the class that the segment has in the mean.
+///
+/// Confidence is the largest probability of a pixel in the scores of its labels, and 1 where labels have no scores. Differences from
+/// the original: Gaussians instead of a field; hard labels instead of probabilities averaged over test-time augmentation; segments
+/// are the connected parts of one class in a label map, and all that a step draws take part instead of 32.
+pub struct PanopticLifting<'a> {
+    classes: PerGaussian,
+    views: Vec<&'a View>,
+    names: &'a Classes,
+    labels: ViewCache<Segments>,
+    segments_from: usize,
+}
+
+/// The raw labels of a view as segments.
+struct Segments {
+    /// Number of the segment of each pixel.
+    numbers: Vec<u32>,
+    /// Confidence of each pixel.
+    confidence: Vec<f32>,
+}
+
+impl<'a> PanopticLifting<'a> {
+    /// Uniform classes for the Gaussians of `inputs`, on an autodiff `device`, trained for `iterations`.
+    pub fn new(inputs: &Inputs<'a>, iterations: usize, device: &Device) -> Self {
+        let scene = inputs.scene;
+        let views: Vec<_> = scene
+            .split(Split::Train)
+            .filter(|view| view.raw.is_some())
+            .collect();
+        let size = [inputs.gaussians.len(), scene.classes.len()];
+        Self {
+            classes: PerGaussian::new(size, Blend::Probabilities, device),
+            // Eight bytes a pixel: a hundredth of what the weights take.
+            labels: ViewCache::new(views.len(), usize::MAX),
+            views,
+            names: &scene.classes,
+            segments_from: (SEGMENTS_FROM * iterations as f64).round() as usize,
+        }
+    }
+}
+
+impl Segments {
+    fn of(view: &View, classes: &Classes) -> Result<Self> {
+        let map = view
+            .raw
+            .as_ref()
+            .map_or_else(LabelMap::default, LabelRuns::map);
+        let mut confidence = vec![1.0; map.ids.len()];
+        if let Some(scores) = &view.scores {
+            let scores = scores.read(classes)?;
+            let mut found = Vec::new();
+            for (pixel, confidence) in confidence.iter_mut().enumerate() {
+                scores.at(pixel % map.width, pixel / map.width, &mut found);
+                *confidence = found.first().map_or(0.0, |&(_, p)| p);
+            }
+        }
+        Ok(Self {
+            numbers: connected(&map),
+            confidence,
+        })
+    }
+}
+
+/// The number of the connected part of one id that each pixel belongs to.
+fn connected(map: &LabelMap) -> Vec<u32> {
+    let mut parts = QuickUnionUf::<UnionBySize>::new(map.ids.len());
+    for pixel in 0..map.ids.len() {
+        let mut join = |other: usize| {
+            if map.ids[pixel] == map.ids[other] {
+                parts.union(pixel, other);
+            }
+        };
+        if pixel % map.width > 0 {
+            join(pixel - 1);
+        }
+        if pixel >= map.width {
+            join(pixel - map.width);
+        }
+    }
+    (0..map.ids.len())
+        .map(|pixel| parts.find(pixel) as u32)
+        .collect()
+}
+
+/// For each pixel the class of the largest mean probability in its segment. `p` is `[P, classes]`, `segments` has the number of
+/// each pixel's segment.
+fn segment_classes(p: &[f32], classes: usize, segments: &[u32]) -> Vec<u16> {
+    let mut sums = std::collections::HashMap::<u32, Vec<f32>>::new();
+    for (row, segment) in p.chunks_exact(classes.max(1)).zip(segments) {
+        let sum = sums.entry(*segment).or_insert_with(|| vec![0.0; classes]);
+        sum.iter_mut().zip(row).for_each(|(sum, p)| *sum += p);
+    }
+    let largest = |sum: &Vec<f32>| (0..classes).reduce(|a, b| if sum[b] > sum[a] { b } else { a });
+    let class = |segment| largest(&sums[segment]).unwrap_or(0) as u16;
+    segments.iter().map(class).collect()
+}
+
+/// The mean over pixels of -w ln p of `labels`, from log-probabilities `[P, C]` and weights `[P, 1]`.
+fn weighted_cross_entropy(log_p: &Tensor<2>, labels: &[u16], weights: Tensor<2>) -> Tensor<1> {
+    let own = (log_p.clone() * one_hot(labels, log_p)).sum_dim(1);
+    (own * weights).sum() * (-1.0 / labels.len() as f64)
+}
+
+impl IdentityModel for PanopticLifting<'_> {
+    type Module = Logits;
+
+    fn module(&self) -> &Logits {
+        self.classes.module()
+    }
+
+    fn set_module(&mut self, module: Logits) {
+        self.classes.set_module(module);
+    }
+
+    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<Decoded> {
+        self.classes.decode(view, visible, iteration)
+    }
+
+    fn loss(&mut self, _coseg: &CoSegLoss, rendered: Rendered) -> Result<Tensor<1>> {
+        let (view, names) = (self.views[rendered.view], self.names);
+        let labels = self.labels.get(rendered.view, || {
+            let segments = Segments::of(view, names)?;
+            let bytes = 8 * segments.numbers.len();
+            Ok((segments, bytes))
+        })?;
+        let sample = rendered.sample;
+        let p = rendered.scores.probabilities(&sample.pixels)?;
+        let (count, classes) = (sample.pixels.len(), names.len());
+        let numbers = || sample.numbers.iter().map(|&pixel| pixel as usize);
+        let confidence: Vec<f32> = numbers().map(|pixel| labels.confidence[pixel]).collect();
+        let confidence = TensorData::new(confidence, [count, 1]);
+        let plain = p.device().inner();
+        let confidence = constant(Tensor::from_data(confidence, &plain), &p.device());
+        let log_p = (p.clone() + LEAST_PROBABILITY).log();
+        let loss = weighted_cross_entropy(&log_p, &sample.pixels.labels, confidence.clone());
+        if rendered.iteration < self.segments_from {
+            return Ok(loss);
+        }
+        let segments: Vec<u32> = numbers().map(|pixel| labels.numbers[pixel]).collect();
+        let p = read("class probabilities of pixels", p.inner())?;
+        let targets = segment_classes(&p, classes, &segments);
+        let consistency = weighted_cross_entropy(&log_p, &targets, confidence);
+        Ok(loss + consistency * LAMBDA_SEGMENT)
+    }
+
+    fn identities(&self, module: Logits) -> Identities {
+        self.classes.identities(module)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn segments_are_connected_parts_of_one_id() {
+        let map = LabelMap {
+            width: 4,
+            height: 3,
+            ids: vec![1, 1, 2, 1, 2, 1, 2, 1, 2, 2, 2, 1],
+        };
+        let parts = connected(&map);
+        let same = |a: usize, b: usize| parts[a] == parts[b];
+        assert!(same(0, 1) && same(1, 5), "the left part of 1");
+        assert!(same(3, 7) && same(7, 11), "the right part of 1");
+        assert!(!same(0, 3), "two parts of 1");
+        assert!(same(2, 6) && same(6, 10) && same(10, 8) && same(8, 4));
+        assert!(!same(0, 2));
+    }
+
+    #[test]
+    fn a_segment_takes_its_largest_mean_class() {
+        let p = [0.9, 0.1, 0.4, 0.6, 0.4, 0.6, 0.1, 0.9];
+        assert_eq!(segment_classes(&p, 2, &[7, 7, 7, 3]), [0, 0, 0, 1]);
+    }
+
+    #[cfg(feature = "ndarray")]
+    #[test]
+    fn cross_entropy_is_weighted_by_confidence() {
+        let device = Device::ndarray();
+        let p = [[0.5_f32, 0.25, 0.25], [0.1, 0.8, 0.1]];
+        let log_p = Tensor::<2>::from_data(p, &device).log();
+        let weights = Tensor::<2>::from_data([[1.0_f32], [0.5]], &device);
+        let loss = weighted_cross_entropy(&log_p, &[1, 1], weights).into_scalar::<f32>();
+        let expected = -(0.25_f32.ln() + 0.5 * 0.8_f32.ln()) / 2.0;
+        assert!((loss - expected).abs() < 1e-6, "{loss} {expected}");
+    }
+}
