@@ -8,6 +8,7 @@ pub mod given;
 pub mod interrupt;
 pub mod provenance;
 pub mod resume;
+pub mod rivals;
 pub mod run_folder;
 pub mod stage_two;
 pub mod stops;

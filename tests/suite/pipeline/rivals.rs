@@ -30,13 +30,7 @@ fn trained(rows: &[Variant], iterations: usize) -> Outcome {
         ..Config::default()
     };
     config.data.dir = Some(folder.path().to_owned());
-    run(
-        &config,
-        &folder.path().join("run"),
-        &device(),
-        &mut Silent,
-    )
-    .expect("a run")
+    run(&config, &folder.path().join("run"), &device(), &mut Silent).expect("a run")
 }
 
 fn miou(row: &VariantOutcome) -> f64 {
