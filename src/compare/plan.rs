@@ -15,6 +15,9 @@ const MOST_CELLS: u64 = 10_000;
 /// Most bytes of a name, which is part of file names.
 const MOST_BYTES: usize = 60;
 
+/// The scene of this name is the built-in room.
+const BUILTIN: &str = "builtin";
+
 /// Settings that a plan decides by its other parts, and where.
 const OWN_KEYS: [(&str, &str); 4] = [
     ("seed", "`seeds` counts them"),
@@ -44,10 +47,10 @@ pub struct Plan {
 /// A scene of a plan.
 #[derive(Clone, Debug)]
 pub struct SceneFolder {
-    /// Name of the folder.
+    /// Name of the folder, or [`BUILTIN`].
     pub name: String,
-    /// The folder.
-    pub dir: PathBuf,
+    /// The folder; absent for the built-in room.
+    pub dir: Option<PathBuf>,
 }
 
 /// A kind of labels: where they come from.
@@ -88,7 +91,8 @@ struct PlanFile {
 }
 
 impl Plan {
-    /// Reads and checks the plan at `path`. Its scenes are folders within `root`, or else within the folder of the file.
+    /// Reads and checks the plan at `path`. Its scenes are folders within `root`, or else within the folder of the
+    /// file; `builtin` is the built-in room.
     ///
     /// # Errors
     /// [`Error::Io`]; [`Error::Input`] naming the field of the file; [`Error::Missing`] for a scene that is not there;
@@ -101,7 +105,7 @@ impl Plan {
         let root = root.or(path.parent()).unwrap_or(Path::new("."));
         let scene = |given: &String| SceneFolder {
             name: folder_name(given),
-            dir: root.join(given),
+            dir: (given != BUILTIN).then(|| root.join(given)),
         };
         let plan = Self {
             path: path.to_owned(),
@@ -138,7 +142,7 @@ impl Plan {
     /// [`Error::Config`].
     pub(super) fn stage_one(&self, scene: &SceneFolder) -> Result<Config> {
         let mut config = Config::of_tables(&[&self.settings])?;
-        config.data.dir = Some(scene.dir.clone());
+        config.data.dir = scene.dir.clone();
         config.segmentation.rows = Some(Vec::new());
         Ok(config)
     }
@@ -149,7 +153,7 @@ impl Plan {
     /// [`Error::Config`].
     pub(super) fn reading(&self, scene: &SceneFolder, labels: &LabelKind) -> Result<Config> {
         let mut config = Config::of_tables(&[&self.settings, &labels.settings])?;
-        config.data.dir = Some(scene.dir.clone());
+        config.data.dir = scene.dir.clone();
         Ok(config)
     }
 
@@ -166,7 +170,7 @@ impl Plan {
         gaussians: PathBuf,
     ) -> Result<Config> {
         let mut config = Config::of_tables(&[&self.settings, &labels.settings, &row.settings])?;
-        config.data.dir = Some(scene.dir.clone());
+        config.data.dir = scene.dir.clone();
         config.seed = seed;
         config.building = BuildingConfig::taking(gaussians);
         Ok(config)
@@ -203,10 +207,10 @@ impl Plan {
             self.check_list(field, &names)?;
         }
         for scene in &self.scenes {
-            if !scene.dir.is_dir() {
+            if let Some(dir) = scene.dir.as_ref().filter(|dir| !dir.is_dir()) {
                 return Err(Error::Missing {
                     what: "folder",
-                    path: scene.dir.clone(),
+                    path: dir.clone(),
                     help: format!(
                         "{} names it in `scenes`, relative to --data-root or else to the plan",
                         self.path.display()

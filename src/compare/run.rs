@@ -87,8 +87,10 @@ pub fn run(
 
 fn check_options(plan: &Plan, options: &Options) -> Result<()> {
     for scene in &plan.scenes {
-        let read = plan.load_options(scene, &plan.labels[0])?;
-        data::check_outputs("--out", &[&options.out], Some((&scene.dir, &read)))?;
+        if let Some(dir) = &scene.dir {
+            let read = plan.load_options(scene, &plan.labels[0])?;
+            data::check_outputs("--out", &[&options.out], Some((dir, &read)))?;
+        }
     }
     let names: Vec<&str> = plan.scenes.iter().map(|scene| &*scene.name).collect();
     let unknown = options

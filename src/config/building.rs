@@ -29,6 +29,19 @@ pub struct AdcConfig {
     pub absgrad: bool,
     /// Threshold on the mean screen-space gradient |(dL/du W/2, dL/dv H/2)|; absent: 8e-4, or 2e-4 without `absgrad`.
     pub threshold: Option<f32>,
+    /// Above which size Gaussians are pruned.
+    pub size_limit: SizeRule,
+}
+
+/// The size from which Gaussians are pruned, as a tenth of a length.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SizeRule {
+    /// The distance from the mean camera, or the extent where that is longer.
+    #[default]
+    Distance,
+    /// The extent alone, from the first reset of opacities on: 3DGS. Its limit on screen has no effect in its own program either.
+    Extent,
 }
 
 impl AdcConfig {

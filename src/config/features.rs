@@ -63,7 +63,7 @@ impl FeatureConfig {
             format!("a path to {network} weights, because features.source asks for {network}");
         Err(
             invalid!(setting "features.weights"; found "nothing"; expected "{expected}";
-            help "give it, or set features.source = \"auto\""),
+            help "give it, or name another features.source, such as \"descriptor\", which needs no weights"),
         )
     }
 }

@@ -19,7 +19,7 @@ mod segmentation;
 mod variant;
 
 pub use self::association::{Association, AssociationConfig};
-pub use self::building::{AdcConfig, BuildingConfig, McmcConfig, RasterConfig, Strategy};
+pub use self::building::{AdcConfig, BuildingConfig, McmcConfig, RasterConfig, SizeRule, Strategy};
 pub(crate) use self::data::same_folder;
 pub use self::data::{DataConfig, LabelsBy, Layout, NO_MASKS, RawFormat, ScannetClasses};
 pub use self::features::{
@@ -27,7 +27,7 @@ pub use self::features::{
     UnprojectionConfig,
 };
 pub use self::segmentation::{
-    Blend, GCE_EXPONENTS, LabelLoss, LabelSource, Prior, SegmentationConfig,
+    Blend, GCE_EXPONENTS, LabelLoss, LabelSource, Prior, Reduction, SegmentationConfig,
 };
 pub use self::variant::Variant;
 

@@ -1,8 +1,8 @@
 //! The named sets of defaults.
 
 use super::{
-    AdcConfig, Blend, Config, Encode, LabelLoss, LabelSource, Normalisation, Preset, Prior,
-    Resolution, Strategy,
+    AdcConfig, Blend, Config, Encode, FeatureSource, LabelLoss, LabelSource, Normalisation, Preset,
+    Prior, Reduction, Resolution, SizeRule, Strategy,
 };
 
 impl Config {
@@ -34,8 +34,10 @@ impl Config {
                 config.building.random_background = false;
                 config.building.strategy = Strategy::Adc(AdcConfig {
                     absgrad: false,
+                    size_limit: SizeRule::Extent,
                     ..AdcConfig::default()
                 });
+                config.features.source = FeatureSource::Dino;
                 config.unprojection.normalisation = Normalisation::Count;
                 config.unprojection.resolution = Resolution::Feature;
                 config.unprojection.attendance_pixels = 0.0;
@@ -44,6 +46,7 @@ impl Config {
                 config.segmentation.blend = Blend::Logits;
                 config.segmentation.prior = Prior::None;
                 config.segmentation.loss = LabelLoss::Js { pi_rl: 0.9 };
+                config.segmentation.reduction = Reduction::Sum;
                 config.segmentation.warmup = 0.0;
                 config.segmentation.average = false;
                 config.segmentation.render = LabelSource::Scores;

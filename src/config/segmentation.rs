@@ -86,8 +86,21 @@ impl LabelLoss {
 pub enum Blend {
     /// Logits, softmax after blending (Eq. 3 and 8 of the paper).
     Logits,
-    /// Class probabilities of each Gaussian: a convex mixture, so one confident Gaussian cannot outvote those in front.
+    /// Class probabilities of each Gaussian over the coverage 1 - T: a convex mixture, so one confident Gaussian cannot outvote
+    /// those in front.
     Probabilities,
+}
+
+/// What the weights of the CoSeg loss multiply.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reduction {
+    /// The mean label loss of pixels, and the mean divergence of neighbours.
+    #[default]
+    Mean,
+    /// The sum over pixels (Eq. 8), and that over neighbours divided by M N (Eq. 9): the paper. It does not define N; here N is
+    /// the number of scales.
+    Sum,
 }
 
 /// What label maps are rendered from.
@@ -153,6 +166,8 @@ pub struct SegmentationConfig {
     /// Weight of the 3D regularisation (Eq. 9).
     #[default(0.2)]
     pub lambda_reg: f64,
+    /// What these weights multiply.
+    pub reduction: Reduction,
     /// Share of the run that trains with cross-entropy before any other loss.
     #[default(0.1)]
     pub warmup: f64,

@@ -5,7 +5,7 @@ use super::rivals::Grouping;
 use super::train_decoder::{
     Adam, DecoderInput, DecoderModel, DecoderPlan, Plan, Schedule, Training,
 };
-use crate::config::{Blend, SegmentationConfig, Variant};
+use crate::config::{Blend, Reduction, SegmentationConfig, Variant};
 use crate::error::Result;
 use crate::provenance::Provenance;
 use crate::segmentation::decoder::DecoderConfig;
@@ -33,6 +33,7 @@ pub(super) fn plan(variant: Variant, inputs: &Inputs) -> Result<Plan> {
                 1.0 / (inputs.scene.classes.len().max(2) as f64).ln(),
                 Grouping::LAMBDA_3D,
             ],
+            reduction: Reduction::Mean,
             ..plan
         },
         Variant::Distilled => Plan {

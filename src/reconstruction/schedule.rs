@@ -60,11 +60,15 @@ impl Schedule {
 
     /// Whether opacities are reset after `step`; never with [`Strategy::Mcmc`].
     pub fn resets(&self, step: usize) -> bool {
-        let passes = PASSES_BETWEEN_RESETS * self.views;
-        let every = self.config.reset_every.max(passes).max(1);
         matches!(self.config.strategy, Strategy::Adc(_))
-            && step.is_multiple_of(every)
+            && step.is_multiple_of(self.reset_every())
             && step < self.densify_until()
+    }
+
+    /// Steps between two resets.
+    pub fn reset_every(&self) -> usize {
+        let passes = PASSES_BETWEEN_RESETS * self.views;
+        self.config.reset_every.max(passes).max(1)
     }
 
     /// Whether the held-out views are scored after `step`.

@@ -6,7 +6,7 @@ use super::densify::{
 };
 use super::mcmc::{PositionNoise, RelocationRules, relocate};
 use super::optimizer::Leaves;
-use crate::config::{AdcConfig, McmcConfig, Strategy};
+use crate::config::{AdcConfig, McmcConfig, SizeRule, Strategy};
 use crate::error::{Result, invalid};
 use crate::ops::sum_all;
 use crate::random::{Purpose, stream};
@@ -21,7 +21,7 @@ const NOISE_SHARPNESS: f64 = 100.0;
 const NOISE_OPACITY: f64 = 0.005;
 /// Gaussians below this share of the extent are cloned, others split.
 const CLONE_BELOW: f32 = 0.01;
-/// Gaussians larger than this share of their distance from the mean camera, or of the extent where that is longer, are pruned.
+/// Gaussians larger than this share of the length that [`SizeRule`] names are pruned.
 const PRUNE_SCALE: f32 = 0.1;
 
 impl Trainer<'_> {
@@ -100,12 +100,28 @@ impl Trainer<'_> {
             threshold: adc.threshold(),
             clone_below: CLONE_BELOW * self.extent as f32,
             prune_opacity: building.prune_opacity,
-            prune_scale: SizeLimit {
-                share: PRUNE_SCALE,
-                extent: self.extent as f32,
-                center: self.center.as_vec3().to_array(),
-            },
+            prune_scale: self.size_limit(adc.size_limit),
             max_gaussians: building.max_gaussians,
+        }
+    }
+
+    fn size_limit(&self, rule: SizeRule) -> SizeLimit {
+        let extent = self.extent as f32;
+        match rule {
+            SizeRule::Distance => SizeLimit {
+                share: PRUNE_SCALE,
+                extent,
+                center: Some(self.center.as_vec3().to_array()),
+            },
+            SizeRule::Extent => SizeLimit {
+                share: if self.iteration > self.schedule.reset_every() {
+                    PRUNE_SCALE
+                } else {
+                    f32::INFINITY
+                },
+                extent,
+                center: None,
+            },
         }
     }
 

@@ -12,7 +12,8 @@ use std::sync::Arc;
 /// The label of pixels that do not count.
 pub const UNLABELLED: u16 = u16::MAX;
 
-/// Blending weights of P pixels over the V Gaussians that they show. The weights of a pixel sum to 1.
+/// Blending weights of P pixels over the V Gaussians that they show. The weights of a pixel sum to 1, or to its coverage 1 - T
+/// where [`FrozenGaussians`] does not divide by that.
 #[derive(Clone, Debug)]
 pub enum PixelWeights {
     /// Stored as a matrix `[P, V]`.
@@ -23,6 +24,8 @@ pub enum PixelWeights {
         view: Box<SplatView>,
         /// Row-major numbers of the P pixels.
         pixels: Arc<Vec<u32>>,
+        /// Whether blended values are divided by the coverage.
+        over_coverage: bool,
     },
 }
 
@@ -31,8 +34,15 @@ impl PixelWeights {
     fn blend(&self, values: Tensor<2>) -> Result<Tensor<2>> {
         match self {
             Self::Stored(weights) => Ok(sparse_apply(values, weights.clone())),
-            Self::Rendered { view, pixels } => {
+            Self::Rendered {
+                view,
+                pixels,
+                over_coverage,
+            } => {
                 let (image, transmittance) = view.blend_at(values, pixels)?;
+                if !over_coverage {
+                    return Ok(image);
+                }
                 let coverage = transmittance.neg() + 1.0;
                 Ok(image / coverage.reshape([pixels.len(), 1]))
             }
@@ -43,11 +53,16 @@ impl PixelWeights {
     pub(crate) fn at(&self, places: &[u32]) -> Self {
         match self {
             Self::Stored(weights) => Self::Stored(Arc::new(weights.select_rows(places))),
-            Self::Rendered { view, pixels } => {
+            Self::Rendered {
+                view,
+                pixels,
+                over_coverage,
+            } => {
                 let pixels = places.iter().map(|&place| pixels[place as usize]);
                 Self::Rendered {
                     view: view.clone(),
                     pixels: Arc::new(pixels.collect()),
+                    over_coverage: *over_coverage,
                 }
             }
         }
@@ -57,7 +72,7 @@ impl PixelWeights {
     pub(crate) fn bytes(&self) -> Result<usize> {
         match self {
             Self::Stored(weights) => Ok(weights.bytes()),
-            Self::Rendered { view, pixels } => Ok(view.bytes()? + 4 * pixels.len()),
+            Self::Rendered { view, pixels, .. } => Ok(view.bytes()? + 4 * pixels.len()),
         }
     }
 }
@@ -67,14 +82,21 @@ impl PixelWeights {
 pub(crate) struct FrozenGaussians {
     splats: SplatTensors,
     settings: Settings,
+    over_coverage: bool,
 }
 
 impl FrozenGaussians {
-    /// `gaussians`, blended on `device`.
-    pub fn new(gaussians: &Gaussians, settings: Settings, device: &Device) -> Self {
+    /// `gaussians`, blended on `device`. Blended values are divided by the coverage 1 - T where `over_coverage` says so.
+    pub fn new(
+        gaussians: &Gaussians,
+        settings: Settings,
+        over_coverage: bool,
+        device: &Device,
+    ) -> Self {
         Self {
             splats: SplatTensors::new(gaussians, device),
             settings,
+            over_coverage,
         }
     }
 
@@ -93,9 +115,9 @@ impl FrozenGaussians {
             .collect();
         let view = self.splats.seen_by(camera, &self.settings);
         let (visible, pixels, weights) = if self.splats.have_stored_weights() {
-            stored(&view, &wanted, min_coverage)?
+            self.stored(&view, &wanted, min_coverage)?
         } else {
-            rendered(&view, wanted, min_coverage)?
+            self.rendered(&view, wanted, min_coverage)?
         };
         let labels = pixels.iter().map(|&p| labels[p as usize]).collect();
         let view = LabelledView {
@@ -119,14 +141,74 @@ impl FrozenGaussians {
     ) -> Result<PixelWeights> {
         let view = self.splats.seen_by(camera, &self.settings);
         if self.splats.have_stored_weights() {
-            let weights = view.weights(&numbers)?.normalised(0.0);
-            let weights = weights.over_columns(visible);
-            return Ok(PixelWeights::Stored(Arc::new(weights)));
+            let weights = view.weights(&numbers)?.over_columns(visible);
+            return Ok(self.as_stored(weights));
         }
-        Ok(PixelWeights::Rendered {
+        Ok(self.as_rendered(&view, visible, numbers))
+    }
+
+    /// Visible Gaussians, covered pixels among `wanted`, and their weights as a matrix.
+    fn stored(
+        &self,
+        view: &SplatView,
+        wanted: &[u32],
+        min_coverage: f32,
+    ) -> Result<(Vec<u32>, Vec<u32>, PixelWeights)> {
+        let weights = view.weights(wanted)?;
+        let covered = weights.rows_from(min_coverage);
+        let pixels = covered.iter().map(|&row| wanted[row as usize]).collect();
+        let weights = weights.select_rows(&covered);
+        let visible = weights.used_columns();
+        let weights = self.as_stored(weights.over_columns(&visible));
+        Ok((visible, pixels, weights))
+    }
+
+    /// Visible Gaussians, covered pixels among `wanted`, and weights that are blended anew at each use.
+    fn rendered(
+        &self,
+        view: &SplatView,
+        wanted: Vec<u32>,
+        min_coverage: f32,
+    ) -> Result<(Vec<u32>, Vec<u32>, PixelWeights)> {
+        let (splats, camera) = (view.splats(), view.camera());
+        // Next to nothing is blended: the transmittance is what is asked for.
+        let nothing = Tensor::<2>::zeros([splats.len(), 1], &splats.device());
+        let transmittance = read("transmittance", view.blend(nothing)?.1)?;
+        let mut pixels = wanted;
+        pixels.retain(|&pixel| {
+            let coverage = 1.0 - transmittance[pixel as usize];
+            coverage >= min_coverage && coverage > 0.0
+        });
+        let mut mask = vec![0.0_f32; camera.width * camera.height];
+        pixels.iter().for_each(|&pixel| mask[pixel as usize] = 1.0);
+        let mask = upload(mask, [camera.height, camera.width, 1], &splats.device());
+        let weights = read("weights", view.blend_adjoint(mask)?.sums)?;
+        let shown = (0..).zip(&weights).filter(|(_, weight)| **weight > 0.0);
+        let visible: Vec<u32> = shown.map(|(gaussian, _)| gaussian).collect();
+        let weights = self.as_rendered(view, &visible, Arc::new(pixels.clone()));
+        Ok((visible, pixels, weights))
+    }
+
+    /// `weights` whose rows sum to the coverage, as they are used.
+    fn as_stored(&self, weights: SparseMatrix) -> PixelWeights {
+        PixelWeights::Stored(Arc::new(if self.over_coverage {
+            weights.normalised()
+        } else {
+            weights
+        }))
+    }
+
+    fn as_rendered(
+        &self,
+        view: &SplatView,
+        visible: &[u32],
+        pixels: Arc<Vec<u32>>,
+    ) -> PixelWeights {
+        PixelWeights::Rendered {
             view: Box::new(view.of_gaussians(visible)),
-            pixels: numbers,
-        })
+            pixels,
+            over_coverage: self.over_coverage,
+        }
     }
 }
 
@@ -139,50 +221,6 @@ pub(crate) struct LabelledView {
     pub numbers: Arc<Vec<u32>>,
     /// Class index of each pixel.
     pub labels: Arc<Vec<u16>>,
-}
-
-/// Visible Gaussians, covered pixels among `wanted`, and their weights as a matrix.
-fn stored(
-    view: &SplatView,
-    wanted: &[u32],
-    min_coverage: f32,
-) -> Result<(Vec<u32>, Vec<u32>, PixelWeights)> {
-    let weights = view.weights(wanted)?.normalised(min_coverage);
-    let covered: Vec<u32> = (0..weights.rows() as u32)
-        .filter(|&row| !weights.row(row as usize).0.is_empty())
-        .collect();
-    let pixels = covered.iter().map(|&row| wanted[row as usize]).collect();
-    let visible = weights.used_columns();
-    let weights = weights.select_rows(&covered).over_columns(&visible);
-    Ok((visible, pixels, PixelWeights::Stored(Arc::new(weights))))
-}
-
-/// Visible Gaussians, covered pixels among `wanted`, and weights that are blended anew at each use.
-fn rendered(
-    view: &SplatView,
-    wanted: Vec<u32>,
-    min_coverage: f32,
-) -> Result<(Vec<u32>, Vec<u32>, PixelWeights)> {
-    let (splats, camera) = (view.splats(), view.camera());
-    // Next to nothing is blended: the transmittance is what is asked for.
-    let nothing = Tensor::<2>::zeros([splats.len(), 1], &splats.device());
-    let transmittance = read("transmittance", view.blend(nothing)?.1)?;
-    let mut pixels = wanted;
-    pixels.retain(|&pixel| {
-        let coverage = 1.0 - transmittance[pixel as usize];
-        coverage >= min_coverage && coverage > 0.0
-    });
-    let mut mask = vec![0.0_f32; camera.width * camera.height];
-    pixels.iter().for_each(|&pixel| mask[pixel as usize] = 1.0);
-    let mask = upload(mask, [camera.height, camera.width, 1], &splats.device());
-    let weights = read("weights", view.blend_adjoint(mask)?.sums)?;
-    let shown = (0..).zip(&weights).filter(|(_, weight)| **weight > 0.0);
-    let visible: Vec<u32> = shown.map(|(gaussian, _)| gaussian).collect();
-    let weights = PixelWeights::Rendered {
-        view: Box::new(view.of_gaussians(&visible)),
-        pixels: Arc::new(pixels.clone()),
-    };
-    Ok((visible, pixels, weights))
 }
 
 /// Labelled pixels of a view over the Gaussians it sees.

@@ -122,22 +122,25 @@ impl SparseMatrix {
         (&self.indices[span.clone()], &self.values[span])
     }
 
-    /// The same matrix with each row divided by its sum; rows that sum to less than `floor` become empty.
-    ///
-    /// Blending weights, whose rows sum to `1 - T`, become weighted means.
+    /// The same matrix with each row divided by its sum. Blending weights, whose rows sum to `1 - T`, become weighted means.
     #[must_use]
-    pub fn normalised(&self, floor: f32) -> Self {
-        let mut out = Self::unchecked(self.columns, vec![0], Vec::new(), Vec::new());
-        for r in 0..self.rows() {
-            let (columns, values) = self.row(r);
-            let sum: f32 = values.iter().sum();
-            if sum >= floor && sum > 0.0 {
-                out.indices.extend_from_slice(columns);
-                out.values.extend(values.iter().map(|v| v / sum));
+    pub fn normalised(mut self) -> Self {
+        for ends in self.offsets.windows(2) {
+            let row = &mut self.values[ends[0] as usize..ends[1] as usize];
+            let sum: f32 = row.iter().sum();
+            if sum > 0.0 {
+                row.iter_mut().for_each(|value| *value /= sum);
             }
-            out.offsets.push(out.indices.len() as u32);
         }
-        out
+        self
+    }
+
+    /// Numbers of the rows that sum to at least `floor`, and to more than 0.
+    pub fn rows_from(&self, floor: f32) -> Vec<u32> {
+        let sum = |row: u32| self.row(row as usize).1.iter().sum::<f32>();
+        (0..self.rows() as u32)
+            .filter(|&row| sum(row) >= floor && sum(row) > 0.0)
+            .collect()
     }
 
     /// The rows `rows` in that order.

@@ -234,7 +234,7 @@ impl<M: IdentityModel> Training<M> {
         }
         Ok(CoSegLoss {
             label: plan.label_loss(self.iteration),
-            lambda: plan.lambda,
+            lambda: plan.weights_of_means(sample.pixels.len()),
             robustness,
         })
     }

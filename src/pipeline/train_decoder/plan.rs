@@ -1,6 +1,7 @@
 //! How a variant is trained: losses, learning rates and pixels over the iterations.
 
-use crate::config::{self, Blend, SegmentationConfig};
+use super::view_input::REGULARISED;
+use crate::config::{self, Blend, Reduction, SegmentationConfig};
 use crate::segmentation::loss::LabelLoss;
 
 /// How a variant is trained.
@@ -16,6 +17,10 @@ pub struct Plan {
     pub least_recall: f64,
     /// Weights of the label loss and of the 3D regularisation.
     pub lambda: [f64; 2],
+    /// What the weights multiply.
+    pub reduction: Reduction,
+    /// Neighbours of each sample in the 3D regularisation.
+    pub neighbours: usize,
     /// What is blended along a ray.
     pub blend: Blend,
     /// Share of the pixels in a step.
@@ -43,6 +48,8 @@ impl Plan {
             iterations: config.iterations,
             least_recall,
             lambda: [config.lambda_pix, config.lambda_reg],
+            reduction: config.reduction,
+            neighbours: config.reg_neighbours,
             blend: config.blend,
             pixel_share: config.pixel_share,
             decay: config.lr_decay,
@@ -59,6 +66,19 @@ impl Plan {
         0.01 + 0.99 * 0.5 * (1.0 + (std::f64::consts::PI * done).cos())
     }
 
+    /// Weights of the mean label loss of `pixels` pixels and of the mean divergence of neighbours, summed over scales.
+    pub(super) fn weights_of_means(&self, pixels: usize) -> [f64; 2] {
+        let [label, regularisation] = self.lambda;
+        match self.reduction {
+            Reduction::Mean => self.lambda,
+            Reduction::Sum => {
+                let scales = REGULARISED.len() as f64;
+                let regularisation = regularisation * self.neighbours as f64 / scales;
+                [label * pixels as f64, regularisation]
+            }
+        }
+    }
+
     /// The label loss at `iteration`.
     pub(super) fn label_loss(&self, iteration: usize) -> LabelLoss {
         if iteration < self.warmup {
@@ -66,5 +86,22 @@ impl Plan {
         } else {
             self.loss
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sums_weigh_pixels_and_neighbours_by_their_numbers() {
+        let mut config = SegmentationConfig::default();
+        let weights = |config: &SegmentationConfig| {
+            Plan::new(config, LabelLoss::Ce, 0).weights_of_means(1_000)
+        };
+        assert_eq!(weights(&config), [0.8, 0.2]);
+        config.reduction = Reduction::Sum;
+        // Five neighbours and two scales.
+        assert_eq!(weights(&config), [800.0, 0.5]);
     }
 }

@@ -101,8 +101,10 @@ impl<'a> TrainingViews<'a> {
         device: &Device,
     ) -> Self {
         let views: Vec<_> = views.collect();
+        // Eq. 3 does not divide logits by the coverage.
+        let over_coverage = config.blend == Blend::Probabilities;
         Self {
-            gaussians: FrozenGaussians::new(gaussians, settings, device),
+            gaussians: FrozenGaussians::new(gaussians, settings, over_coverage, device),
             lookup: None,
             min_coverage: config.min_coverage as f32,
             used: vec![None; views.len()],

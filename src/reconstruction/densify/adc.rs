@@ -14,22 +14,26 @@ const SPLIT_SCALE: f32 = 1.6;
 const RESET_OPACITY: f32 = 0.01;
 
 /// Largest scale that a Gaussian may have: a share of its distance from the mean camera, or of the extent where that is longer.
-/// 3DGS takes the extent alone, with which cameras that stand close together would lose everything behind their subject.
+/// 3DGS takes the extent alone ([`SizeRule::Extent`](crate::config::SizeRule)), with which cameras that stand close together lose
+/// everything behind their subject.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SizeLimit {
     /// Share of either length.
     pub share: f32,
     /// Extent of the scene, world units.
     pub extent: f32,
-    /// Mean position of the cameras, world units.
-    pub center: [f32; 3],
+    /// Mean position of the cameras, world units; absent for the extent alone.
+    pub center: Option<[f32; 3]>,
 }
 
 impl SizeLimit {
     /// The limit of a Gaussian at `mean`, world units.
     pub fn at(&self, mean: &[f32; 3]) -> f32 {
-        let distance = Vec3::from(*mean).distance(Vec3::from(self.center));
-        self.share * self.extent.max(distance)
+        let length = match self.center {
+            Some(center) => Vec3::from(*mean).distance(center.into()).max(self.extent),
+            None => self.extent,
+        };
+        self.share * length
     }
 }
 

@@ -2,7 +2,7 @@
 
 use coseg::config::{
     BuildingConfig, Config, Encode, FeatureSource, LabelLoss, McmcConfig, Normalisation, Preset,
-    Resolution, SpatialSource, Strategy, Variant,
+    Reduction, Resolution, SpatialSource, Strategy, Variant,
 };
 use std::path::{Path, PathBuf};
 
@@ -41,6 +41,12 @@ fn file_overrides_preset_and_set_overrides_file() {
     assert_eq!(config.unprojection.normalisation, Normalisation::Count);
     assert_eq!(config.unprojection.resolution, Resolution::Feature);
     assert_eq!(config.spatial.encode, Encode::View);
+    assert_eq!(config.segmentation.reduction, Reduction::Sum);
+    assert_eq!(
+        config.features.source,
+        FeatureSource::Dino,
+        "named, never `auto`"
+    );
     assert_eq!(config.segmentation.warmup, 0.0);
     assert_eq!(config.segmentation.iterations, 500);
     assert_eq!(config.data.dir, Some(PathBuf::from("scenes/room")));

@@ -2,7 +2,7 @@
 
 use crate::support::gpu;
 use burn::tensor::{Device, Tensor, TensorData};
-use coseg::config::{BuildingConfig, Config, SegmentationConfig, Variant};
+use coseg::config::{Blend, BuildingConfig, Config, SegmentationConfig, Variant};
 use coseg::data::{LoadOptions, Split, load};
 use coseg::pipeline::train_decoder::{TrainingViews, ViewSample};
 use coseg::pipeline::{Outcome, run};
@@ -18,10 +18,18 @@ fn views_show_the_same_pixels_and_blend_alike() {
     crate::support::plates::scene(folder.path());
     let scene = load(folder.path(), &LoadOptions::default()).expect("a scene");
     let (gaussians, _) = crate::support::plates::plates();
+    let (over_coverage, plain) = (Blend::Probabilities, Blend::Logits);
     // With and without room for the Gaussians that a view shows; all of its pixels, or some.
-    for (weight_cache_mb, share) in [(1, 0.25), (0, 0.25), (1, 1.0), (0, 1.0)] {
+    for (weight_cache_mb, share, blend) in [
+        (1, 0.25, over_coverage),
+        (0, 0.25, over_coverage),
+        (1, 1.0, over_coverage),
+        (0, 1.0, plain),
+        (1, 0.25, plain),
+    ] {
         let config = SegmentationConfig {
             weight_cache_mb,
+            blend,
             ..SegmentationConfig::default()
         };
         let views = |device: &Device| {

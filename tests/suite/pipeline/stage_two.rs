@@ -1,6 +1,7 @@
 //! Stage two on the plates: what the decoder starts from, what is stored, how learning rates are chosen.
 
 use crate::support::hard_labels::hard_label_map;
+use burn::tensor::Tensor;
 use coseg::Error;
 use coseg::config::{
     Association, Blend, BuildingConfig, Config, LabelSource, Prior, SegmentationConfig, Variant,
@@ -146,6 +147,63 @@ fn labels_of_pixels_can_come_from_identities() {
     assert_eq!(labels(&mut views), raw, "nothing is known");
     views.use_raw_labels();
     assert_eq!(labels(&mut views), raw);
+}
+
+#[test]
+fn probabilities_are_blended_over_the_coverage_and_logits_as_they_are() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let scene = load(folder.path(), &LoadOptions::default()).expect("a scene");
+    let (mut gaussians, _) = crate::support::plates::plates();
+    for mean in &mut gaussians.means {
+        *mean = (Vec3::from(*mean) - scene.origin.as_vec3()).to_array();
+    }
+    gaussians.opacity_logits.fill(0.5);
+    let device = crate::support::device();
+    let camera = &scene.split(Split::Train).next().expect("a view").camera;
+    let settings = Settings::default();
+    let projected = Projected::<f32>::new(&gaussians.splats(), camera, &settings).expect("a view");
+    let weights = projected.weights(None);
+    // With stored weights, and with ones that each step computes.
+    for (blend, weight_cache_mb) in [
+        (Blend::Logits, 2_048),
+        (Blend::Logits, 0),
+        (Blend::Probabilities, 2_048),
+        (Blend::Probabilities, 0),
+    ] {
+        let config = SegmentationConfig {
+            blend,
+            weight_cache_mb,
+            min_coverage: 0.2,
+            ..SegmentationConfig::default()
+        };
+        let views = scene.split(Split::Train);
+        let mut views = TrainingViews::new(
+            &gaussians,
+            views,
+            &scene.classes,
+            settings,
+            &config,
+            &device,
+        );
+        for time in 0..2 {
+            let sample = views.sample(0, 0.5, &mut stream(1, Purpose::Pixels, time));
+            let sample = sample.expect("pixels");
+            let ones = Tensor::<2>::ones([sample.visible.len(), 1], &device);
+            let blended = sample.pixels.blend(ones).expect("blended");
+            let blended: Vec<f32> = blended.into_data().into_vec().expect("numbers");
+            let coverage = |&pixel: &u32| weights.row(pixel as usize).1.iter().sum::<f32>();
+            let coverage: Vec<f32> = sample.numbers.iter().map(coverage).collect();
+            assert!(coverage.iter().any(|&c| (0.2..0.9).contains(&c)));
+            for (got, coverage) in blended.iter().zip(&coverage) {
+                let want = match blend {
+                    Blend::Logits => *coverage,
+                    Blend::Probabilities => 1.0,
+                };
+                assert!((got - want).abs() < 1e-5, "{got} instead of {want}");
+            }
+        }
+    }
 }
 
 #[test]

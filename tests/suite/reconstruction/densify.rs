@@ -137,7 +137,7 @@ fn rules() -> AdcRules {
     let prune_scale = SizeLimit {
         share: 0.05,
         extent: 20.0,
-        center: [0.0; 3],
+        center: Some([0.0; 3]),
     };
     AdcRules {
         threshold: 1.0,
@@ -209,7 +209,7 @@ fn what_is_far_from_the_cameras_may_be_large() {
         [30.0, 40.0, 0.0],
         [-39.0, 0.0, 0.0],
     ];
-    let kept = |center: [f32; 3]| {
+    let kept = |center: Option<[f32; 3]>| {
         let rules = AdcRules {
             prune_scale: SizeLimit {
                 share: 0.1,
@@ -221,9 +221,9 @@ fn what_is_far_from_the_cameras_may_be_large() {
         planned(&g, &stats, &rules, 1).rows
     };
     // A scale of 2 is a tenth of 20 world units.
-    assert_eq!(kept([0.0; 3]), [1, 2, 3]);
+    assert_eq!(kept(Some([0.0; 3])), [1, 2, 3]);
     assert_eq!(
-        kept([-20.5, 0.0, 0.0]),
+        kept(Some([-20.5, 0.0, 0.0])),
         [0, 1, 2],
         "distances are from the cameras"
     );
@@ -231,7 +231,7 @@ fn what_is_far_from_the_cameras_may_be_large() {
         prune_scale: SizeLimit {
             share: 0.1,
             extent: 20.1,
-            center: [0.0; 3],
+            center: Some([0.0; 3]),
         },
         ..rules()
     };
@@ -240,6 +240,7 @@ fn what_is_far_from_the_cameras_may_be_large() {
         4,
         "extents count where they are longer"
     );
+    assert!(kept(None).is_empty(), "3DGS looks at the extent alone");
 }
 
 #[test]
