@@ -1,7 +1,8 @@
 //! Segmented 3D Gaussian scenes from posed photos and noisy 2D label maps.
 //!
-//! The crate implements *CoSegGaussians: Compact and Swift Scene Segmenting 3D Gaussians with Dual Feature Fusion*
-//! (arXiv 2401.05925). `preset = "paper"` ([`config`]) restores the paper's own choices.
+//! The crate implements CoSegGaussians: *Learning Segmented 3D Gaussians via Efficient Feature Unprojection for Zero-shot
+//! Neural Scene Segmentation* ([arXiv 2401.05925](https://arxiv.org/abs/2401.05925)). `preset = "paper"` ([`config`]) follows
+//! the paper where it states a choice; `docs/settings.md` names the rest.
 //!
 //! ```text
 //! photos -> reconstruct -> (associate) -> lift -> encode -> decode -> identities -> label maps and objects

@@ -1,7 +1,7 @@
 //! SIMD by `pulp`: kernels are written once, and run with the widest instructions that the processor has.
 //!
-//! A kernel over [`Lanes`] handles a register of numbers at a time: 16 `f32` with AVX-512, 8 with AVX2, 4 with NEON.
-//! Loops that the compiler vectorises by itself run in [`vectorized`].
+//! A kernel over [`Lanes`] handles a register of numbers at a time: 8 `f32` with AVX2, 4 with NEON, and in builds with the
+//! feature `avx512` 16 with AVX-512. Loops that the compiler vectorises by itself run in [`vectorized`].
 
 use super::Real;
 use pulp::{Scalar512b, Simd};

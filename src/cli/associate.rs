@@ -16,9 +16,9 @@ use coseg::splat::ply;
 use std::path::Path;
 
 const HELP: &str = "\
-The ids of instance masks often mean nothing in other views. Segments that cover the same Gaussians get one id.
- Writes labels/VIEW.png (16-bit grey, 0 is unlabelled) for each view with raw labels, classes.json, and scene.ply
-with a label column from a vote of the maps. Where frames have true instances, prints scores; where segments have classes
+The ids of instance masks often mean nothing in other views. Segments that cover the same Gaussians get one id. Writes
+labels/VIEW.png (16-bit grey, 0 is unlabelled) for each view with raw labels, cameras.json, classes.json, and scene.ply with
+a label column from a vote of the maps. Where frames have true instances, prints scores; where segments have classes
 and frames true labels, scores by class. `coseg train` does the same after stage one with data.association = \"gaussians\".
 
 The maps belong to the cameras in cameras.json: without lens distortion, and reduced where data.max_side reduced the

@@ -14,7 +14,7 @@ use std::path::PathBuf;
 const SHEET: (usize, u32) = (25, 200);
 
 const HELP: &str = "\
-Layouts: transforms.json of nerfstudio and instant-ngp, COLMAP models, Replica as NICE-SLAM and Semantic-NeRF ship it,
+Layouts: transforms.json of nerfstudio, instant-ngp and Blender, COLMAP models, Replica as NICE-SLAM and Semantic-NeRF ship it,
 ScanNet exports. The files in the folder decide, or --set data.layout=NAME.
 
 Examples:
@@ -24,12 +24,12 @@ Examples:
   coseg data suggest scenes/living --count 6";
 
 const SUGGEST_HELP: &str = "\
-Each photo is the one that adds most to those before it. Without --scene, what counts are the initial points, opaque and as
-large as the distance between them; where the scene has none, points are looked for on which the photos agree. With --scene,
-it is the Gaussians. Only training photos are named: held-out ones are not learned from. A share of the scene is a share of
-the pixels of all training photos.
+Each photo is the one that adds most to those before it. With --scene, the Gaussians are what the photos are to show. Without
+it, these are the initial points, taken as opaque and as large as their distances. A scene without initial points gets some
+where its photos agree. Only training photos are named: nothing learns from held-out ones. A share of the scene is a share
+of the pixels of all training photos.
 
-Example:
+Examples:
   coseg data suggest --data scenes/living --count 6       # label these in LabelMe, see docs/from-photos.md
   coseg train --data scenes/living --set data.raw_labels=FOLDER";
 
@@ -84,7 +84,7 @@ struct SuggestArgs {
     /// Scene folder
     #[arg(value_name = "DIR", required_unless_present = "data")]
     dir: Option<PathBuf>,
-    /// The same, as `coseg train` has it
+    /// Scene folder, as `coseg train` takes it
     #[arg(long, value_name = "DIR", conflicts_with = "dir")]
     data: Option<PathBuf>,
     /// Number of photos

@@ -19,11 +19,11 @@ Runs a semantic segmenter in an ONNX file over all photos of a scene folder, tra
   scores/         the best classes of each place with their probabilities
   classes.json    id, name and colour of each class
   geometry.json   says that the maps belong to the photos as they are stored
-  label.json      what was written, and what from; the same command continues, and keeps labels that follow from the same
+  label.json      what was written, and from what; the same command continues, and keeps labels that were made from the same
                   network, contract, classes and photo
 
-The contract says how the network reads photos and what its output means. It is FILE.toml beside FILE.onnx, or named by
---contract, or the shipped one of the model's name; docs/data.md describes it.
+The contract says how the network reads photos and what its output means. --contract names it; otherwise it is FILE.toml
+beside FILE.onnx, or else the shipped one of the model's name. docs/data.md describes it.
 
 --classes names the classes of the labels, a TOML with lists of the network's classes:
   [classes]

@@ -8,7 +8,7 @@ use coseg::segmentation::pretrain::{PretrainOptions, PretrainProgress, pretrain}
 use std::path::PathBuf;
 
 const HELP: &str = "\
-Trains the RandLA encoder to tell the classes of procedural furnished rooms. Its decoder is thrown away. The built-in room
+Trains the RandLA encoder to tell the classes of procedural furnished rooms. Its decoder is not kept. The built-in room
 of `coseg train` is never among the rooms. The same seed gives the same file on one kind of processor and one backend.
 Use the file with --set spatial.source.pretrained=FILE.
 

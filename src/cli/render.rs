@@ -40,11 +40,11 @@ renders folder. Label maps show the PLY's label of each Gaussian. Only a run wit
 the preset \"paper\", has other ones: those of blended scores.
 
 Paths: frames path_0000, path_0001, ... and their cameras as cameras.json.
-  --path interpolate  through the cameras in file order, of --split if given; turns on the spot take frames too
+  --path interpolate  through the cameras in file order, of --split if given; turns on the spot take frames as well
   --path orbit        once around the point that the cameras look at, at their median distance and height, with the lens
                       of the first one; lower --radius in rooms, where furniture and walls may be in the way
   --object OBJECT     around the box of one object, closer to a small one; `coseg edit --keep OBJECT` isolates it
-A film of them, width and height even:
+A film of the frames, whose width and height must be even:
   ffmpeg -framerate 30 -i pictures/path_%04d.rgb.png -pix_fmt yuv420p film.mp4
 
 Examples:

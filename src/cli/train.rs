@@ -27,12 +27,12 @@ use std::process::ExitCode;
 const LARGEST_PAGE: usize = 128_000_000;
 
 const HELP: &str = "\
-Stage one builds Gaussians from the photos; stage two learns from the raw label maps what each of them belongs to.
+Stage one builds Gaussians from the photos. Stage two learns from the raw label maps what each Gaussian belongs to.
 
 The run folder gets
   scene.ply      the Gaussians in the 3DGS convention, with a label column
   report.html    curves, pictures, tables; one page that needs nothing else
-  viewer.html    the scene, to walk through in a browser; beyond 128 MB, 111 bytes a Gaussian, `coseg view` writes it
+  viewer.html    the scene, to walk through in a browser, up to 128 MB (111 bytes a Gaussian); `coseg view` writes larger ones
   metrics.json   the same figures for programs
   classes.json   id, name and colour of each class
   cameras.json   the views as a transforms.json, for render and objects

@@ -11,8 +11,7 @@ impl Config {
         Self::default().changed_by(preset)
     }
 
-    /// The same for the built-in scene, whose own defaults finish in five minutes on two cores. The paper's preset is the same
-    /// for every scene.
+    /// The same for the built-in scene, whose own defaults are smaller. The paper's preset is the same for every scene.
     pub fn builtin_preset(preset: Preset) -> Self {
         let mut config = Self::default();
         if preset != Preset::Paper {

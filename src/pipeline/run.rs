@@ -160,8 +160,8 @@ pub fn run_on(
     let config = &settled(config, &scene);
     if !config.segmentation.rows().is_empty() && !has_raw_labels(&scene) {
         tracing::warn!(
-            "no training view has raw labels: only the Gaussians are built (raw_label_path in transforms.json or the folder \
-             data.raw_labels names them; set segmentation.rows = [] if there are none)"
+            "no training view has raw labels: only the Gaussians are built. raw_label_path in transforms.json or data.raw_labels \
+             names them; set segmentation.rows = [] if there are none"
         );
     }
     let files = RunFiles::new(out);

@@ -61,8 +61,8 @@ fn unit(listing: &Listing, unit_is_metre: bool) -> Option<String> {
     let applies = listing.layout == Layout::Colmap && unit_is_metre && labelled;
     (applies && !(low..=high).contains(&extent)).then(|| {
         format!(
-            "cameras are up to {extent:.3} units from their mean, and the point encoder takes a unit for a metre, which in a \
-             COLMAP model it seldom is: --set spatial.scale=0 takes a scale from the cameras, or give the metres of a unit"
+            "cameras are up to {extent:.3} units from their mean. The point encoder takes a unit for a metre, but the unit of a \
+             COLMAP model is arbitrary: --set spatial.scale=0 takes a scale from the cameras, or give the metres of a unit"
         )
     })
 }
@@ -288,8 +288,8 @@ pub(crate) fn turned<'a>(frames: impl Iterator<Item = (&'a Frame, bool)>) -> Opt
         .collect();
     (!turned.is_empty()).then(|| {
         format!(
-            "{} photos have an EXIF orientation by which programs turn or mirror them, which is not done here, and no size \
-             shows whether their label maps and masks were made of turned photos: {}; apply the orientation to the photos \
+            "{} photos have an EXIF orientation, by which other programs turn or mirror them; coseg does not. No size shows \
+             whether their label maps and masks were made from turned photos: {}; apply the orientation to the photos \
              or strip it (docs/from-photos.md, 1), before COLMAP and the segmenter see them",
             turned.len(),
             frame_names(&turned)

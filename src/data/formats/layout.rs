@@ -152,7 +152,7 @@ fn nothing(dir: &Path, options: &LoadOptions) -> Error {
     invalid!(dir, "{}", options.transforms; found "{found}";
         expected "cameras and frames: transforms.json (nerfstudio, instant-ngp), transforms_train.json with \
             transforms_test.json (Blender), sparse/0 or sparse with cameras and images as .bin or .txt (COLMAP), \
-            traj.txt with results/ or traj_w_c.txt with rgb/ (Replica), or color/ with pose/ (ScanNet); README, 'Data'";
+            traj.txt with results/ or traj_w_c.txt with rgb/ (Replica), or color/ with pose/ (ScanNet); see docs/data.md";
         help "{help}")
 }
 

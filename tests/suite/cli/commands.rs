@@ -545,7 +545,7 @@ fn folders_that_are_no_scenes_are_found_before_anything_is_begun() {
     for word in [
         "transforms.json: found no such file",
         "expected cameras and frames",
-        "README",
+        "docs/data.md",
     ] {
         assert!(message.contains(word), "{word}: {message}");
     }

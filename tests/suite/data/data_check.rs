@@ -249,7 +249,7 @@ fn layouts_are_told_apart_or_asked_for() {
         "traj.txt",
         "traj_w_c.txt",
         "color/ with pose/",
-        "README",
+        "docs/data.md",
     ] {
         assert!(message.contains(part), "{part}: {message}");
     }

@@ -58,7 +58,7 @@ pub(crate) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
         return Ok(());
     }
     let others = alternatives(dir);
-    let expected = "cameras and frames as nerfstudio and instant-ngp write them (README, 'Data')";
+    let expected = "cameras and frames as nerfstudio and instant-ngp write them (docs/data.md)";
     let file = &options.transforms;
     Err(match others.first() {
         None => invalid!(dir, "{file}"; found "no such file"; expected "{expected}";
