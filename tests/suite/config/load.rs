@@ -34,7 +34,11 @@ fn file_overrides_preset_and_set_overrides_file() {
         "preset = \"paper\"\n[segmentation]\niterations = 500\nloss = { js = { pi_rl = 0.5 } }\n";
     let config = load(
         toml,
-        &["segmentation.loss.js.pi_rl=0.97", "data.dir=scenes/room"],
+        &[
+            "segmentation.loss.js.pi_rl=0.97",
+            "data.dir=scenes/room",
+            "features.weights=dino.pth",
+        ],
     )
     .unwrap();
     assert_eq!(config.preset, Preset::Paper);
@@ -111,9 +115,11 @@ fn the_built_in_scene_has_defaults_of_its_own_below_all_that_is_given() {
         size(&own(None, toml, &["building.max_gaussians=0"])),
         (9, 0, 2_000, 0.5)
     );
+    let mut paper = Config::preset(Preset::Paper);
+    paper.features.weights = Some("dino.pth".into());
     assert_eq!(
-        own(None, "preset = \"paper\"\n", &[]),
-        Config::preset(Preset::Paper),
+        own(None, "preset = \"paper\"\n", &["features.weights=dino.pth"]),
+        paper,
         "the paper's are the paper's"
     );
     assert_eq!(own(None, "preset = \"paper\"\n", &["preset=fast"]), fast);
@@ -173,6 +179,7 @@ fn written_config_loads_as_itself() {
         let mut config = Config::preset(preset);
         config.data.dir = Some("with \"quotes\" and \\".into());
         config.seed = 77;
+        config.features.weights = Some("weights.pth".into());
         config.building.lr_means = 0.15;
         let text = config.to_toml().unwrap();
         assert_eq!(load(&text, &[]).unwrap(), config, "{text}");
@@ -346,7 +353,11 @@ fn a_name_alone_chooses_a_variant_with_its_defaults() {
     );
     // The name of the variant that is chosen already keeps its payload.
     assert_eq!(
-        loss(&["preset=paper", "segmentation.loss=js"]),
+        loss(&[
+            "preset=paper",
+            "features.source=descriptor",
+            "segmentation.loss=js"
+        ]),
         LabelLoss::Js { pi_rl: 0.9 }
     );
     assert_eq!(
