@@ -222,6 +222,7 @@ fn absgrad_finds_more_to_densify_and_resumes() {
             strategy: Strategy::Adc(AdcConfig {
                 absgrad,
                 threshold: Some(1e-4),
+                ..AdcConfig::default()
             }),
             ..config().building
         };
