@@ -20,7 +20,7 @@ pub(crate) use self::units::thousands;
 
 use crate::config::{Config, Variant};
 use crate::data::{Classes, LabelMap, View, atomic};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::metrics::ImageScores;
 use std::path::Path;
 
@@ -129,10 +129,7 @@ impl Report<'_> {
         for view in &self.views {
             view.write(self.classes, &dir.join("renders"))?;
         }
-        let path = dir.join("metrics.json");
-        let json = serde_json::to_string_pretty(&self.metrics)
-            .map_err(|e| Error::io(&path, "encode", e.into()))?;
-        atomic::write_bytes(&path, (json + "\n").as_bytes())?;
+        atomic::write_json(dir.join("metrics.json"), &self.metrics)?;
         let path = dir.join("report.html");
         atomic::write_bytes(&path, self.html(&path)?.as_bytes())
     }

@@ -5,7 +5,7 @@ use super::reference::{ReferenceView, colours};
 use super::splats::SplatTensors;
 use super::tensors::{Colours, ProjectedView, TensorPair, ViewCall};
 use crate::backend::device::largest_allocation;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail};
 use crate::ops::{CustomOp, SparseMatrix, sparse_apply};
 use crate::raster::settings::Settings;
 use crate::splat::camera::Camera;
@@ -121,10 +121,8 @@ impl SplatView {
         let (n, rows) = (self.splats.len(), values.dims()[0]);
         if rows != n {
             let (found, expected) = (format!("{rows} rows"), format!("{n}, one a Gaussian"));
-            return Err(
-                invalid!(argument "values to blend"; found "{found}"; expected "{expected}";
-                help "pass values of these Gaussians"),
-            );
+            bail!(argument "values to blend"; found "{found}"; expected "{expected}";
+                help "pass values of these Gaussians");
         }
         self.splats.check(values.dtype())?;
         if CustomOp::Raster.is_replaced() {
@@ -177,10 +175,8 @@ impl SplatView {
                 format!("{width}x{height}"),
                 format!("{}x{}", camera.width, camera.height),
             );
-            return Err(
-                invalid!(argument "image to lift"; found "{found}"; expected "{expected}";
-                help "pass an image of the camera's size"),
-            );
+            bail!(argument "image to lift"; found "{found}"; expected "{expected}";
+                help "pass an image of the camera's size");
         }
         self.splats.check(image.dtype())?;
         if CustomOp::Raster.is_replaced() {
