@@ -43,7 +43,7 @@ impl Limits {
     }
 }
 
-/// An [`Error::Limit`] when `found` is larger than `limit`.
+/// An [`crate::Error::Limit`] when `found` is larger than `limit`.
 pub(crate) fn check_limit(
     path: &Path,
     what: &str,

@@ -60,7 +60,7 @@ impl HeldOutView<'_> {
     /// that this one does not have.
     ///
     /// # Errors
-    /// [`Error::Io`] naming the file that could not be written; those of [`crate::data::Photo::pixels`].
+    /// [`crate::Error::Io`] naming the file that could not be written; those of [`crate::data::Photo::pixels`].
     pub fn write(&self, classes: &Classes, dir: &Path) -> Result<()> {
         let stem = self.view.name.replace(['/', '\\'], "_");
         let file = |kind: &str| dir.join(format!("{stem}.{kind}.png"));
@@ -122,7 +122,7 @@ impl Report<'_> {
     /// `renders/` gets what [`HeldOutView::write`] makes of [`Report::views`].
     ///
     /// # Errors
-    /// [`Error::Io`] naming the file that could not be written; those of [`crate::data::Photo::pixels`].
+    /// [`crate::Error::Io`] naming the file that could not be written; those of [`crate::data::Photo::pixels`].
     pub fn write(&self, dir: &Path) -> Result<()> {
         self.classes.write(&dir.join("classes.json"))?;
         atomic::write_bytes(dir.join("config.toml"), self.config.to_toml()?.as_bytes())?;
@@ -137,7 +137,7 @@ impl Report<'_> {
     /// `report.html` as text. `path` only serves error messages.
     ///
     /// # Errors
-    /// [`Error::Io`] when a picture cannot be encoded, [`Error::Limit`] when one has another size than its photo.
+    /// [`crate::Error::Io`] when a picture cannot be encoded, [`crate::Error::Limit`] when one has another size than its photo.
     pub fn html(&self, path: &Path) -> Result<String> {
         Ok(page::page(self, path)?.into_string())
     }

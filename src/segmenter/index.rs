@@ -44,7 +44,7 @@ impl Index {
     /// The index of `folder`; empty where there is none.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Input`] for an index that does not parse, and for a folder that holds other files.
+    /// [`crate::Error::Io`]; [`crate::Error::Input`] for an index that does not parse, and for a folder that holds other files.
     pub fn open(folder: &Path) -> Result<Self> {
         let path = folder.join(FILE);
         let content = if path.is_file() {
@@ -105,7 +105,7 @@ impl Index {
     /// Writes files with `bytes`, after an index that names them: a run that is cut off knows its own files.
     ///
     /// # Errors
-    /// [`Error::Io`]; as [`Index::check_own`].
+    /// [`crate::Error::Io`]; as [`Index::check_own`].
     pub fn write(&mut self, files: &[(String, Vec<u8>)]) -> Result<()> {
         let mut changed = Vec::new();
         for file @ (name, bytes) in files {

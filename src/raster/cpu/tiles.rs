@@ -93,7 +93,7 @@ pub(in crate::raster) fn depth_order(depths: &[f64]) -> Vec<u32> {
 /// Lists for `splats` in depth order over an image of `size` pixels.
 ///
 /// # Errors
-/// [`Error::Limit`] when the lists would have more than 2^32 - 1 entries.
+/// [`crate::Error::Limit`] when the lists would have more than 2^32 - 1 entries.
 pub(in crate::raster) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Result<TileLists> {
     let [columns, rows] = size.map(|s| s.div_ceil(TILE));
     let tiles = columns * rows;

@@ -56,7 +56,7 @@ pub struct AdcRules {
 /// the clones, then the children.
 ///
 /// # Errors
-/// [`Error::Limit`] when the statistics are not those of these Gaussians.
+/// [`crate::Error::Limit`] when the statistics are not those of these Gaussians.
 pub fn adc<'a>(
     gaussians: impl Into<Geometry<'a>>,
     stats: &GradientStatistics,

@@ -195,7 +195,7 @@ impl RawLabels {
     /// has one.
     ///
     /// # Errors
-    /// As for [`crate::data::load`]; [`Error::Config`] for masks without association.
+    /// As for [`crate::data::load`]; [`crate::Error::Config`] for masks without association.
     pub fn settle(
         dir: &Path,
         options: &LoadOptions,
