@@ -4,7 +4,7 @@
 //! tensors.
 
 use crate::data::atomic;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, ensure, invalid};
 use crate::metrics::ImageScores;
 use crate::progress::CurvePoint;
 use safetensors::{Dtype, SafeTensors, View};
@@ -106,14 +106,9 @@ impl Checkpoint {
         values: Vec<T>,
     ) -> Result<()> {
         let name = name.into();
-        if values.len() != shape.iter().product::<usize>() {
-            return Err(Error::Limit {
-                what: format!("values of checkpoint tensor {name}"),
-                found: values.len().to_string(),
-                limit: format!("{shape:?}"),
-                help: "give as many values as the shape has".into(),
-            });
-        }
+        ensure!(values.len() == shape.iter().product::<usize>(),
+            limit "values of checkpoint tensor {name}"; found "{}", values.len(); expected "{shape:?}";
+            help "give as many values as the shape has");
         let tensor = Stored {
             dtype: T::DTYPE,
             shape: shape.to_vec(),

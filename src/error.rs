@@ -13,13 +13,19 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// An error with its parts by name; each part is a format string, perhaps with arguments. [`Error::Input`] names a file and a
 /// field of it: `invalid!(path, "line {line}"; found "{word:?}"; expected "a number"; help "correct the file")`.
-/// [`Error::Argument`] and [`Error::Config`] start with `invalid!(argument "--out"; ..` and `invalid!(setting "seed"; ..`.
+/// [`Error::Argument`], [`Error::Config`] and [`Error::Limit`] start with `invalid!(argument "--out"; ..`, `invalid!(setting "seed"; ..`
+/// and `invalid!(limit "points"; ..`.
+#[doc(hidden)]
+#[macro_export]
 macro_rules! invalid {
     (argument $($name:expr),+; $($parts:tt)+) => {
         $crate::error::invalid!(@named argument, $($name),+; $($parts)+)
     };
     (setting $($key:expr),+; $($parts:tt)+) => {
         $crate::error::invalid!(@named config, $($key),+; $($parts)+)
+    };
+    (limit $($what:expr),+; $($parts:tt)+) => {
+        $crate::error::invalid!(@named limit, $($what),+; $($parts)+)
     };
     (@named $kind:ident, $($name:expr),+; found $($found:expr),+; expected $($expected:expr),+; help $($help:expr),+) => {
         $crate::error::Error::$kind(
@@ -39,7 +45,33 @@ macro_rules! invalid {
         )
     };
 }
-pub(crate) use invalid;
+#[doc(hidden)]
+pub use invalid;
+
+/// Returns the error that `invalid!` makes of the same parts.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! bail {
+    ($($parts:tt)+) => {
+        return Err($crate::error::invalid!($($parts)+))
+    };
+}
+#[doc(hidden)]
+pub use bail;
+
+/// Returns the error that `invalid!` makes of the other parts, unless the first one holds.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! ensure {
+    ($condition:expr, $($parts:tt)+) => {
+        let holds: bool = $condition;
+        if !holds {
+            $crate::error::bail!($($parts)+);
+        }
+    };
+}
+#[doc(hidden)]
+pub use ensure;
 
 /// What went wrong, with the file, the field, what was found, what was expected and how to correct it.
 #[derive(Debug, thiserror::Error)]
@@ -160,12 +192,12 @@ impl Error {
         }
     }
 
-    /// An [`Error::Missing`] for the file at `path`.
-    pub(crate) fn missing_file(path: impl AsRef<Path>, help: &str) -> Self {
+    /// An [`Error::Missing`] for the `file` or `folder` at `path`.
+    pub fn missing(what: &'static str, path: impl AsRef<Path>, help: impl Into<String>) -> Self {
         Self::Missing {
-            what: "file",
+            what,
             path: path.as_ref().to_owned(),
-            help: help.to_owned(),
+            help: help.into(),
         }
     }
 
@@ -212,6 +244,21 @@ impl Error {
             name: name.into(),
             found: found.into(),
             expected: expected.into(),
+            help: help.into(),
+        }
+    }
+
+    /// An [`Error::Limit`] naming the quantity, its value, the limit and help.
+    pub fn limit(
+        what: impl Into<String>,
+        found: impl Into<String>,
+        limit: impl Into<String>,
+        help: impl Into<String>,
+    ) -> Self {
+        Self::Limit {
+            what: what.into(),
+            found: found.into(),
+            limit: limit.into(),
             help: help.into(),
         }
     }

@@ -271,8 +271,7 @@ fn digest_photos(scene: &Scene) -> Sha256 {
 
 /// Class ids, and of every training view with raw labels its name, split, camera and labels.
 fn digest_labels(scene: &Scene) -> Sha256 {
-    let labelled = scene.split(Split::Train).filter(|v| v.raw.is_some());
-    let views: Vec<&View> = labelled.collect();
+    let views: Vec<&View> = scene.labelled().collect();
     let mut digest = digest_views(&views, |view, hash| digest_map(view.raw.as_ref(), hash));
     let classes = scene.classes.entries.iter();
     classes.for_each(|class| digest.update(class.id.to_le_bytes()));

@@ -14,7 +14,7 @@ pub use self::resample::resampled;
 
 use crate::config::Config;
 use crate::data::{Scene, Split};
-use crate::error::{Result, invalid};
+use crate::error::{Result, ensure};
 use crate::pipeline::load_scene;
 use crate::reconstruction::Trainer;
 use crate::splat::Gaussians;
@@ -53,12 +53,8 @@ impl Bench {
     ) -> Result<Self> {
         let mut scene = load_scene(&config)?;
         scene.views.retain(|view| view.split == Split::Train);
-        if scene.views.is_empty() {
-            return Err(
-                invalid!(argument "data"; found "no training view"; expected "one or more";
-                help "mark some views as `train`"),
-            );
-        }
+        ensure!(!scene.views.is_empty(), argument "data"; found "no training view"; expected "one or more";
+            help "mark some views as `train`");
         let is_trained = trained.is_some();
         let gaussians = match trained {
             Some(ply) => {

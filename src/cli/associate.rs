@@ -8,7 +8,7 @@ use clap::Args;
 use coseg::config::Association;
 use coseg::data::formats::transforms;
 use coseg::data::{MapGeometry, Split};
-use coseg::error::{Error, Result};
+use coseg::error::{Result, ensure};
 use coseg::objects::vote;
 use coseg::pipeline::{HeldOut, Inputs, associate};
 use coseg::raster::Settings;
@@ -97,18 +97,8 @@ impl AssociateArgs {
 fn check_own(out: &Path) -> Result<()> {
     let maps = out.join("labels");
     let is_used = maps.is_dir() || out.join("classes.json").exists();
-    if !is_used || maps.join(MapGeometry::FILE).is_file() {
-        return Ok(());
-    }
-    let found = format!(
-        "{}, which holds labels or classes.json of others",
-        out.display()
-    );
-    let expected = "a new folder, or one that `coseg associate` wrote";
-    Err(Error::argument(
-        "--out",
-        found,
-        expected,
-        "name a new folder",
-    ))
+    ensure!(!is_used || maps.join(MapGeometry::FILE).is_file(),
+        argument "--out"; found "{}, which holds labels or classes.json of others", out.display();
+        expected "a new folder, or one that `coseg associate` wrote"; help "name a new folder");
+    Ok(())
 }

@@ -4,7 +4,7 @@ use super::scene_file::{read_scene, scene_path};
 use super::{Settings, fault_list, terminal};
 use clap::{Args, Subcommand};
 use coseg::data::{self, Info, LoadOptions, atomic};
-use coseg::error::{Error, Result};
+use coseg::error::{Result, ensure};
 use coseg::pipeline::suggest;
 use coseg::report::pictures;
 use coseg::report::sheet::contact_sheet;
@@ -122,15 +122,14 @@ impl CheckArgs {
         let layout = checked.layout.map_or("unknown", |layout| layout.name());
         let field = format!("layout {layout}, {} frames", checked.frames);
         let count = match checked.problems.len() {
-            0 => {
-                terminal::say(&format!("{}: {field}, no problems", self.dir.display()));
-                return Ok(());
-            }
+            0 => "no problems".to_owned(),
             1 => "1 problem".to_owned(),
             n => format!("{n} problems"),
         };
-        let help = "correct the problems above and check again";
-        Err(Error::input(&self.dir, field, count, "none", help))
+        ensure!(checked.problems.is_empty(), &self.dir, "{field}"; found "{count}"; expected "none";
+            help "correct the problems above and check again");
+        terminal::say(&format!("{}: {field}, {count}", self.dir.display()));
+        Ok(())
     }
 }
 

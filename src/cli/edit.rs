@@ -4,7 +4,7 @@ use super::object_scene::{ObjectScene, ObjectSceneArgs};
 use super::terminal;
 use super::values::numbers;
 use clap::Args;
-use coseg::error::{Error, Result};
+use coseg::error::{Result, ensure};
 use coseg::objects::Object;
 use coseg::splat::{Gaussians, Motion};
 use glam::{DQuat, DVec3};
@@ -105,11 +105,8 @@ impl EditArgs {
             .filter(|&(_, &id)| stays(id))
             .map(|(row, _)| row)
             .collect();
-        if rows.is_empty() {
-            let (name, found) = ("--keep, --remove", "no Gaussian left");
-            let help = "keep an object, or remove fewer";
-            return Err(Error::argument(name, found, "one or more", help));
-        }
+        ensure!(!rows.is_empty(), argument "--keep, --remove"; found "no Gaussian left"; expected "one or more";
+            help "keep an object, or remove fewer");
         let labels: Vec<u16> = rows.iter().map(|&row| scene.labels[row as usize]).collect();
         let mut gaussians = scene.ply.gaussians.select(&rows);
         if self.paint {
@@ -146,11 +143,8 @@ impl EditArgs {
                 .filter(|object| stays(object.id));
             let before = motions.len();
             motions.extend(staying.map(|object| (object.rows.clone(), motion(object))));
-            if motions.len() == before {
-                let expected = "an object that is neither removed nor left out";
-                let help = "leave it out, or keep the object";
-                return Err(Error::argument(flag, what, expected, help));
-            }
+            ensure!(motions.len() > before, argument "{flag}"; found "{what}";
+                expected "an object that is neither removed nor left out"; help "leave it out, or keep the object");
             Ok(())
         };
         for (what, rotation) in &self.turn {
@@ -162,12 +156,9 @@ impl EditArgs {
         }
         let farthest = FARTHEST * diagonal(&scene.ply.gaussians);
         for (what, translation) in &self.moves {
-            if farthest > 0.0 && translation.length() > farthest {
-                let found = format!("{what}={translation}");
-                let expected = format!("at most {farthest:.3e} world units");
-                let help = "move by less: positions that far away lose digits";
-                return Err(Error::argument("--move", found, expected, help));
-            }
+            ensure!(farthest <= 0.0 || translation.length() <= farthest,
+                argument "--move"; found "{what}={translation}"; expected "at most {farthest:.3e} world units";
+                help "move by less: positions that far away lose digits");
             add(what, "--move", &|_| Motion {
                 translation: *translation,
                 ..still

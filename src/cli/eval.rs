@@ -7,7 +7,7 @@ use clap::Args;
 use coseg::backend::device::open_cpu;
 use coseg::config::{Association, Config, Variant};
 use coseg::data::{Classes, Limits, Split};
-use coseg::error::{Error, Result};
+use coseg::error::{Result, ensure};
 use coseg::metrics::ImageScores;
 use coseg::objects::{Identities, Semantics};
 use coseg::pipeline::{HeldOut, Inputs, Pictures, load_scene};
@@ -74,14 +74,8 @@ impl EvalArgs {
         let mean = ImageScores::mean(&views.values().copied().collect::<Vec<_>>());
         if self.json {
             let held_out = views.len();
-            let rows = labels.and_then(|scores| {
-                let row = RowScores {
-                    instances: scores.instances,
-                    semantic: scores.semantic,
-                    ..RowScores::from(&scores.labels)
-                };
-                Some((stored_row(&config)?, row))
-            });
+            let rows =
+                labels.and_then(|scores| Some((stored_row(&config)?, RowScores::from(&scores))));
             let test = TestScores {
                 psnr: mean.psnr,
                 ssim: mean.ssim,
@@ -117,13 +111,11 @@ fn same_classes(scene: &Classes, run: &Classes) -> Result<()> {
         let names = classes.entries.iter().map(|c| (c.id, c.name.clone()));
         names.collect::<Vec<_>>()
     };
-    if scene.is_empty() || run.is_empty() || named(scene) == named(run) {
-        return Ok(());
-    }
-    let found = format!("{} classes, not those of the run", scene.len());
-    let expected = format!("the {} classes of the run", run.len());
-    let help = "give the scene that was trained on, or one with the same classes.json";
-    Err(Error::argument("--data", found, expected, help))
+    ensure!(scene.is_empty() || run.is_empty() || named(scene) == named(run),
+        argument "--data"; found "{} classes, not those of the run", scene.len();
+        expected "the {} classes of the run", run.len();
+        help "give the scene that was trained on, or one with the same classes.json");
+    Ok(())
 }
 
 /// The row whose identities a run with these settings stores.
@@ -143,12 +135,8 @@ fn identities(run: &RunFolder, ply: &PlyScene) -> Result<Option<Identities>> {
     }
     let identities = Identities::read(&path)?;
     let rows = identities.scores.len() / identities.classes.max(1);
-    if rows != ply.gaussians.len() {
-        let found = format!("{rows} rows");
-        let expected = format!("{}, as in scene.ply", ply.gaussians.len());
-        let help = "the two files are of different runs; train again";
-        return Err(Error::input(&path, "scores", found, expected, help));
-    }
+    ensure!(rows == ply.gaussians.len(), &path, "scores"; found "{rows} rows";
+        expected "{}, as in scene.ply", ply.gaussians.len(); help "the two files are of different runs; train again");
     Ok(Some(identities))
 }
 

@@ -4,7 +4,7 @@ use super::progress::Bars;
 use super::{Settings, interrupt, terminal};
 use clap::Args;
 use coseg::data::LoadOptions;
-use coseg::error::{Error, Result};
+use coseg::error::{Error, Result, ensure};
 use coseg::progress::Progress;
 use coseg::segmenter::{ClassFile, Contract, Job, Labelled, Network, label_scene};
 use std::path::{Path, PathBuf};
@@ -83,11 +83,8 @@ impl SegmenterArgs {
         progress: &mut dyn Progress,
     ) -> Result<Labelled> {
         if !model.is_file() {
-            return Err(Error::Missing {
-                what: "file",
-                path: model.to_owned(),
-                help: "give the ONNX file of a semantic segmenter".into(),
-            });
+            let help = "give the ONNX file of a semantic segmenter";
+            return Err(Error::missing("file", model, help));
         }
         // The quick checks first.
         let contract = Contract::find(model, self.contract.as_deref())?;
@@ -106,19 +103,10 @@ impl SegmenterArgs {
 
     /// Refuses options of a segmenter that is not there.
     pub fn expect_none(&self) -> Result<()> {
-        if self.contract.is_none() && self.classes.is_none() {
-            return Ok(());
-        }
-        let (found, expected) = (
-            "no segmenter",
-            "--segmenter FILE.onnx, which they are about",
-        );
-        Err(Error::argument(
-            "--contract, --classes",
-            found,
-            expected,
-            "name it, or leave them out",
-        ))
+        ensure!(self.contract.is_none() && self.classes.is_none(),
+            argument "--contract, --classes"; found "no segmenter";
+            expected "--segmenter FILE.onnx, which they are about"; help "name it, or leave them out");
+        Ok(())
     }
 
     /// [`SegmenterArgs::label`] with the usual number of scores.

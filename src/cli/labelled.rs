@@ -6,7 +6,7 @@ use burn::tensor::Device;
 use clap::Args;
 use coseg::config::Config;
 use coseg::data::{self, Limits, LoadOptions, Scene, atomic};
-use coseg::error::{Error, Result};
+use coseg::error::{Result, ensure};
 use coseg::pipeline::compare_with_photos;
 use coseg::splat::ply;
 use coseg::splat::ply::PlyScene;
@@ -48,16 +48,9 @@ impl LabelledArgs {
         let outputs = [self.out.as_path(), &self.out.join("labels")];
         data::check_outputs("--out", &outputs, Some((&self.data, &options)))?;
         let path = scene_path(&self.scene)?;
-        if atomic::same_file(&path, &self.out.join(SCENE)) {
-            let found = self.out.display().to_string();
-            let expected = "another folder than that of the scene, which would be written over";
-            return Err(Error::argument(
-                "--out",
-                found,
-                expected,
-                "name a new folder",
-            ));
-        }
+        ensure!(!atomic::same_file(&path, &self.out.join(SCENE)),
+            argument "--out"; found "{}", self.out.display();
+            expected "another folder than that of the scene, which would be written over"; help "name a new folder");
         let scene = data::load(&self.data, &options)?;
         let ply = ply::read(&path, &Limits::default())?;
         let scene = scene.with_origin(ply.origin);

@@ -14,7 +14,6 @@ mod label;
 mod labelled;
 mod object_scene;
 mod objects;
-mod pretrain;
 mod progress;
 mod render;
 mod render_path;
@@ -111,8 +110,6 @@ pub enum Command {
     Separate(separate::SeparateArgs),
     /// Keep, remove, turn and move objects of a labelled scene
     Edit(edit::EditArgs),
-    /// Train the point encoder on procedural rooms
-    Pretrain(pretrain::PretrainArgs),
     /// Measure speed, error and memory on this machine
     Bench(bench::BenchArgs),
     /// Make a table of variants on equal Gaussians, as a plan states it
@@ -135,7 +132,6 @@ impl Command {
             Self::Objects(args) => args.run(),
             Self::Separate(args) => args.run(),
             Self::Edit(args) => args.run(),
-            Self::Pretrain(args) => args.run(),
             Self::Bench(args) => args.run(),
         };
         done.map(|()| ExitCode::SUCCESS)

@@ -5,7 +5,7 @@ use super::scene_file::{
 };
 use clap::Args;
 use coseg::data::{Classes, LoadOptions, atomic, check_output_file};
-use coseg::error::{Error, Result};
+use coseg::error::{Error, Result, bail, ensure, invalid};
 use coseg::objects::{Object, inventory};
 use coseg::splat::ply::PlyScene;
 use coseg::splat::{Gaussians, ply};
@@ -50,30 +50,19 @@ impl ObjectSceneArgs {
     /// read nor the class table of other labels.
     pub fn check_out(&self, out: &Path, scene: &ObjectScene, classes: &Classes) -> Result<()> {
         let names = out.with_file_name(CLASSES);
-        let found = || out.display().to_string();
         let is_read = |path: &PathBuf| atomic::same_file(path, out);
         if is_read(&scene.path) || self.classes.as_ref().is_some_and(is_read) || out == names {
-            let expected = "another file than the scene and its classes.json";
-            return Err(Error::argument(
-                "--out",
-                found(),
-                expected,
-                "name a new file",
-            ));
+            bail!(argument "--out"; found "{}", out.display();
+                expected "another file than the scene and its classes.json"; help "name a new file");
         }
         if let Some(folder) = out.parent() {
             check_output_file("--out", out, (folder, &LoadOptions::default()))?;
         }
-        if !has_extension(out, "ply") {
-            let help = "end the name in .ply; other tools convert that to their formats";
-            return Err(Error::argument("--out", found(), "a .ply file", help));
-        }
-        if names.exists() && Classes::read(&names)? != *classes {
-            let expected = "that of the scene's labels, or no file";
-            let help = "write into another folder";
-            let found = "another class table";
-            return Err(Error::input(&names, "classes", found, expected, help));
-        }
+        ensure!(has_extension(out, "ply"), argument "--out"; found "{}", out.display(); expected "a .ply file";
+            help "end the name in .ply; other tools convert that to their formats");
+        ensure!(!names.exists() || Classes::read(&names)? == *classes,
+            &names, "classes"; found "another class table"; expected "that of the scene's labels, or no file";
+            help "write into another folder");
         Ok(())
     }
 }
@@ -152,9 +141,9 @@ impl ObjectScene {
         if self.objects.len() > LISTED {
             listed.push(format!("or one of {} more", self.objects.len() - LISTED));
         }
-        let expected = format!("an id or a name of the scene: {}", listed.join(", "));
-        let help = "`coseg objects --scene FILE.ply` lists them";
-        Err(Error::argument(flag, what, expected, help))
+        Err(invalid!(argument "{flag}"; found "{what}";
+            expected "an id or a name of the scene: {}", listed.join(", ");
+            help "`coseg objects --scene FILE.ply` lists them"))
     }
 
     /// Ids of the objects in `list`, see [`Self::find`].
@@ -181,7 +170,6 @@ impl ObjectScene {
 
 /// The error of a scene that needs a label column.
 pub fn without_labels(path: &Path) -> Error {
-    let help = "give the scene labels with `coseg vote` or `coseg train`";
-    let expected = "one label for each Gaussian";
-    Error::input(path, "column label", "nothing", expected, help)
+    invalid!(path, "column label"; found "nothing"; expected "one label for each Gaussian";
+        help "give the scene labels with `coseg vote` or `coseg train`")
 }

@@ -6,7 +6,7 @@ use super::terminal;
 use super::values::numbers;
 use clap::Args;
 use coseg::data::{NamedCamera, read_cameras};
-use coseg::error::{Error, Result};
+use coseg::error::{Result, bail, ensure};
 use coseg::objects::pick;
 use coseg::raster::{Projected, Settings};
 use glam::DVec3;
@@ -115,21 +115,13 @@ impl ObjectsArgs {
         }) = named(frame).or_else(|| stem.and_then(named))
         else {
             let some: Vec<&str> = frames.iter().take(5).map(|f| f.name.as_str()).collect();
-            let expected = format!("one of {} frames such as {}", frames.len(), some.join(", "));
-            let help = "name a frame of --cameras";
-            return Err(Error::argument("--frame", frame, expected, help));
+            bail!(argument "--frame"; found "{frame}";
+                expected "one of {} frames such as {}", frames.len(), some.join(", ");
+                help "name a frame of --cameras");
         };
         let [width, height] = [camera.width, camera.height];
-        if x >= width || y >= height {
-            let expected = format!("a column below {width} and a row below {height}");
-            let help = "choose a pixel of the frame";
-            return Err(Error::argument(
-                "--pixel",
-                format!("{x},{y}"),
-                expected,
-                help,
-            ));
-        }
+        ensure!(x < width && y < height, argument "--pixel"; found "{x},{y}";
+            expected "a column below {width} and a row below {height}"; help "choose a pixel of the frame");
         let camera = camera.moved(-scene.ply.origin);
         let settings = Settings::from(&rendering_beside(&scene.path).raster);
         let projected = Projected::new(&scene.ply.gaussians.splats(), &camera, &settings)?;

@@ -14,7 +14,6 @@ use coseg::data::{
 };
 use coseg::error::Result;
 use coseg::objects::{Frame, RenderOptions, Renderer};
-use coseg::raster::Settings;
 use coseg::report::pictures;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -132,7 +131,7 @@ impl RenderArgs {
         let path = scene_path(&self.scene)?;
         let keys = cameras_path(self.cameras.as_deref(), &path)?;
         self.path.check(&self.out, &keys)?;
-        let config = rendering_beside(&path);
+        let mut config = rendering_beside(&path);
         let scene = self
             .cameras
             .as_deref()
@@ -140,7 +139,7 @@ impl RenderArgs {
             .or(config.data.dir.as_deref());
         let options = LoadOptions::from(&config);
         check_outputs("--out", &[&self.out], scene.map(|dir| (dir, &options)))?;
-        let mut raster = config.raster;
+        let raster = &mut config.raster;
         raster.alpha_max = self.alpha_max.unwrap_or(raster.alpha_max);
         raster.background = self.background.unwrap_or(raster.background);
         let mut cameras = read_cameras(&keys, split)?;
@@ -157,11 +156,7 @@ impl RenderArgs {
         let along = self.path.cameras(&cameras, &path, &scene)?;
         let is_path = along.is_some();
         let cameras = along.unwrap_or(cameras);
-        let options = RenderOptions {
-            settings: Settings::from(&raster),
-            background: raster.background,
-            min_coverage: config.segmentation.min_coverage as f32,
-        };
+        let options = RenderOptions::from(&config);
         let labels = scene.labels.filter(|_| self.labels);
         let device = self.backend.open()?;
         let renderer = Renderer::new(scene.gaussians, labels, options, &device)?;

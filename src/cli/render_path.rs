@@ -7,7 +7,7 @@ use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
 use coseg::data::formats::transforms;
 use coseg::data::{NamedCamera, Split, atomic};
-use coseg::error::{Error, Result};
+use coseg::error::{Result, bail, ensure};
 use coseg::splat::camera::Camera;
 use coseg::splat::camera_path::{CameraPath, Orbit};
 use coseg::splat::ply::PlyScene;
@@ -57,35 +57,25 @@ impl PathArgs {
             ("--object", self.object.is_some()),
             ("--radius", self.radius.is_some()),
         ] {
-            if is_given && kind != PathKind::Orbit {
-                let found = "--path interpolate";
-                let help = "leave one of them out";
-                return Err(Error::argument(flag, found, "--path orbit", help));
-            }
+            ensure!(!is_given || kind == PathKind::Orbit, argument "{flag}"; found "--path interpolate";
+                expected "--path orbit"; help "leave one of them out");
         }
         let file = out.join(CAMERAS);
         // A path that this command wrote is a transforms.json.
         let is_path = transforms::load_cameras(&file, None)
             .is_ok_and(|cameras| cameras.iter().all(|c| c.name.starts_with(PREFIX)));
         if file.exists() && (atomic::same_file(&file, cameras) || !is_path) {
-            let expected = "a folder without cameras.json: the cameras of the path go there";
-            let found = file.display().to_string();
-            return Err(Error::argument(
-                "--out",
-                found,
-                expected,
-                "name another folder",
-            ));
+            bail!(argument "--out"; found "{}", file.display();
+                expected "a folder without cameras.json: the cameras of the path go there";
+                help "name another folder");
         }
         // A film of the frames would end with those of the longer path.
         let next = format!("{PREFIX}{:04}.", self.frames.unwrap_or(FRAMES));
         let files = std::fs::read_dir(out).into_iter().flatten().flatten();
         let mut names = files.filter_map(|entry| entry.file_name().into_string().ok());
         if let Some(left) = names.find(|name| name.starts_with(&next)) {
-            let found = out.join(left).display().to_string();
-            let expected = "a folder without frames of a longer path";
-            let help = "remove them, or name another folder";
-            return Err(Error::argument("--out", found, expected, help));
+            bail!(argument "--out"; found "{}", out.join(left).display();
+                expected "a folder without frames of a longer path"; help "remove them, or name another folder");
         }
         Ok(())
     }

@@ -4,7 +4,7 @@ use super::or_usage_error;
 use super::scene_file::{CONFIG, SCENE, classes_beside};
 use coseg::config::Config;
 use coseg::data::{Classes, atomic};
-use coseg::error::{Error, Result};
+use coseg::error::{Result, ensure};
 use coseg::report::{Command, Metrics};
 use std::path::{Path, PathBuf};
 
@@ -25,21 +25,18 @@ impl RunFolder {
     /// An existing run.
     ///
     /// # Errors
-    /// [`Error::Input`] when `dir` holds no `config.toml`.
+    /// [`coseg::Error::Input`] when `dir` holds no `config.toml`.
     pub fn existing(dir: &Path) -> Result<Self> {
         let run = Self(dir.to_owned());
-        if !run.is_used() {
-            let (field, found) = (CONFIG, "no such file");
-            let help = "give the folder that `coseg train` wrote";
-            return Err(Error::input(dir, field, found, "a run folder", help));
-        }
+        ensure!(run.is_used(), dir, "{CONFIG}"; found "no such file"; expected "a run folder";
+            help "give the folder that `coseg train` wrote");
         Ok(run)
     }
 
     /// The folder of a new run: `dir`, or `runs/NAME`, numbered when that is taken.
     ///
     /// # Errors
-    /// [`Error::Input`] when `dir` already holds a run.
+    /// [`coseg::Error::Input`] when `dir` already holds a run.
     pub fn new(dir: Option<&Path>, name: &str) -> Result<Self> {
         let Some(dir) = dir else {
             let base = Path::new("runs");
@@ -49,13 +46,8 @@ impl RunFolder {
             return Ok(free.unwrap_or_else(|| Self(base.join(name))));
         };
         let run = Self(dir.to_owned());
-        if run.is_used() {
-            let help = format!(
-                "continue it (--resume {}) or choose another folder",
-                dir.display()
-            );
-            return Err(Error::input(dir, CONFIG, "a run", "no run there yet", help));
-        }
+        ensure!(!run.is_used(), dir, "{CONFIG}"; found "a run"; expected "no run there yet";
+            help "continue it (--resume {}) or choose another folder", dir.display());
         Ok(run)
     }
 
@@ -67,7 +59,7 @@ impl RunFolder {
     /// be resumed however it ends. An earlier run may still refuse these settings: it keeps its own until the end.
     ///
     /// # Errors
-    /// [`Error::Io`] naming the file; [`Error::Argument`] for settings that TOML cannot hold.
+    /// [`coseg::Error::Io`] naming the file; [`coseg::Error::Argument`] for settings that TOML cannot hold.
     pub fn begin(&self, config: &Config, command: Command) -> Result<Begun> {
         // A file that cannot be read is ignored.
         let earlier = std::fs::read(self.file(COMMANDS)).ok();
@@ -140,12 +132,9 @@ impl Begun {
     /// Writes the command lines.
     ///
     /// # Errors
-    /// [`Error::Io`] naming the file.
+    /// [`coseg::Error::Io`] naming the file.
     pub fn keep(&self) -> Result<()> {
-        let path = self.run.file(COMMANDS);
-        let text = serde_json::to_string_pretty(&self.commands)
-            .map_err(|e| Error::io(&path, "encode", e.into()))?;
-        atomic::write_bytes(&path, text.as_bytes())
+        atomic::write_json(self.run.file(COMMANDS), &self.commands)
     }
 
     /// Removes the files of a new run after an error, unless training has started: the input was wrong.

@@ -2,7 +2,7 @@
 
 use coseg::config::Config;
 use coseg::data::{Classes, Limits, NamedCamera, Scene, View, atomic};
-use coseg::error::{Error, Result};
+use coseg::error::{Error, Result, ensure, invalid};
 use coseg::splat::ply;
 use coseg::splat::ply::PlyScene;
 use std::path::{Path, PathBuf};
@@ -26,11 +26,7 @@ pub fn scene_path(given: &Path) -> Result<PathBuf> {
     const HELP: &str = "give a .ply file, or the folder that `coseg train` wrote";
     let exists = given.try_exists();
     if !exists.map_err(|e| Error::io(given, "look at", e))? {
-        return Err(Error::Missing {
-            what: "file",
-            path: given.to_owned(),
-            help: HELP.to_owned(),
-        });
+        return Err(Error::missing("file", given, HELP));
     }
     if !given.is_dir() {
         return Ok(given.to_owned());
@@ -49,13 +45,7 @@ pub fn scene_path(given: &Path) -> Result<PathBuf> {
     let help = plys
         .min()
         .map_or(HELP.to_owned(), |other| format!("give {}", other.display()));
-    Err(Error::input(
-        given,
-        SCENE,
-        "no such file",
-        "a run folder",
-        help,
-    ))
+    Err(invalid!(given, "{SCENE}"; found "no such file"; expected "a run folder"; help "{help}"))
 }
 
 /// The Gaussians of the last iteration in a model folder of graphdeco's 3DGS: point_cloud/iteration_N/point_cloud.ply.
@@ -94,16 +84,8 @@ pub fn cameras_of(scene: &Scene) -> Vec<NamedCamera> {
 /// Reads a scene that must hold Gaussians.
 pub fn read_scene(path: &Path) -> Result<PlyScene> {
     let scene = ply::read(path, &Limits::default())?;
-    if scene.gaussians.is_empty() {
-        let help = "name a scene that is not empty";
-        return Err(Error::input(
-            path,
-            "element vertex",
-            "no Gaussian",
-            "one or more",
-            help,
-        ));
-    }
+    ensure!(!scene.gaussians.is_empty(), path, "element vertex"; found "no Gaussian"; expected "one or more";
+        help "name a scene that is not empty");
     Ok(scene)
 }
 
@@ -129,9 +111,8 @@ pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
     above
         .filter(|file| is_graphdeco && file.is_file())
         .ok_or_else(|| {
-            let expected = format!("cameras: {} does not exist", beside.display());
-            let help = "give a file of cameras, a scene folder or a run folder";
-            Error::argument("--cameras", "nothing", expected, help)
+            invalid!(argument "--cameras"; found "nothing"; expected "cameras: {} does not exist", beside.display();
+                help "give a file of cameras, a scene folder or a run folder")
         })
 }
 

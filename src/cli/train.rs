@@ -12,7 +12,7 @@ use coseg::config::Config;
 use coseg::data;
 use coseg::data::formats::transforms;
 use coseg::data::{LoadOptions, Split, atomic};
-use coseg::error::{Error, Result};
+use coseg::error::{Result, bail};
 use coseg::pipeline;
 use coseg::pipeline::{HeldOutScores, Outcome, VariantOutcome};
 use coseg::report::{Command, Metrics, Report, held_out_views};
@@ -144,13 +144,8 @@ impl TrainArgs {
             return self.labelling.expect_none().map(|()| false);
         };
         let Some(dir) = &config.data.dir else {
-            let expected = "a scene folder whose photos it labels";
-            return Err(Error::argument(
-                "--segmenter",
-                "the built-in room",
-                expected,
-                "add --data DIR",
-            ));
+            bail!(argument "--segmenter"; found "the built-in room";
+                expected "a scene folder whose photos it labels"; help "add --data DIR");
         };
         let labels = run.path().join("labels");
         let scene = (dir.as_path(), &LoadOptions::from(&*config));
@@ -326,7 +321,12 @@ fn summary(outcome: &Outcome) {
         return;
     }
     let scored = |row: &VariantOutcome| {
-        row.scores.miou.is_some() || row.instances.is_some() || row.semantic.is_some()
+        let HeldOutScores {
+            labels,
+            instances,
+            semantic,
+        } = &row.scores;
+        labels.miou.is_some() || instances.is_some() || semantic.is_some()
     };
     if !outcome.rows.iter().any(scored) {
         let names: Vec<&str> = outcome.rows.iter().map(|row| row.row.title()).collect();
@@ -337,11 +337,6 @@ fn summary(outcome: &Outcome) {
         return;
     }
     for row in &outcome.rows {
-        let scores = HeldOutScores {
-            labels: row.scores.clone(),
-            instances: row.instances.clone(),
-            semantic: row.semantic.clone(),
-        };
-        held_out::print(&scores, row.row.title());
+        held_out::print(&row.scores, row.row.title());
     }
 }

@@ -7,7 +7,7 @@ use super::terminal;
 use super::values::{alpha_max, numbers};
 use clap::Args;
 use coseg::data::{Limits, read_cameras};
-use coseg::error::{Error, Result};
+use coseg::error::{Result, ensure};
 use coseg::splat::ply;
 use coseg::viewer::Viewer;
 use glam::DVec3;
@@ -61,11 +61,8 @@ impl ViewArgs {
             None if self.scene.is_dir() => self.scene.join(VIEWER),
             None => path.with_file_name(VIEWER),
         };
-        if !has_extension(&out, "html") {
-            let found = out.display().to_string();
-            let help = "end the name in .html";
-            return Err(Error::argument("--out", found, "an .html file", help));
-        }
+        ensure!(has_extension(&out, "html"), argument "--out"; found "{}", out.display();
+            expected "an .html file"; help "end the name in .html");
         let ply = ply::read(&path, &Limits::default())?;
         let names = self.classes.as_ref().map(|file| file.display().to_string());
         let classes = classes_beside(&path, self.classes.as_deref())?;

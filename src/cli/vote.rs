@@ -5,7 +5,7 @@ use super::{held_out, terminal};
 use clap::Args;
 use coseg::config::Association;
 use coseg::data::Split;
-use coseg::error::{Error, Result};
+use coseg::error::{Result, bail, ensure};
 use coseg::objects::{pooled_vote, vote, weighted_vote};
 use coseg::pipeline::{HeldOut, Inputs};
 use coseg::raster::Settings;
@@ -34,20 +34,16 @@ impl VoteArgs {
     /// Votes, writes and scores.
     pub fn run(self) -> Result<()> {
         let config = self.input.config()?;
-        if config.data.association != Association::None {
-            let key = "data.association";
-            let expected = "\"none\": the votes are for classes that are the same in every view";
-            let help = "use `coseg associate`, which makes objects of segments and votes for these";
-            return Err(Error::config(key, "\"gaussians\"", expected, help));
-        }
+        ensure!(config.data.association == Association::None,
+            setting "data.association"; found "\"gaussians\"";
+            expected "\"none\": the votes are for classes that are the same in every view";
+            help "use `coseg associate`, which makes objects of segments and votes for these");
         let settings = Settings::from(&config.raster);
         let device = self.input.device()?;
         let (scene, ply) = self.input.read(&config, &device)?;
-        if !scene.split(Split::Train).any(|view| view.raw.is_some()) {
-            let expected = "raw labels of training views";
-            let help = "add raw_label_path to the frames of a transforms.json, or name a folder with --set data.raw_labels=FOLDER";
-            let (data, field) = (&self.input.data, "raw_label_path");
-            return Err(Error::input(data, field, "nothing", expected, help));
+        if scene.labelled().next().is_none() {
+            bail!(&self.input.data, "raw_label_path"; found "nothing"; expected "raw labels of training views";
+                help "add raw_label_path to the frames of a transforms.json, or name a folder with --set data.raw_labels=FOLDER");
         }
         let gaussians = &ply.gaussians;
         let views = || scene.split(Split::Train);

@@ -2,7 +2,7 @@
 
 use super::{Figures, LabelKind, Row, SceneFolder};
 use crate::config::Variant;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, bail, ensure};
 use crate::files::{self, atomic};
 use crate::metrics::ClassIou;
 use crate::provenance::Provenance;
@@ -84,7 +84,7 @@ struct CellFile {
 /// Writes the file of `cell`, which has `provenance`, in the folder `out` of a comparison.
 pub(super) fn write_cell(out: &Path, cell: Cell, provenance: Provenance) -> Result<()> {
     let path = cell.id.file(out);
-    write_json(&path, &CellFile { cell, provenance })
+    atomic::write_json(&path, &CellFile { cell, provenance })
 }
 
 /// The finished cell `id` in the folder `out`, if there is one. It has to have `provenance`, and be of `commit` unless that is
@@ -104,22 +104,12 @@ pub(super) fn read_cell(
     }
     let stored: CellFile = files::json(path, "a cell of `coseg compare`")?;
     let cell = stored.cell;
-    if cell.id != *id {
-        let (found, expected) = (cell.id.to_string(), id.to_string());
-        return Err(Error::input(
-            path,
-            "scene, labels, row, seed",
-            found,
-            expected,
-            HELP,
-        ));
-    }
+    ensure!(cell.id == *id, path, "scene, labels, row, seed"; found "{}", cell.id; expected "{id}"; help "{HELP}");
     let differs = provenance.check(&stored.provenance, false, path);
     differs.map_err(|error| other_provenance(error, path))?;
     if let Some(commit) = commit.filter(|commit| *commit != cell.commit) {
-        let expected = format!("{commit}, that of this program");
-        let help = format!("{HELP}, or keep such cells with --keep-cells");
-        return Err(Error::input(path, "commit", cell.commit, expected, help));
+        bail!(path, "commit"; found "{}", cell.commit; expected "{commit}, that of this program";
+            help "{HELP}, or keep such cells with --keep-cells");
     }
     Ok(Some(cell))
 }
@@ -145,11 +135,4 @@ pub(super) fn other_provenance(error: Error, path: &Path) -> Error {
         } => Error::input(path, field, found, "those of the plan", HELP),
         other => other,
     }
-}
-
-/// Writes `value` as JSON for people too.
-pub(super) fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
-    let text = serde_json::to_string_pretty(value);
-    let text = text.map_err(|e| Error::io(path, "encode", e.into()))?;
-    atomic::write_bytes(path, (text + "\n").as_bytes())
 }

@@ -4,7 +4,6 @@ use crate::data::Split;
 use crate::error::Result;
 use crate::objects::{RenderOptions, Renderer};
 use crate::pipeline::{Outcome, VariantOutcome};
-use crate::raster::Settings;
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
@@ -47,11 +46,12 @@ impl Figures {
     pub(super) fn of(row: &VariantOutcome, outcome: &Outcome, device: &Device) -> Result<Self> {
         let seconds = &outcome.seconds;
         let features = seconds.features + seconds.unprojection;
+        let labels = &row.scores.labels;
         Ok(Self {
-            miou: row.scores.miou,
-            miou_per_view: row.scores.miou_per_view,
-            accuracy: row.scores.accuracy,
-            boundary_iou: row.scores.boundary_iou,
+            miou: labels.miou,
+            miou_per_view: labels.miou_per_view,
+            accuracy: labels.accuracy,
+            boundary_iou: labels.boundary_iou,
             frames_per_second: frames_per_second(row, outcome, device)?,
             learnable_bytes: row.learnable_bytes as u64,
             training_seconds: row.curve.last().map(|_| row.seconds),
@@ -72,12 +72,7 @@ fn frames_per_second(
     let Some(identities) = &row.identities else {
         return Ok(None);
     };
-    let config = &outcome.config;
-    let options = RenderOptions {
-        settings: Settings::from(&config.raster),
-        background: config.raster.background,
-        min_coverage: config.segmentation.min_coverage as f32,
-    };
+    let options = RenderOptions::from(&outcome.config);
     let labels = identities.ids(&outcome.scene.classes);
     let renderer = Renderer::new(outcome.gaussians.clone(), Some(labels), options, device)?;
     let views: Vec<_> = outcome.scene.split(Split::Test).collect();

@@ -3,7 +3,7 @@
 use super::CellId;
 use crate::config::{BuildingConfig, Config, Variant};
 use crate::data::LoadOptions;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, ensure};
 use crate::files;
 use serde::Deserialize;
 use std::collections::BTreeSet;
@@ -186,20 +186,9 @@ impl Plan {
             .map(|config| LoadOptions::from(&config))
     }
 
-    fn refused(&self, field: &str, found: &str, expected: &str, help: &str) -> Error {
-        Error::input(&self.path, field, found, expected, help)
-    }
-
     fn check_names(&self) -> Result<()> {
-        if self.title.is_empty() || self.title.contains(char::is_control) {
-            let found = format!("{:?}", self.title);
-            return Err(self.refused(
-                "title",
-                &found,
-                "a line of text",
-                "name what the table shows",
-            ));
-        }
+        ensure!(!self.title.is_empty() && !self.title.contains(char::is_control),
+            &self.path, "title"; found "{:?}", self.title; expected "a line of text"; help "name what the table shows");
         let scenes: Vec<&str> = self.scenes.iter().map(|scene| &*scene.name).collect();
         let labels: Vec<&str> = self.labels.iter().map(|kind| &*kind.name).collect();
         let rows: Vec<&str> = self.rows.iter().map(|row| &*row.name).collect();
@@ -208,14 +197,9 @@ impl Plan {
         }
         for scene in &self.scenes {
             if let Some(dir) = scene.dir.as_ref().filter(|dir| !dir.is_dir()) {
-                return Err(Error::Missing {
-                    what: "folder",
-                    path: dir.clone(),
-                    help: format!(
-                        "{} names it in `scenes`, relative to --data-root or else to the plan",
-                        self.path.display()
-                    ),
-                });
+                let plan = self.path.display();
+                let help = "names it in `scenes`, relative to --data-root or else to the plan";
+                return Err(Error::missing("folder", dir, format!("{plan} {help}")));
             }
         }
         Ok(())
@@ -223,9 +207,8 @@ impl Plan {
 
     /// Checks the names of a list: one or more, each usable as a file name, none twice.
     fn check_list(&self, field: &str, names: &[&str]) -> Result<()> {
-        if names.is_empty() {
-            return Err(self.refused(field, "none", "one or more", "list them"));
-        }
+        let path = &self.path;
+        ensure!(!names.is_empty(), path, "{field}"; found "none"; expected "one or more"; help "list them");
         let mut seen = BTreeSet::new();
         for (i, name) in names.iter().enumerate() {
             let field = format!("{field}, number {}", i + 1);
@@ -235,51 +218,35 @@ impl Plan {
                 && name.len() <= MOST_BYTES
                 && !name.starts_with('.')
                 && !name.contains(forbidden);
-            if !is_plain {
-                let expected = format!(
-                    "a name of at most {MOST_BYTES} bytes that can be part of a file name and of a table"
-                );
-                let help = "leave out / \\ | < > \" : * ? ` and a dot at the front";
-                return Err(self.refused(&field, &format!("{name:?}"), &expected, help));
-            }
-            if !seen.insert(*name) {
-                let found = format!("{name:?} twice");
-                return Err(self.refused(
-                    &field,
-                    &found,
-                    "each name once",
-                    "rename one of the two",
-                ));
-            }
+            ensure!(is_plain, path, "{field}"; found "{name:?}";
+                expected "a name of at most {MOST_BYTES} bytes that can be part of a file name and of a table";
+                help "leave out / \\ | < > \" : * ? ` and a dot at the front");
+            ensure!(seen.insert(*name),
+                path, "{field}"; found "{name:?} twice"; expected "each name once"; help "rename one of the two");
         }
         Ok(())
     }
 
     fn check_size(&self) -> Result<()> {
-        if self.seeds == 0 {
-            return Err(self.refused("seeds", "0", "1 or more", "3 show a spread"));
-        }
-        if let Some(kind) = self
-            .labels
-            .iter()
-            .find(|kind| kind.labelled_photos == Some(0))
+        let path = &self.path;
+        ensure!(self.seeds > 0, path, "seeds"; found "0"; expected "1 or more"; help "3 show a spread");
+        for LabelKind {
+            name,
+            labelled_photos,
+            ..
+        } in &self.labels
         {
-            let field = format!("labels {:?}, labelled_photos", kind.name);
-            return Err(self.refused(&field, "0", "1 or more", "leave it out to keep all"));
+            ensure!(*labelled_photos != Some(0), path, "labels {name:?}, labelled_photos"; found "0";
+                expected "1 or more"; help "leave it out to keep all");
         }
         let lists = [self.scenes.len(), self.labels.len(), self.rows.len()];
         let cells = lists
             .iter()
             .try_fold(self.seeds, |all, &n| all.checked_mul(n as u64));
-        match cells {
-            Some(cells) if cells <= MOST_CELLS => Ok(()),
-            _ => Err(Error::Limit {
-                what: format!("cells of {}", self.path.display()),
-                found: cells.map_or("more than 2^64".into(), |cells| cells.to_string()),
-                limit: MOST_CELLS.to_string(),
-                help: "give fewer seeds, scenes, labels or rows".into(),
-            }),
-        }
+        let found = cells.map_or("more than 2^64".into(), |cells| cells.to_string());
+        ensure!(cells.is_some_and(|cells| cells <= MOST_CELLS), limit "cells of {}", path.display(); found "{found}";
+            expected "{MOST_CELLS}"; help "give fewer seeds, scenes, labels or rows");
+        Ok(())
     }
 
     /// Checks that no table sets what other parts of the plan decide, and that each row has valid settings.
@@ -311,15 +278,12 @@ impl Plan {
             parts.fold(first, |value, name| value?.get(name)).is_some()
         };
         if let Some((key, help)) = OWN_KEYS.iter().find(|(key, _)| given(key)) {
-            let field = format!("{place}, {key}");
-            return Err(self.refused(&field, "a value", "no such setting in a plan", help));
+            bail!(&self.path, "{place}, {key}"; found "a value"; expected "no such setting in a plan"; help "{help}");
         }
         if let Some(section) = shared.iter().find(|section| given(section)) {
-            return Err(
-                invalid!(&self.path, "{place}, {section}"; found "a setting of its own";
+            bail!(&self.path, "{place}, {section}"; found "a setting of its own";
                 expected "the same {section} for all rows, so that they compare over equal Gaussians and labels";
-                help "put it into [settings] or, of data, into the settings of [[labels]]"),
-            );
+                help "put it into [settings] or, of data, into the settings of [[labels]]");
         }
         Ok(())
     }
@@ -332,7 +296,7 @@ impl Plan {
                 found,
                 expected,
                 help,
-            } => self.refused(&format!("{place}, {key}"), &found, &expected, &help),
+            } => Error::input(&self.path, format!("{place}, {key}"), found, expected, help),
             other => other,
         }
     }

@@ -6,7 +6,7 @@ use super::stage_one::SharedGaussians;
 use super::{Cell, CellId, Figures};
 use crate::config::Config;
 use crate::data::{self, Classes, Scene, Split, View};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, ensure};
 use crate::metrics::ClassIou;
 use crate::pipeline::{self, VariantOutcome, load_scene};
 use crate::progress::Progress;
@@ -98,19 +98,12 @@ fn check_options(plan: &Plan, options: &Options) -> Result<()> {
         .keys()
         .find(|name| !names.contains(&&***name));
     if let Some(unknown) = unknown {
-        let expected = format!("a scene of the plan: {}", names.join(", "));
-        return Err(Error::argument(
-            "--gaussians",
-            unknown,
-            expected,
-            "name one of these",
-        ));
+        bail!(argument "--gaussians"; found "{unknown}"; expected "a scene of the plan: {}", names.join(", ");
+            help "name one of these");
     }
-    if !plan.cells().iter().any(|id| options.wants(id)) {
-        let help = "a name is scene/labels/row/seed";
-        let expected = "a part of the name of a cell";
-        return Err(Error::argument("--only", &options.only, expected, help));
-    }
+    ensure!(plan.cells().iter().any(|id| options.wants(id)),
+        argument "--only"; found "{}", options.only; expected "a part of the name of a cell";
+        help "a name is scene/labels/row/seed");
     Ok(())
 }
 
@@ -224,11 +217,9 @@ impl<'a> Comparison<'a> {
         let count = labelled.len();
         if kept > count {
             let path = &self.plan.path;
-            return Err(
-                invalid!(path, "labels {:?}, labelled_photos", part.labels.name; found "{kept}";
+            bail!(path, "labels {:?}, labelled_photos", part.labels.name; found "{kept}";
                 expected "at most {count}, the training photos of {} with raw labels", scene.name;
-                help "give fewer, or name another data.raw_labels"),
-            );
+                help "give fewer, or name another data.raw_labels");
         }
         let mut random = stream(part.seed, Purpose::LabelledPhotos, 0);
         let drawn = rand::seq::index::sample(&mut random, count, kept).into_vec();
@@ -291,10 +282,8 @@ impl<'a> Comparison<'a> {
         for job in jobs {
             let row = outcome.rows.iter().find(|row| row.row == job.row.variant);
             let Some(row) = row else {
-                return Err(
-                    invalid!(&self.plan.path, "labels {labels:?}"; found "{name} without raw labels";
-                    expected "training photos with raw labels"; help "name them by data.raw_labels or data.transforms"),
-                );
+                bail!(&self.plan.path, "labels {labels:?}"; found "{name} without raw labels";
+                    expected "training photos with raw labels"; help "name them by data.raw_labels or data.transforms");
             };
             let cell = Cell {
                 id: job.id.clone(),
@@ -330,7 +319,7 @@ fn named_classes(row: &VariantOutcome, classes: &Classes) -> Vec<ClassIou> {
         name: classes.name(id).to_owned(),
         iou,
     };
-    row.scores.per_class.iter().map(named).collect()
+    row.scores.labels.per_class.iter().map(named).collect()
 }
 
 /// Jobs in groups that a run can train together: of equal settings, each variant once.

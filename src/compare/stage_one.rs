@@ -1,12 +1,12 @@
 //! The Gaussians of a scene that all of its cells share: trained once, or taken from a file.
 
-use super::cells::{other_provenance, write_json};
+use super::cells::other_provenance;
 use super::plan::{Plan, SceneFolder};
 use super::{Options, Watch};
 use crate::config::{BuildingConfig, Config};
 use crate::data::Limits;
-use crate::error::{Error, Result, invalid};
-use crate::files;
+use crate::error::{Error, Result, bail};
+use crate::files::{self, atomic};
 use crate::pipeline::{self, load_scene};
 use crate::provenance::Provenance;
 use crate::splat::{Gaussians, ply};
@@ -62,7 +62,7 @@ impl SharedGaussians {
                 seconds: outcome.seconds.building,
                 provenance: Provenance::stage_one(&config, &outcome.scene),
             };
-            write_json(&record, &done)?;
+            atomic::write_json(&record, &done)?;
         }
         let file = folder.join("scene.ply");
         let gaussians = ply::read(&file, &Limits::default())?.gaussians;
@@ -109,10 +109,8 @@ impl Record {
             None => "trained ones".to_owned(),
         };
         if let Some(named) = named.filter(|named| self.given.as_deref() != Some(named)) {
-            return Err(
-                invalid!(path, "Gaussians"; found "{origin}"; expected "{}", named.display();
-                help "leave out --gaussians for this scene, or choose another --out"),
-            );
+            bail!(path, "Gaussians"; found "{origin}"; expected "{}", named.display();
+                help "leave out --gaussians for this scene, or choose another --out");
         }
         let config = settings(plan, scene, self.given.as_deref())?;
         Provenance::stage_one(&config, &load_scene(&config)?)

@@ -1,6 +1,5 @@
 //! Means and spreads of the cells of a plan, as JSON, Markdown and plots.
 
-use super::cells::write_json;
 use super::plots::{Bars, Points};
 use super::statistics::{best, mean};
 use super::{Cell, Figures, Plan, Statistic};
@@ -113,7 +112,7 @@ impl<'a> Tables<'a> {
     pub fn write(&self, out: &Path) -> Result<Vec<PathBuf>> {
         let mut files = vec![out.join("table.md"), out.join("compare.json")];
         atomic::write_bytes(&files[0], self.markdown().as_bytes())?;
-        write_json(&files[1], &self.json())?;
+        atomic::write_json(&files[1], &self.json())?;
         for (name, svg) in self.plots() {
             let path = out.join(name);
             atomic::write_bytes(&path, svg.as_bytes())?;

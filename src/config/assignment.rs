@@ -1,7 +1,7 @@
 //! The values that a settings file or `--set` gives to keys, and errors that name file, line and key.
 
 use super::Config;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, invalid};
 use std::path::Path;
 use toml::{Table, Value};
 
@@ -43,10 +43,8 @@ pub(super) fn flatten(table: Table, prefix: &str, out: &mut Vec<(String, Value)>
 
 pub(super) fn parse_set<'a>(set: &str) -> Result<Assignment<'a>> {
     let Some((key, text)) = set.split_once('=') else {
-        return Err(
-            invalid!(argument "--set"; found "{set}"; expected "section.key=value";
-            help "for instance --set building.iterations=3000"),
-        );
+        bail!(argument "--set"; found "{set}"; expected "section.key=value";
+            help "for instance --set building.iterations=3000");
     };
     let text = text.trim();
     let items = text.trim_matches(['[', ']']).split(',');

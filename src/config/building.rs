@@ -1,7 +1,7 @@
 //! Settings of stage one and of the blending.
 
 use super::range::{Range, checked};
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail, ensure};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use std::path::PathBuf;
@@ -168,28 +168,19 @@ impl BuildingConfig {
         if self.gaussians.is_none() {
             checked!(self, "building": { iterations: Positive });
         }
-        let out_of_range = |key: &str, found: usize, expected: &str, help: &str| {
-            Err(invalid!(setting "{key}"; found "{found}"; expected "{expected}"; help "{help}"))
-        };
-        if self.iterations > u32::MAX as usize {
-            let (key, found) = ("building.iterations", self.iterations);
-            return out_of_range(key, found, "fewer than 2^32", "give fewer");
-        }
-        if self.sh_degree > 3 {
-            let (key, found) = ("building.sh_degree", self.sh_degree);
-            return out_of_range(key, found, "0, 1, 2 or 3", "3 is the usual choice");
-        }
+        ensure!(self.iterations <= u32::MAX as usize,
+            setting "building.iterations"; found "{}", self.iterations; expected "fewer than 2^32"; help "give fewer");
+        ensure!(self.sh_degree <= 3,
+            setting "building.sh_degree"; found "{}", self.sh_degree; expected "0, 1, 2 or 3"; help "3 is the usual choice");
         checked!(self, "building": { lr_means: NotNegative, random_points: Positive });
         match &self.strategy {
             Strategy::Adc(adc) => {
                 Range::NotNegative.check("building.strategy.adc.threshold", adc.threshold())
             }
-            Strategy::Mcmc(_) if self.max_gaussians == 0 => out_of_range(
-                "building.max_gaussians",
-                0,
-                "the number of Gaussians to grow to, because building.strategy = \"mcmc\"",
-                "give it, such as 100_000",
-            ),
+            Strategy::Mcmc(_) if self.max_gaussians == 0 => bail!(
+                setting "building.max_gaussians"; found "0";
+                expected "the number of Gaussians to grow to, because building.strategy = \"mcmc\"";
+                help "give it, such as 100_000"),
             Strategy::Mcmc(mcmc) => {
                 Range::NotNegative.check("building.strategy.mcmc.growth", mcmc.growth)
             }

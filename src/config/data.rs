@@ -2,7 +2,7 @@
 
 use super::Association;
 use super::range::checked;
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use std::path::{Component, Path, PathBuf};
@@ -79,9 +79,9 @@ impl DataConfig {
         let given = !self.masks.is_empty() && self.masks != NO_MASKS;
         let other = [&self.images, &self.raw_labels];
         if given && other.iter().any(|folder| same_folder(folder, &self.masks)) {
-            return Err(invalid!(setting "data.masks"; found "{}", self.masks;
+            bail!(setting "data.masks"; found "{}", self.masks;
                 expected "a folder other than data.images and data.raw_labels";
-                help "name the folder of masks, or leave the key out"));
+                help "name the folder of masks, or leave the key out");
         }
         Ok(())
     }

@@ -129,7 +129,7 @@ impl UnprojectionConfig {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum SpatialSource {
-    /// The weights inside this crate, made by `coseg pretrain`.
+    /// The weights inside this crate, made by `examples/pretrain_encoder`.
     #[default]
     Builtin,
     /// A checkpoint of RandLA-Net (`.safetensors`, `.pth`).

@@ -31,7 +31,7 @@ pub use self::segmentation::{
 };
 pub use self::variant::Variant;
 
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use std::path::PathBuf;
@@ -83,10 +83,8 @@ impl Config {
     /// [`crate::Error::Config`] for the first value that is not.
     pub fn validate(&self) -> Result<()> {
         if self.seed > i64::MAX as u64 {
-            return Err(
-                invalid!(setting "seed"; found "{}", self.seed; expected "at most 2^63 - 1";
-                help "choose a smaller seed"),
-            );
+            bail!(setting "seed"; found "{}", self.seed; expected "at most 2^63 - 1";
+                help "choose a smaller seed");
         }
         self.data.check()?;
         self.building.validate()?;

@@ -1,6 +1,6 @@
 //! Ranges of numbers in the settings. Each section names the range of its fields beside them.
 
-use crate::error::{Result, invalid};
+use crate::error::{Result, ensure};
 use num_traits::AsPrimitive;
 use std::fmt::Display;
 
@@ -54,13 +54,9 @@ impl Range {
                 format!("a number from {low} to {high}"),
             ),
         };
-        if inside {
-            return Ok(());
-        }
-        Err(
-            invalid!(setting "{key}"; found "{value}"; expected "{expected}";
-            help "leave the key out for the default"),
-        )
+        ensure!(inside, setting "{key}"; found "{value}"; expected "{expected}";
+            help "leave the key out for the default");
+        Ok(())
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::Variant;
 use super::range::{Range, checked};
-use crate::error::{Error, Result};
+use crate::error::{Result, bail, ensure};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 
@@ -227,12 +227,8 @@ impl SegmentationConfig {
         self.loss.check()?;
         let rows = self.rows();
         if let Some(row) = (1..rows.len()).find(|&i| rows[..i].contains(&rows[i])) {
-            return Err(Error::config(
-                "segmentation.rows",
-                format!("{} twice", rows[row]),
-                "each variant once",
-                "leave the second one out",
-            ));
+            bail!(setting "segmentation.rows"; found "{} twice", rows[row]; expected "each variant once";
+                help "leave the second one out");
         }
         if let Some(exponent) = self.prior_exponent {
             Range::Unit.check("segmentation.prior_exponent", exponent)?;
@@ -240,17 +236,14 @@ impl SegmentationConfig {
         if let Some(share) = self.vote_share {
             Range::Unit.check("segmentation.vote_share", share)?;
         }
-        if self.prior != Prior::None && self.blend == Blend::Logits {
-            return Err(Error::config(
-                "segmentation.prior",
-                match self.prior {
-                    Prior::Pooled => "pooled",
-                    _ => "votes",
-                },
-                "none where logits are blended",
-                "set segmentation.blend = \"probabilities\", or segmentation.prior = \"none\"",
-            ));
-        }
+        let prior = match self.prior {
+            Prior::None => "none",
+            Prior::Votes => "votes",
+            Prior::Pooled => "pooled",
+        };
+        ensure!(self.prior == Prior::None || self.blend != Blend::Logits,
+            setting "segmentation.prior"; found "{prior}"; expected "none where logits are blended";
+            help "set segmentation.blend = \"probabilities\", or segmentation.prior = \"none\"");
         Ok(())
     }
 }

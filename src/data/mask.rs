@@ -1,6 +1,6 @@
 //! Masks of photos: which pixels count.
 
-use crate::error::{Result, invalid};
+use crate::error::{Result, ensure};
 use rayon::prelude::*;
 use std::fmt;
 use std::sync::Arc;
@@ -106,13 +106,10 @@ impl Mask {
 
     /// Refuses a mask of another size than `view` has.
     pub(crate) fn expect_size(&self, view: &str, width: usize, height: usize) -> Result<()> {
-        if (self.width, self.height) == (width, height) {
-            return Ok(());
-        }
-        Err(
-            invalid!(argument "data"; found "a mask of {}x{} pixels in {view}", self.width, self.height;
-            expected "{width}x{height} as its photo"; help "resize the mask, or leave it out"),
-        )
+        ensure!((self.width, self.height) == (width, height),
+            argument "data"; found "a mask of {}x{} pixels in {view}", self.width, self.height;
+            expected "{width}x{height} as its photo"; help "resize the mask, or leave it out");
+        Ok(())
     }
 
     /// Puts `value` into the pixels that are left out. `values` has `channels` of them for each pixel, row-major.

@@ -1,5 +1,6 @@
 //! Scenes: posed images, label maps, class tables, initial points; dataset formats; the built-in procedural scene.
 
+pub(crate) mod bilinear;
 pub mod mask;
 
 pub mod builtin;
@@ -28,7 +29,7 @@ pub use crate::files::{Limits, atomic};
 use self::diagnostics::{notices, poses};
 use self::formats::listing;
 use self::mask::Mask;
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail};
 use crate::splat::camera::Camera;
 use glam::DVec3;
 use std::path::Path;
@@ -103,10 +104,8 @@ pub fn load_cameras(
     }
     if cameras.is_empty() {
         let of_split = split.map_or(String::new(), |split| format!(" of split {split}"));
-        return Err(
-            invalid!(&listing.file, "frames"; found "no frame{of_split}"; expected "at least one";
-            help "choose the other split or all"),
-        );
+        bail!(&listing.file, "frames"; found "no frame{of_split}"; expected "at least one";
+            help "choose the other split or all");
     }
     Ok(cameras)
 }
@@ -123,7 +122,7 @@ pub struct NamedCamera {
 }
 
 /// A scene as loaded: everything centred on [`Scene::origin`].
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Scene {
     /// Name for reports.
     pub name: String,
@@ -155,6 +154,11 @@ impl Scene {
                 .to_array();
         }
         Self { origin, ..self }
+    }
+
+    /// Training views with raw labels, in file order.
+    pub fn labelled(&self) -> impl Iterator<Item = &View> {
+        self.split(Split::Train).filter(|view| view.raw.is_some())
     }
 
     /// Views of one split, in file order.

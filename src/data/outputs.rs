@@ -4,7 +4,7 @@ use super::LoadOptions;
 use super::formats::frame::Frame;
 use super::formats::layout;
 use super::formats::listing::{Cloud, Problems};
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail, ensure};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -32,10 +32,8 @@ pub fn check_outputs(
             let found = format!("{}, which holds files of a scene", folder.display());
             let expected =
                 "a folder of its own: photos, poses, label maps and classes are never overwritten";
-            return Err(
-                invalid!(argument "{option}"; found "{found}"; expected "{expected}";
-                help "name a new folder"),
-            );
+            bail!(argument "{option}"; found "{found}"; expected "{expected}";
+                help "name a new folder");
         }
     }
     Ok(())
@@ -54,13 +52,10 @@ pub fn check_output_file(
     let own = files_read(dir, options)
         .into_iter()
         .chain([dir.join("classes.json")]);
-    if own.map(|file| absolute(&file)).all(|file| file != place) {
-        return Ok(());
-    }
-    Err(
-        invalid!(argument "{option}"; found "{}, a file of the scene", file.display();
-        expected "another file"; help "name a new file"),
-    )
+    ensure!(own.map(|file| absolute(&file)).all(|file| file != place),
+        argument "{option}"; found "{}, a file of the scene", file.display();
+        expected "another file"; help "name a new file");
+    Ok(())
 }
 
 fn is_scene(folder: &Path) -> bool {

@@ -1,9 +1,9 @@
 //! From a scene to reduced feature maps.
 
 use super::{Extractor, FeatureMap, Moments, Pca, SCALES, cache};
-use crate::config::FeatureConfig;
+use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::{Scene, Split, View};
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail, ensure};
 use crate::random::{self, Purpose};
 use burn::tensor::Device;
 use rayon::prelude::*;
@@ -32,7 +32,7 @@ pub struct ViewFeatures {
 /// The fitted reductions of a scene's features and their extractor: four maps of each training view, reduced by a PCA per scale
 /// that is fitted on all of them, then L2-normalised. The unreduced maps need not fit in memory together.
 pub struct Reduction<'a> {
-    /// Where the features come from, see [`Extractor::name`].
+    /// Where the features come from, see [`Extractor`].
     pub name: String,
     /// One a scale.
     pub reductions: [Pca; SCALES],
@@ -59,19 +59,15 @@ impl<'a> Reduction<'a> {
         device: &Device,
         viewed: &mut dyn FnMut() -> ControlFlow<B>,
     ) -> Result<ControlFlow<B, Self>> {
-        if config.dimensions == 0 {
-            return Err(
-                invalid!(setting "features.dimensions"; found "0"; expected "1 or more";
-                help "64 is the usual choice"),
-            );
-        }
+        ensure!(config.dimensions != 0, setting "features.dimensions"; found "0"; expected "1 or more";
+            help "64 is the usual choice");
         let extractor = Extractor::open(config, device)?;
         let train: Vec<&View> = scene.split(Split::Train).collect();
         let mut kept: Vec<Option<[FeatureMap; SCALES]>> = Vec::with_capacity(train.len());
         let mut kept_bytes = 0;
         let mut moments: Option<[Moments; SCALES]> = None;
         // Imported maps do not depend on photos: their own digest identifies them.
-        let (key, mut imported) = (extractor.cache_key(), Sha256::new());
+        let (key, mut imported) = (extractor.cache_key.clone(), Sha256::new());
         let quota = PCA_CELLS.div_ceil(train.len().max(1));
         for batch in train.chunks(BATCH) {
             let look = |view: &&View| {
@@ -100,13 +96,11 @@ impl<'a> Reduction<'a> {
             }
         }
         let Some(moments) = moments else {
-            return Err(
-                invalid!(argument "data"; found "no training view in {}", scene.name;
-                expected "one or more"; help "correct the splits"),
-            );
+            bail!(argument "data"; found "no training view in {}", scene.name;
+                expected "one or more"; help "correct the splits");
         };
         let again = kept.iter().filter(|maps| maps.is_none()).count();
-        if again > 0 && config.cache_dir.is_none() && matches!(extractor, Extractor::Dino { .. }) {
+        if again > 0 && config.cache_dir.is_none() && matches!(config.source, FeatureSource::Dino) {
             tracing::warn!(
                 "{again} of {} views are computed twice: set features.cache_dir",
                 train.len()
@@ -114,7 +108,7 @@ impl<'a> Reduction<'a> {
         }
         let reductions = moments.map(|m| Pca::fit(&m, config.dimensions));
         let content = key.unwrap_or_else(|| format!("imported {:x}", imported.finalize()));
-        let name = extractor.name();
+        let name = extractor.name.clone();
         Ok(ControlFlow::Continue(Self {
             name,
             reductions,
@@ -196,11 +190,11 @@ fn cached_maps(
     config: &FeatureConfig,
     view: &View,
 ) -> Result<[FeatureMap; SCALES]> {
-    let (Some(dir), Some(key)) = (&config.cache_dir, extractor.cache_key()) else {
+    let (Some(dir), Some(key)) = (&config.cache_dir, &extractor.cache_key) else {
         return extractor.maps(view);
     };
     let pixels = view.image.pixels()?;
-    let path = cache::entry(dir, &pixels, &key);
+    let path = cache::entry(dir, &pixels, key);
     if let Some(maps) = cache::load(&path) {
         return Ok(maps);
     }

@@ -2,7 +2,7 @@
 //! divide the image evenly.
 
 use super::{FeatureMap, SCALES};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, ensure, invalid};
 use crate::weights::floats;
 use npyz::{DType, Endianness, NpyFile, Order, TypeChar};
 use safetensors::{Dtype, SafeTensors};
@@ -23,12 +23,10 @@ pub fn read(dir: &Path, stem: &str) -> Result<[FeatureMap; SCALES]> {
     let mut maps: [FeatureMap; SCALES] = Default::default();
     for (n, map) in (1..).zip(&mut maps) {
         let path = dir.join(format!("{stem}.{n}.npy"));
-        if !path.exists() {
-            return Err(invalid!(dir, "view {stem}, scale {n}";
-                found "neither {stem}.{n}.npy nor {stem}.safetensors";
-                expected "one of them for every view";
-                help "write the missing maps or correct features.source.import"));
-        }
+        ensure!(path.exists(), dir, "view {stem}, scale {n}";
+            found "neither {stem}.{n}.npy nor {stem}.safetensors";
+            expected "one of them for every view";
+            help "write the missing maps or correct features.source.import");
         *map = read_npy(&path)?;
     }
     Ok(maps)

@@ -2,7 +2,7 @@
 
 use super::lattice::{Axis, Lattice, Steps};
 use crate::backend::device::read;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, ensure};
 use burn::tensor::Tensor;
 use rayon::prelude::*;
 
@@ -137,13 +137,9 @@ impl FeatureMap {
     /// [`Error::NonFinite`] with the first offending cell; [`Error::Argument`] when the length is not `h * w * c`.
     pub fn check(&self, what: &str) -> Result<()> {
         let expected = self.height * self.width * self.channels;
-        if self.data.len() != expected {
-            return Err(
-                invalid!(argument "{what}"; found "{} values", self.data.len();
-                expected  "{expected} = {} x {} x {}", self.height, self.width, self.channels;
-                help "give height * width * channels values"),
-            );
-        }
+        ensure!(self.data.len() == expected, argument "{what}"; found "{} values", self.data.len();
+            expected  "{expected} = {} x {} x {}", self.height, self.width, self.channels;
+            help "give height * width * channels values");
         match self.data.iter().position(|x| !x.is_finite()) {
             Some(at) => Err(Error::non_finite(what, at / self.channels.max(1))),
             None => Ok(()),

@@ -24,12 +24,12 @@ pub use self::pca::{Moments, Pca};
 use crate::backend::device::upload;
 use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::View;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, invalid};
 use crate::segmenter::Tap;
 use crate::weights::file_digest;
 use burn::tensor::{Device, Tensor};
 use image::RgbImage;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Scales per view.
@@ -37,40 +37,22 @@ pub const SCALES: usize = 4;
 
 /// Where feature maps come from.
 #[derive(Debug)]
-#[non_exhaustive]
-pub enum Extractor {
-    /// The built-in descriptor, see [`descriptor`].
+pub struct Extractor {
+    /// Name for reports: `descriptor`, `mobilenetv2 FILE`, `dino FILE`, `segmenter FILE, TENSOR` or `imported DIR`.
+    pub name: String,
+    /// What the maps of an image depend on besides its pixels; `None` when caching them gains nothing.
+    cache_key: Option<String>,
+    source: Source,
+}
+
+/// What makes the maps.
+#[derive(Debug)]
+enum Source {
     Descriptor,
-    /// MobileNetV2, see [`mobilenet`].
-    MobileNetV2 {
-        /// The network.
-        net: Box<mobilenet::MobileNetV2>,
-        /// Where its weights were read from.
-        path: PathBuf,
-        /// SHA-256 of that file.
-        hash: String,
-    },
-    /// DINO's vision transformer, see [`dino`].
-    Dino {
-        /// The network.
-        net: Box<dino::Vit>,
-        /// Where its weights were read from.
-        path: PathBuf,
-        /// SHA-256 of that file.
-        hash: String,
-        /// Whether maps take the final layer normalisation.
-        final_norm: bool,
-    },
-    /// A tensor within a semantic segmenter, see [`Tap`].
-    Segmenter {
-        /// The network.
-        tap: Box<Tap>,
-        /// Where it was read from.
-        path: PathBuf,
-        /// Name of the tensor.
-        tensor: String,
-    },
-    /// Maps read from files of this folder, see [`Extractor::maps`].
+    MobileNetV2(Box<mobilenet::MobileNetV2>),
+    Dino(Box<dino::Vit>),
+    Segmenter(Box<Tap>),
+    /// The folder of the files that hold them.
     Import(PathBuf),
 }
 
@@ -80,64 +62,57 @@ impl Extractor {
     /// # Errors
     /// [`Error::Config`] when a needed path is not set; [`Error::Io`] and [`Error::Input`] for unusable weights.
     pub fn open(config: &FeatureConfig, device: &Device) -> Result<Self> {
+        let device = device.clone().inner();
         let weights = |network: &str| {
             config.weights.as_deref().ok_or_else(|| {
                 invalid!(setting "features.weights"; found "nothing";
                     expected "a path to {network} weights"; help "set features.weights")
             })
         };
-        match &config.source {
-            FeatureSource::Descriptor => Ok(Self::Descriptor),
-            FeatureSource::Auto if config.weights.is_none() => Ok(Self::Descriptor),
-            FeatureSource::Auto | FeatureSource::Mobilenetv2 => {
-                Self::mobilenet(weights("MobileNetV2")?, device)
+        let source = match &config.source {
+            FeatureSource::Auto if config.weights.is_none() => &FeatureSource::Descriptor,
+            given => given,
+        };
+        let (name, cache_key, source) = match source {
+            FeatureSource::Descriptor => {
+                let key = descriptor::VERSION.to_owned();
+                ("descriptor".to_owned(), Some(key), Source::Descriptor)
             }
-            FeatureSource::Dino => Self::dino(weights("DINO")?, config.final_norm, device),
+            FeatureSource::Auto | FeatureSource::Mobilenetv2 => {
+                let path = weights("MobileNetV2")?;
+                let net = mobilenet::MobileNetV2::load(path, &device)?;
+                let name = format!("mobilenetv2 {}", path.display());
+                let key = format!("{} {}", mobilenet::VERSION, file_digest(path)?);
+                (name, Some(key), Source::MobileNetV2(Box::new(net)))
+            }
+            FeatureSource::Dino => {
+                let (path, norm) = (weights("DINO")?, config.final_norm);
+                let net = dino::Vit::load(path, &device)?.with_final_norm(norm);
+                let name = format!("dino {}", path.display());
+                let key = format!("{} {} norm {norm}", dino::VERSION, file_digest(path)?);
+                (name, Some(key), Source::Dino(Box::new(net)))
+            }
             FeatureSource::Segmenter(tensor) => {
                 let path = weights("segmenter")?;
-                let tap = Box::new(Tap::load(path, tensor)?);
-                let path = path.to_owned();
-                let tensor = tensor.clone();
-                Ok(Self::Segmenter { tap, path, tensor })
+                let tap = Tap::load(path, tensor)?;
+                let name = format!("segmenter {}, {tensor}", path.display());
+                let key = format!("{} {} {tensor}", segmenter::VERSION, tap.digest());
+                (name, Some(key), Source::Segmenter(Box::new(tap)))
             }
-            FeatureSource::Import(dir) if dir.is_dir() => Ok(Self::Import(dir.clone())),
+            FeatureSource::Import(dir) if dir.is_dir() => {
+                let name = format!("imported {}", dir.display());
+                (name, None, Source::Import(dir.clone()))
+            }
             FeatureSource::Import(dir) => {
                 let error = std::io::ErrorKind::NotFound.into();
-                Err(Error::io(dir, "open folder", error))
+                return Err(Error::io(dir, "open folder", error));
             }
-        }
-    }
-
-    fn mobilenet(path: &Path, device: &Device) -> Result<Self> {
-        let net = mobilenet::MobileNetV2::load(path, &device.clone().inner())?;
-        Ok(Self::MobileNetV2 {
-            net: Box::new(net),
-            path: path.to_owned(),
-            hash: file_digest(path)?,
+        };
+        Ok(Self {
+            name,
+            cache_key,
+            source,
         })
-    }
-
-    fn dino(path: &Path, final_norm: bool, device: &Device) -> Result<Self> {
-        let net = dino::Vit::load(path, &device.clone().inner())?.with_final_norm(final_norm);
-        Ok(Self::Dino {
-            net: Box::new(net),
-            path: path.to_owned(),
-            hash: file_digest(path)?,
-            final_norm,
-        })
-    }
-
-    /// Name for reports: `descriptor`, `mobilenetv2 FILE`, `dino FILE`, `segmenter FILE, TENSOR` or `imported DIR`.
-    pub fn name(&self) -> String {
-        match self {
-            Self::Descriptor => "descriptor".into(),
-            Self::MobileNetV2 { path, .. } => format!("mobilenetv2 {}", path.display()),
-            Self::Dino { path, .. } => format!("dino {}", path.display()),
-            Self::Segmenter { path, tensor, .. } => {
-                format!("segmenter {}, {tensor}", path.display())
-            }
-            Self::Import(dir) => format!("imported {}", dir.display()),
-        }
     }
 
     /// The four maps of a view before reduction, fine to coarse.
@@ -158,27 +133,12 @@ impl Extractor {
         name: &str,
         pixels: impl FnOnce() -> Result<Arc<RgbImage>>,
     ) -> Result<[FeatureMap; SCALES]> {
-        match self {
-            Self::Descriptor => Ok(descriptor::describe(&*pixels()?)),
-            Self::MobileNetV2 { net, .. } => net.maps(&*pixels()?),
-            Self::Dino { net, .. } => net.maps(&*pixels()?),
-            Self::Segmenter { tap, .. } => segmenter::maps(tap, &*pixels()?),
-            Self::Import(dir) => import::read(dir, name),
-        }
-    }
-
-    /// What the maps of an image depend on besides its pixels; `None` when caching them gains nothing.
-    fn cache_key(&self) -> Option<String> {
-        match self {
-            Self::Descriptor => Some(descriptor::VERSION.into()),
-            Self::MobileNetV2 { hash, .. } => Some(format!("{} {hash}", mobilenet::VERSION)),
-            Self::Dino {
-                hash, final_norm, ..
-            } => Some(format!("{} {hash} norm {final_norm}", dino::VERSION)),
-            Self::Segmenter { tap, tensor, .. } => {
-                Some(format!("{} {} {tensor}", segmenter::VERSION, tap.digest()))
-            }
-            Self::Import(_) => None,
+        match &self.source {
+            Source::Descriptor => Ok(descriptor::describe(&*pixels()?)),
+            Source::MobileNetV2(net) => net.maps(&*pixels()?),
+            Source::Dino(net) => net.maps(&*pixels()?),
+            Source::Segmenter(tap) => segmenter::maps(tap, &*pixels()?),
+            Source::Import(dir) => import::read(dir, name),
         }
     }
 }
@@ -195,10 +155,8 @@ fn normalized(image: &RgbImage, device: &Device) -> Result<Tensor<4>> {
 
     let (width, height) = (image.width() as usize, image.height() as usize);
     if width == 0 || height == 0 {
-        return Err(
-            invalid!(argument "image"; found "{width} x {height} pixels";
-            expected "one pixel or more"; help "give another image"),
-        );
+        bail!(argument "image"; found "{width} x {height} pixels";
+            expected "one pixel or more"; help "give another image");
     }
     let mut planes = Vec::with_capacity(3 * width * height);
     for (c, (mean, std)) in MEAN.iter().zip(STD).enumerate() {

@@ -4,7 +4,7 @@
 //! Golub and LeVeque (1979), so the result does not depend on the number of threads and large means do not cancel.
 
 use super::FeatureMap;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, ensure};
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
 
@@ -200,10 +200,8 @@ fn axes_of(eigen: &SymmetricEigen<f64, nalgebra::Dyn>) -> impl Iterator<Item = (
 }
 
 fn check_channels(what: &str, found: usize, expected: usize) -> Result<()> {
-    if found == expected {
-        return Ok(());
-    }
-    Err(invalid!(argument "{what}"; found "{found} channels";
+    ensure!(found == expected, argument "{what}"; found "{found} channels";
         expected "{expected} channels, as in the first training view";
-        help "make all maps of a scale alike"))
+        help "make all maps of a scale alike");
+    Ok(())
 }

@@ -1,6 +1,7 @@
 //! Atomic writes: a file is written under a temporary name, synced and renamed.
 
 use crate::error::{Error, Result};
+use serde::Serialize;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
@@ -59,6 +60,17 @@ pub fn write(
 /// As [`write()`].
 pub fn write_bytes(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
     write(path, |out| out.write_all(bytes))
+}
+
+/// Writes `value` to `path` as indented JSON, as [`write()`] does.
+///
+/// # Errors
+/// As [`write()`].
+pub fn write_json(path: impl AsRef<Path>, value: &impl Serialize) -> Result<()> {
+    write(path, |out| {
+        serde_json::to_writer_pretty(&mut *out, value)?;
+        out.write_all(b"\n")
+    })
 }
 
 /// Removes the file at `path`, if there is one.

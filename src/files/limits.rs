@@ -1,6 +1,6 @@
 //! Limits on sizes that files declare, checked before memory is allocated.
 
-use crate::error::{Error, Result};
+use crate::error::{Result, ensure};
 use smart_default::SmartDefault;
 use std::path::Path;
 
@@ -43,7 +43,7 @@ impl Limits {
     }
 }
 
-/// An [`Error::Limit`] when `found` is larger than `limit`.
+/// An [`crate::Error::Limit`] when `found` is larger than `limit`.
 pub(crate) fn check_limit(
     path: &Path,
     what: &str,
@@ -51,13 +51,6 @@ pub(crate) fn check_limit(
     limit: u64,
     help: &str,
 ) -> Result<()> {
-    if found <= limit {
-        return Ok(());
-    }
-    Err(Error::Limit {
-        what: format!("{}: {what}", path.display()),
-        found: found.to_string(),
-        limit: limit.to_string(),
-        help: help.to_owned(),
-    })
+    ensure!(found <= limit, limit "{}: {what}", path.display(); found "{found}"; expected "{limit}"; help "{help}");
+    Ok(())
 }

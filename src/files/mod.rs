@@ -7,7 +7,7 @@ pub(crate) mod ply;
 pub use self::limits::Limits;
 pub(crate) use self::limits::check_limit;
 
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, invalid};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -76,10 +76,8 @@ pub(crate) fn numbered(folder: &Path, prefix: &str, extensions: &[&str]) -> Resu
             continue;
         };
         if let Some(other) = files.insert(number, path.clone()) {
-            return Err(
-                invalid!(folder, "number {number}"; found "{} and {}", other.display(), path.display();
-                expected "one file for each number"; help "remove one of the two"),
-            );
+            bail!(folder, "number {number}"; found "{} and {}", other.display(), path.display();
+                expected "one file for each number"; help "remove one of the two");
         }
     }
     Ok(files)

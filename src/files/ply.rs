@@ -4,7 +4,7 @@
 //! once, in a private copy of the element definition, to its column number, so that no row compares names.
 
 use super::{Limits, kind};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, invalid};
 use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{
     Addable, ElementDef, Encoding, Header, PropertyAccess, PropertyAccessResult, PropertyDef,
@@ -99,10 +99,8 @@ impl PlyFile {
             } else {
                 "another kind of file"
             };
-            return Err(
-                invalid!(path, "first bytes"; found "{}", kind(first).unwrap_or(other);
-                expected "a PLY file"; help "give the .ply file, such as the scene.ply of a run"),
-            );
+            bail!(path, "first bytes"; found "{}", kind(first).unwrap_or(other);
+                expected "a PLY file"; help "give the .ply file, such as the scene.ply of a run");
         }
         let mut reader = Reader::new(file);
         let header = Parser::<Row<0>>::new().read_header(&mut reader).map_err(|e| {
@@ -112,10 +110,8 @@ impl PlyFile {
         })?;
         let Some(def) = header.elements.get(element) else {
             let found: Vec<_> = header.elements.keys().map(String::as_str).collect();
-            return Err(
-                invalid!(path, "header"; found "elements [{}]", found.join(", ");
-                expected "an element `{element}`"; help "export the file as a point cloud or Gaussian scene"),
-            );
+            bail!(path, "header"; found "elements [{}]", found.join(", ");
+                expected "an element `{element}`"; help "export the file as a point cloud or Gaussian scene");
         };
         limits.check_points(path, def.count as u64)?;
         Ok(Self {
@@ -175,10 +171,8 @@ impl PlyFile {
             .find(|name| self.scalar(name).is_none())
         {
             let found: Vec<_> = self.names().collect();
-            return Err(
-                invalid!(&self.path, "element {}", self.element; found "columns [{}]", found.join(", ");
-                expected "a scalar column `{missing}`"; help "export it with this column"),
-            );
+            bail!(&self.path, "element {}", self.element; found "columns [{}]", found.join(", ");
+                expected "a scalar column `{missing}`"; help "export it with this column");
         }
         self.check_size()?;
         let parser = Parser::<Row<N>>::new();

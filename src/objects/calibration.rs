@@ -10,6 +10,7 @@
 //!    shares s has the probabilities p_y ~ prod_c theta_yc^s_c.
 
 use super::PooledVotes;
+use super::largest::first_largest;
 
 /// Exponent e of class frequencies, unless settings give another.
 const EXPONENT: f64 = 0.5;
@@ -99,8 +100,7 @@ fn winners(rows: &[f64], classes: usize) -> Vec<Option<usize>> {
 }
 
 fn winner(row: &[f64]) -> Option<usize> {
-    let best = (0..row.len()).reduce(|a, b| if row[b] > row[a] { b } else { a })?;
-    (row[best] > 0.0).then_some(best)
+    first_largest(row).filter(|&best| row[best] > 0.0)
 }
 
 fn normalise(row: &mut [f64]) {

@@ -1,5 +1,6 @@
 //! Segmentation identities stored on the Gaussians (`s_i` of Eq. 3).
 
+use super::largest::first_largest;
 use crate::data::{Classes, atomic};
 use crate::error::{Result, invalid};
 use crate::weights::{HostTensor, WeightFile};
@@ -93,12 +94,7 @@ impl Identities {
 
 /// Index of the largest value; `None` when all are equal. Ties go to the lower index.
 pub(super) fn largest(row: &[f32]) -> Option<u16> {
-    let mut best = 0;
-    for (c, v) in row.iter().enumerate() {
-        if *v > row[best] {
-            best = c;
-        }
-    }
+    let best = first_largest(row)?;
     let known = row.len() == 1 || row.iter().any(|v| *v < row[best]);
     known.then_some(best as u16)
 }

@@ -44,8 +44,7 @@ impl PooledVotes {
         );
         let mut shares = vec![0.0; count * classes];
         let mut sizes = vec![0.0; count];
-        let rows = votes.table.chunks_exact(classes.max(1));
-        for (row, &superpoint) in rows.zip(&superpoints.of) {
+        for (row, &superpoint) in votes.rows().zip(&superpoints.of) {
             let superpoint = superpoint as usize;
             if add_shares(&mut shares[superpoint * classes..][..classes], row) {
                 sizes[superpoint] += 1.0;
@@ -154,7 +153,7 @@ fn errors_inside(votes: &Votes, graph: &SurfaceGraph) -> LabelErrors {
     let inside = graph.inside(&votes.winners());
     let mut shares = vec![0.0; votes.table.len()];
     let rows = shares.chunks_exact_mut(votes.classes.max(1));
-    for (row, votes) in rows.zip(votes.table.chunks_exact(votes.classes.max(1))) {
+    for (row, votes) in rows.zip(votes.rows()) {
         add_shares(row, votes);
     }
     let rows = shares.chunks_exact(votes.classes.max(1)).zip(inside);

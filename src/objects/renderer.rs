@@ -1,8 +1,9 @@
 //! Views of a labelled scene on any device: colour, coverage and labels of a camera together.
 
 use crate::backend::device::{read, upload};
+use crate::config::Config;
 use crate::data::LabelMap;
-use crate::error::{Result, invalid};
+use crate::error::{Result, ensure};
 use crate::raster::{GaussianLabels, Settings, SplatTensors, SplatView};
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
@@ -37,13 +38,20 @@ pub struct RenderOptions {
 impl RenderOptions {
     fn check(&self) -> Result<()> {
         let ([r, g, b], least) = (self.background, self.min_coverage);
-        if [r, g, b, least].iter().all(|value| value.is_finite()) {
-            return Ok(());
+        ensure!([r, g, b, least].iter().all(|value| value.is_finite()),
+            argument "render options"; found "background {r}, {g}, {b}, min_coverage {least}";
+            expected "finite numbers"; help "pass a colour and a share");
+        Ok(())
+    }
+}
+
+impl From<&Config> for RenderOptions {
+    fn from(config: &Config) -> Self {
+        Self {
+            settings: Settings::from(&config.raster),
+            background: config.raster.background,
+            min_coverage: config.segmentation.min_coverage as f32,
         }
-        Err(
-            invalid!(argument "render options"; found "background {r}, {g}, {b}, min_coverage {least}";
-            expected "finite numbers"; help "pass a colour and a share"),
-        )
     }
 }
 

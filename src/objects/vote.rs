@@ -5,6 +5,7 @@
 //! a class.
 
 use super::Identities;
+use super::largest::first_largest;
 use super::view_votes::ViewVotes;
 use crate::backend::device::read;
 use crate::data::{Classes, View};
@@ -166,19 +167,16 @@ impl VoteTables {
 }
 
 impl Votes {
+    /// The votes of each Gaussian.
+    pub fn rows(&self) -> std::slice::ChunksExact<'_, f32> {
+        self.table.chunks_exact(self.classes.max(1))
+    }
+
     /// Class index of each Gaussian's largest vote; `None` where nothing was voted. Ties go to the lower index.
     pub fn winners(&self) -> Vec<Option<u16>> {
-        self.table
-            .chunks_exact(self.classes.max(1))
-            .map(|row| {
-                let mut best = (0, 0.0);
-                for (c, &v) in row.iter().enumerate() {
-                    if v > best.1 {
-                        best = (c, v);
-                    }
-                }
-                (best.1 > 0.0).then_some(best.0 as u16)
-            })
+        self.rows()
+            .map(|row| first_largest(row).filter(|&c| row[c] > 0.0))
+            .map(|best| best.map(|c| c as u16))
             .collect()
     }
 
@@ -202,8 +200,7 @@ impl Votes {
     /// Logarithms of the shares of each Gaussian's votes, `[N, C]`, every share raised by `floor`: the votes as logits of a
     /// softmax. Equal in all classes where nothing was voted.
     pub fn log_shares(&self, floor: f32) -> Vec<f32> {
-        let rows = self.table.chunks_exact(self.classes.max(1));
-        let shares = rows.flat_map(|row| {
+        let shares = self.rows().flat_map(|row| {
             let total = row.iter().sum::<f32>().max(f32::MIN_POSITIVE);
             row.iter().map(move |v| (v / total + floor).ln())
         });
@@ -212,12 +209,8 @@ impl Votes {
 
     /// How far the views agree, over all Gaussians with votes; zeros when there are none.
     pub fn agreement(&self) -> Agreement {
-        let rows = self
-            .table
-            .chunks_exact(self.classes.max(1))
-            .zip(self.entropy());
         let (mut voted, mut entropy, mut contested) = (0_u64, 0.0, 0_u64);
-        for (row, of_row) in rows {
+        for (row, of_row) in self.rows().zip(self.entropy()) {
             let (sum, most) = row
                 .iter()
                 .fold((0.0, 0.0_f32), |(sum, most), &v| (sum + v, most.max(v)));
@@ -236,8 +229,7 @@ impl Votes {
 
     /// Shannon entropy (nats) of each Gaussian's votes: 0 where all views agree or nothing was voted.
     pub fn entropy(&self) -> Vec<f32> {
-        self.table
-            .chunks_exact(self.classes.max(1))
+        self.rows()
             .map(|row| {
                 let sum: f32 = row.iter().sum();
                 row.iter()

@@ -5,12 +5,13 @@ use super::train_decoder::{DecoderInput, Encoded, TrainingViews};
 use crate::backend::device::upload;
 use crate::config::{Config, Encode, SpatialConfig, SpatialSource, Variant};
 use crate::data::{Scene, Split};
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail};
 use crate::objects::Semantics;
 use crate::raster::{Projected, Settings};
 use crate::segmentation::encoder::{self, Cloud, Encoding, load_spatial, metres_per_unit};
 use crate::segmentation::pyramid::{Pyramid, Standardisation, Switches};
 use crate::splat::Gaussians;
+use crate::splat::camera::spread;
 use burn::tensor::Device;
 
 /// Scale (zero-based) whose image features the single-scale variant reads.
@@ -90,7 +91,9 @@ struct EncodedView {
 pub fn encode(inputs: &Inputs, spatial: &SpatialConfig) -> Result<Encodings> {
     let (gaussians, seed) = (inputs.gaussians, inputs.config.seed);
     let (encoder, weights) = load_spatial(spatial, seed, inputs.device)?;
-    let scale = metres_per_unit(spatial, camera_extent(inputs.scene))?;
+    let train = inputs.scene.split(Split::Train).collect::<Vec<_>>();
+    let (_, extent) = spread(train.iter().map(|view| view.camera.center));
+    let scale = metres_per_unit(spatial, extent)?;
     let colors: Vec<[f32; 3]> = gaussians.base_colors();
     let encoded = |positions: &[[f32; 3]], colors: &[[f32; 3]]| {
         let cloud = Cloud {
@@ -103,7 +106,7 @@ pub fn encode(inputs: &Inputs, spatial: &SpatialConfig) -> Result<Encodings> {
     };
     let mut views = Vec::new();
     if spatial.encode == Encode::View {
-        for view in inputs.scene.split(Split::Train).filter(|v| v.raw.is_some()) {
+        for view in inputs.scene.labelled() {
             let projected = Projected::new(&gaussians.splats(), &view.camera, &inputs.settings)?;
             let sums = projected.weight_sums();
             let visible: Vec<u32> = (0..gaussians.len() as u32)
@@ -170,13 +173,6 @@ impl Encodings {
     }
 }
 
-/// Largest distance of a camera from the mean camera, world units.
-fn camera_extent(scene: &Scene) -> f64 {
-    let centers: Vec<_> = scene.split(Split::Train).map(|v| v.camera.center).collect();
-    let mean = centers.iter().sum::<glam::DVec3>() / centers.len().max(1) as f64;
-    centers.iter().map(|c| c.distance(mean)).fold(0.0, f64::max)
-}
-
 /// Joins an encoding of the Gaussians `points` with their lifted features.
 fn join(
     encoding: &Encoding,
@@ -186,9 +182,9 @@ fn join(
 ) -> Result<Encoded> {
     let image = |scale: usize, rows: &[u32]| {
         let Some(features) = &inputs.lifted else {
-            return Err(invalid!(argument "image features"; found "none";
+            bail!(argument "image features"; found "none";
                 expected "those of every Gaussian";
-                help "unproject image features first, or leave them off"));
+                help "unproject image features first, or leave them off");
         };
         let (lifted, d) = (&features.lifted[scale], features.dimensions);
         let mut values = Vec::with_capacity(rows.len() * d);

@@ -3,7 +3,7 @@
 use super::evaluate::Pictures;
 use crate::config::Config;
 use crate::data::{Limits, Scene, Split, atomic};
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail, ensure};
 use crate::splat::{Gaussians, ply};
 use burn::tensor::Device;
 use std::path::Path;
@@ -28,35 +28,25 @@ pub(crate) fn load_initial_scene(
     scene_file: &Path,
     device: &Device,
 ) -> Result<Gaussians> {
-    if atomic::same_file(path, scene_file) {
-        return Err(
-            invalid!(setting "building.gaussians"; found "{}", path.display();
-            expected "another file than the run's own scene.ply, which is written over";
-            help "let the run write into another folder"),
-        );
-    }
+    ensure!(!atomic::same_file(path, scene_file), setting "building.gaussians"; found "{}", path.display();
+        expected "another file than the run's own scene.ply, which is written over";
+        help "let the run write into another folder");
     if scene.split(Split::Train).next().is_none() {
-        return Err(
-            invalid!(argument "data"; found "{} without training views", scene.name;
-            expected "a scene with training views"; help "mark some views as `train`"),
-        );
+        bail!(argument "data"; found "{} without training views", scene.name;
+            expected "a scene with training views"; help "mark some views as `train`");
     }
     let ply::PlyScene {
         mut gaussians,
         origin,
         ..
     } = ply::read(path, &Limits::default())?;
-    if gaussians.is_empty() {
-        return Err(
-            invalid!(path, "element vertex"; found "no Gaussian"; expected "one or more";
-            help "name a scene that holds something"),
-        );
-    }
+    ensure!(!gaussians.is_empty(), path, "element vertex"; found "no Gaussian"; expected "one or more";
+        help "name a scene that holds something");
     let most = config.building.max_gaussians;
     if config.building.iterations > 0 && most > 0 && gaussians.len() > most {
-        return Err(invalid!(setting "building.max_gaussians"; found "{most}";
-                expected "{} or more, as building.gaussians has, or 0 for no limit", gaussians.len();
-                help "raise it"));
+        bail!(setting "building.max_gaussians"; found "{most}";
+            expected "{} or more, as building.gaussians has, or 0 for no limit", gaussians.len();
+            help "raise it");
     }
     let shift = origin - scene.origin;
     for mean in &mut gaussians.means {

@@ -35,6 +35,7 @@ pub struct Seconds {
 }
 
 /// The results of a run.
+#[derive(Default)]
 pub struct Outcome {
     /// The scene as loaded; after association its classes and raw labels are objects.
     pub scene: Scene,
@@ -72,20 +73,13 @@ impl Outcome {
             scene,
             gaussians: reconstruction.gaussians,
             building: reconstruction.curve,
-            test: ImageScores::default(),
-            pruned: None,
-            association: None,
-            semantics: None,
-            rows: Vec::new(),
-            features: String::new(),
-            spatial: String::new(),
             seconds: Seconds {
                 building: reconstruction.seconds,
                 total: reconstruction.earlier,
                 ..Seconds::default()
             },
             config: config.clone(),
-            stopped: false,
+            ..Self::default()
         }
     }
 
@@ -181,10 +175,7 @@ pub fn run_on(
 impl Outcome {
     /// Makes segments of single views objects, where settings ask for it. False where `progress` stopped it.
     fn associate(&mut self, progress: &mut dyn Progress) -> Result<bool> {
-        let has_segments = self
-            .scene
-            .split(Split::Train)
-            .any(|view| view.raw.is_some());
+        let has_segments = self.scene.labelled().next().is_some();
         if self.config.data.association == Association::None || !has_segments {
             return Ok(true);
         }
@@ -277,7 +268,7 @@ const FEW: f64 = 0.25;
 fn trust_labels(config: &mut Config, scene: &Scene) {
     if config.data.labels_by == LabelsBy::Auto {
         let views = || scene.split(Split::Train);
-        let labelled = views().filter(|view| view.raw.is_some()).count() as f64;
+        let labelled = scene.labelled().count() as f64;
         let has_scores = views().any(|view| view.scores.is_some());
         let is_few = labelled <= FEW * views().count() as f64;
         config.data.labels_by = if scene.drawn || (is_few && !has_scores) {
@@ -303,7 +294,7 @@ fn trust_labels(config: &mut Config, scene: &Scene) {
 
 /// Whether stage two has something to train on.
 fn has_raw_labels(scene: &Scene) -> bool {
-    scene.split(Split::Train).any(|view| view.raw.is_some()) && !scene.classes.is_empty()
+    scene.labelled().next().is_some() && !scene.classes.is_empty()
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use super::vote_share::{best_share, mixed};
 use crate::config::{Association, Prior, SpatialConfig, Variant};
 use crate::data::Split;
 use crate::error::Result;
-use crate::metrics::{Agreement, Compactness, InstanceScores, LabelScores, SemanticScores};
+use crate::metrics::{Agreement, Compactness, LabelScores};
 use crate::objects::{
     Identities, NeighbourGraph, PooledVote, Votes, pooled_vote, vote, weighted_vote,
 };
@@ -35,14 +35,10 @@ pub struct VariantOutcome {
     pub row: Variant,
     /// What the Gaussians store; none for the raw labels themselves, and where training was stopped before its end.
     pub identities: Option<Identities>,
-    /// Held-out scores, void predictions counted as wrong.
-    pub scores: LabelScores,
+    /// Held-out scores.
+    pub scores: HeldOutScores,
     /// Held-out scores with void predictions left out; raw labels only.
     pub void_left_out: Option<LabelScores>,
-    /// Held-out scores against true instances, where classes are objects that association found.
-    pub instances: Option<InstanceScores>,
-    /// Held-out scores against true classes, where these objects have classes.
-    pub semantic: Option<SemanticScores>,
     /// How compact the identities are.
     pub compactness: Option<Compactness>,
     /// How far the raw labels agree about the Gaussians; of the vote.
@@ -62,22 +58,13 @@ pub struct VariantOutcome {
 }
 
 impl VariantOutcome {
-    /// Replaces the held-out scores.
-    fn take_scores(&mut self, scores: HeldOutScores) {
-        self.scores = scores.labels;
-        self.instances = scores.instances;
-        self.semantic = scores.semantic;
-    }
-
     /// A variant without identities or training.
     fn new(row: Variant, scores: HeldOutScores) -> Self {
         Self {
             row,
             identities: None,
-            scores: scores.labels,
+            scores,
             void_left_out: None,
-            instances: scores.instances,
-            semantic: scores.semantic,
             compactness: None,
             agreement: None,
             curve: Vec::new(),
@@ -309,8 +296,7 @@ impl<'a> StageTwo<'a> {
         };
         if share > 0.0 {
             let identities = mixed(trained, self.votes()?, share);
-            let scores = self.held_out.score(&identities, self.inputs)?;
-            outcome.take_scores(scores);
+            outcome.scores = self.held_out.score(&identities, self.inputs)?;
             outcome.identities = Some(identities);
         }
         outcome.vote_share = Some(f64::from(share));

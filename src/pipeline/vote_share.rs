@@ -5,10 +5,10 @@
 //! case holds, unless their errors repeat in all views. This is why the pooled vote is not compared.
 
 use super::encode::Inputs;
-use crate::data::{Split, View};
+use crate::data::View;
 use crate::error::Result;
 use crate::metrics::{Confusion, Void};
-use crate::objects::{Identities, LabelMaps, LabelRule, Votes, vote};
+use crate::objects::{Identities, LabelMaps, LabelRule, Votes, first_largest, vote};
 use crate::raster::SplatTensors;
 
 /// Shares of the vote that are tried.
@@ -35,7 +35,7 @@ pub(super) fn mixed(trained: &Identities, votes: &Votes, share: f32) -> Identiti
     let classes = trained.classes;
     let mut mixed = trained.softmax();
     let rows = mixed.scores.chunks_exact_mut(classes.max(1));
-    for (row, votes) in rows.zip(votes.table.chunks_exact(classes.max(1))) {
+    for (row, votes) in rows.zip(votes.rows()) {
         let total: f32 = votes.iter().sum();
         let share = if total > 0.0 { share } else { 0.0 };
         for (p, vote) in row.iter_mut().zip(votes) {
@@ -54,10 +54,7 @@ pub(super) fn mixed(trained: &Identities, votes: &Votes, share: f32) -> Identiti
 /// Those of [`vote`] and of [`LabelMaps::of`].
 pub(super) fn best_share(trained: &Identities, votes: &Votes, inputs: &Inputs) -> Result<f32> {
     let (scene, classes) = (inputs.scene, &inputs.scene.classes);
-    let views: Vec<&View> = scene
-        .split(Split::Train)
-        .filter(|view| view.raw.is_some())
-        .collect();
+    let views: Vec<&View> = scene.labelled().collect();
     if views.len() < 2 {
         return Ok(0.0);
     }
@@ -84,12 +81,7 @@ pub(super) fn best_share(trained: &Identities, votes: &Votes, inputs: &Inputs) -
         }
     }
     let agreement = confusions.map(|confusion| confusion.miou(Void::Wrong).unwrap_or(0.0));
-    let mut best = 0;
-    for (index, value) in agreement.iter().enumerate() {
-        if *value > agreement[best] {
-            best = index;
-        }
-    }
+    let best = first_largest(agreement).unwrap_or(0);
     tracing::info!(
         "agreement with raw labels for shares {SHARES:?} of the vote: {agreement:.4?}; taken: {}",
         SHARES[best]

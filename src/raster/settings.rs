@@ -2,7 +2,7 @@
 
 use crate::backend::Real;
 use crate::config::RasterConfig;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, ensure, invalid};
 use crate::splat::Gaussians;
 use rayon::prelude::*;
 
@@ -112,13 +112,9 @@ impl<E: Real> Splats<'_, E> {
             ("rotations", self.rotations, 4),
             ("opacity_logits", self.opacity_logits, 1),
         ] {
-            if values.len() != n * width {
-                return Err(
-                    invalid!(argument "splats.{name}"; found "{} values", values.len();
-                    expected "{} ({n} opacity logits, {width} values each)", n * width;
-                    help "pass arrays of one scene"),
-                );
-            }
+            ensure!(values.len() == n * width, argument "splats.{name}"; found "{} values", values.len();
+                expected "{} ({n} opacity logits, {width} values each)", n * width;
+                help "pass arrays of one scene");
             check_finite(name, values, width)?;
         }
         Ok(())

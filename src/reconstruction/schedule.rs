@@ -5,6 +5,7 @@
 use crate::config::{BuildingConfig, Strategy};
 use crate::data::{Points, View};
 use crate::random::{Purpose, stream};
+use crate::splat::camera::spread;
 use glam::{DVec3, Vec3};
 use rand::seq::SliceRandom;
 
@@ -115,18 +116,14 @@ const ONE_PLACE: f64 = 1e-6;
 
 /// Mean position of the cameras, world units; the origin without any.
 pub fn center(views: &[&View]) -> DVec3 {
-    views.iter().map(|v| v.camera.center).sum::<DVec3>() / views.len().max(1) as f64
+    spread(views.iter().map(|v| v.camera.center)).0
 }
 
 /// Size of the scene in world units: 1.1 times the largest distance of a camera from the mean camera.
 ///
 /// Where all cameras stand at one place, the rms distance of the points from it, or 1 without points.
 pub fn extent(views: &[&View], points: &Points) -> f64 {
-    let mean = center(views);
-    let reach = views
-        .iter()
-        .map(|v| v.camera.center.distance(mean))
-        .fold(0.0, f64::max);
+    let (mean, reach) = spread(views.iter().map(|v| v.camera.center));
     let squared: f64 = points
         .positions
         .iter()

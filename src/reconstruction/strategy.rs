@@ -7,7 +7,7 @@ use super::densify::{
 use super::mcmc::{PositionNoise, RelocationRules, relocate};
 use super::optimizer::Leaves;
 use crate::config::{AdcConfig, McmcConfig, SizeRule, Strategy};
-use crate::error::{Result, invalid};
+use crate::error::{Result, ensure};
 use crate::ops::sum_all;
 use crate::random::{Purpose, stream};
 use crate::splat::Geometry;
@@ -79,14 +79,10 @@ impl Trainer<'_> {
             }
             Strategy::Mcmc(config) => relocate(old, &self.relocation_rules(config), &mut rng),
         };
-        if densification.rows.is_empty() {
-            return Err(
-                invalid!(argument "densification after {} steps", self.iteration;
-                found  "{} Gaussians, none of which is opaque and small enough to stay", old.len();
-                expected "some that the photos show";
-                help "run `coseg data check` on the scene, whose poses are in doubt"),
-            );
-        }
+        ensure!(!densification.rows.is_empty(), argument "densification after {} steps", self.iteration;
+            found  "{} Gaussians, none of which is opaque and small enough to stay", old.len();
+            expected "some that the photos show";
+            help "run `coseg data check` on the scene, whose poses are in doubt");
         let stats = GradientStatistics::new(densification.rows.len());
         self.statistics = GradientAccumulator::new(stats, &self.device);
         let done = densification.done;

@@ -10,7 +10,7 @@ use super::targets::Targets;
 use crate::backend::device::read;
 use crate::config::Config;
 use crate::data::{Scene, Split, View};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, ensure};
 use crate::metrics::ImageScores;
 use crate::progress::{CurvePoint, Event, Progress};
 use crate::provenance::Provenance;
@@ -337,10 +337,8 @@ impl<'a> Trainer<'a> {
 /// Checks that there are training views, and that photos and masks have the sizes of their cameras.
 fn check_scene(scene: &Scene) -> Result<()> {
     if scene.split(Split::Train).next().is_none() {
-        return Err(
-            invalid!(argument "data"; found "{} without training views", scene.name;
-            expected "a scene with training views"; help "mark some views as `train`"),
-        );
+        bail!(argument "data"; found "{} without training views", scene.name;
+            expected "a scene with training views"; help "mark some views as `train`");
     }
     for view in [Split::Train, Split::Test]
         .into_iter()
@@ -349,11 +347,9 @@ fn check_scene(scene: &Scene) -> Result<()> {
         let (width, height) = (view.image.width(), view.image.height());
         if (width, height) != (view.camera.width, view.camera.height) {
             let camera = &view.camera;
-            return Err(
-                invalid!(argument "data"; found "{width}x{height} pixels in view {}", view.name;
+            bail!(argument "data"; found "{width}x{height} pixels in view {}", view.name;
                 expected "{}x{} as its camera", camera.width, camera.height;
-                help "resize the photo or correct the intrinsics"),
-            );
+                help "resize the photo or correct the intrinsics");
         }
         view.check_mask()?;
     }
@@ -367,17 +363,10 @@ fn check_state(state: &TrainerState, scene: &Scene, config: &Config) -> Result<P
         let file = Path::new("the building checkpoint");
         provenance.check(&state.provenance, false, file)?;
     }
-    if state.seed != config.seed {
-        return Err(
-            invalid!(setting "seed"; found "{}", config.seed; expected "{}", state.seed;
-            help "resume with the seed of the checkpoint"),
-        );
-    }
-    if state.gaussians.sh_degree != config.building.sh_degree {
-        return Err(
-            invalid!(setting "building.sh_degree"; found "{}", config.building.sh_degree;
-            expected "{}", state.gaussians.sh_degree; help "resume with the checkpoint's degree"),
-        );
-    }
+    ensure!(state.seed == config.seed, setting "seed"; found "{}", config.seed; expected "{}", state.seed;
+        help "resume with the seed of the checkpoint");
+    ensure!(state.gaussians.sh_degree == config.building.sh_degree,
+        setting "building.sh_degree"; found "{}", config.building.sh_degree;
+        expected "{}", state.gaussians.sh_degree; help "resume with the checkpoint's degree");
     Ok(provenance)
 }

@@ -43,8 +43,6 @@ impl Metrics {
 fn row_scores(row: &VariantOutcome) -> RowScores {
     RowScores {
         void_left_out: row.void_left_out.as_ref().map(Into::into),
-        instances: row.instances.clone(),
-        semantic: row.semantic.clone(),
         compactness: row.compactness,
         agreement: row.agreement,
         iterations: row.curve.last().map(|point| point.iteration),

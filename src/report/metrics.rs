@@ -5,7 +5,7 @@ use crate::config::Variant;
 use crate::metrics::{
     Agreement, Compactness, ImageScores, InstanceScores, LabelScores, SemanticScores,
 };
-use crate::pipeline::{Associated, Seconds};
+use crate::pipeline::{Associated, HeldOutScores, Seconds};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -108,14 +108,17 @@ pub struct RowScores {
     pub seconds: Option<f64>,
 }
 
-impl From<&LabelScores> for RowScores {
-    fn from(scores: &LabelScores) -> Self {
+impl From<&HeldOutScores> for RowScores {
+    fn from(scores: &HeldOutScores) -> Self {
+        let labels = &scores.labels;
         Self {
-            miou: scores.miou,
-            miou_per_view: scores.miou_per_view,
-            accuracy: scores.accuracy,
-            boundary_iou: scores.boundary_iou,
-            class_iou: scores.per_class.iter().copied().collect(),
+            miou: labels.miou,
+            miou_per_view: labels.miou_per_view,
+            accuracy: labels.accuracy,
+            boundary_iou: labels.boundary_iou,
+            class_iou: labels.per_class.iter().copied().collect(),
+            instances: scores.instances.clone(),
+            semantic: scores.semantic.clone(),
             ..Self::default()
         }
     }

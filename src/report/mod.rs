@@ -20,7 +20,7 @@ pub(crate) use self::units::thousands;
 
 use crate::config::{Config, Variant};
 use crate::data::{Classes, LabelMap, View, atomic};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::metrics::ImageScores;
 use std::path::Path;
 
@@ -60,7 +60,7 @@ impl HeldOutView<'_> {
     /// that this one does not have.
     ///
     /// # Errors
-    /// [`Error::Io`] naming the file that could not be written; those of [`crate::data::Photo::pixels`].
+    /// [`crate::Error::Io`] naming the file that could not be written; those of [`crate::data::Photo::pixels`].
     pub fn write(&self, classes: &Classes, dir: &Path) -> Result<()> {
         let stem = self.view.name.replace(['/', '\\'], "_");
         let file = |kind: &str| dir.join(format!("{stem}.{kind}.png"));
@@ -122,17 +122,14 @@ impl Report<'_> {
     /// `renders/` gets what [`HeldOutView::write`] makes of [`Report::views`].
     ///
     /// # Errors
-    /// [`Error::Io`] naming the file that could not be written; those of [`crate::data::Photo::pixels`].
+    /// [`crate::Error::Io`] naming the file that could not be written; those of [`crate::data::Photo::pixels`].
     pub fn write(&self, dir: &Path) -> Result<()> {
         self.classes.write(&dir.join("classes.json"))?;
         atomic::write_bytes(dir.join("config.toml"), self.config.to_toml()?.as_bytes())?;
         for view in &self.views {
             view.write(self.classes, &dir.join("renders"))?;
         }
-        let path = dir.join("metrics.json");
-        let json = serde_json::to_string_pretty(&self.metrics)
-            .map_err(|e| Error::io(&path, "encode", e.into()))?;
-        atomic::write_bytes(&path, (json + "\n").as_bytes())?;
+        atomic::write_json(dir.join("metrics.json"), &self.metrics)?;
         let path = dir.join("report.html");
         atomic::write_bytes(&path, self.html(&path)?.as_bytes())
     }
@@ -140,7 +137,7 @@ impl Report<'_> {
     /// `report.html` as text. `path` only serves error messages.
     ///
     /// # Errors
-    /// [`Error::Io`] when a picture cannot be encoded, [`Error::Limit`] when one has another size than its photo.
+    /// [`crate::Error::Io`] when a picture cannot be encoded, [`crate::Error::Limit`] when one has another size than its photo.
     pub fn html(&self, path: &Path) -> Result<String> {
         Ok(page::page(self, path)?.into_string())
     }

@@ -1,7 +1,7 @@
 //! Pictures: coloured label maps with legends, error maps, floats as 8-bit images.
 
 use crate::data::{Classes, LabelMap, class_color};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use font8x8::legacy::BASIC_LEGACY;
 use image::{Rgb, RgbImage};
 use std::io::Cursor;
@@ -27,11 +27,9 @@ pub fn from_floats(rgb: &[f32], width: usize, height: usize) -> Result<RgbImage>
         .iter()
         .map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8)
         .collect();
-    RgbImage::from_raw(width as u32, height as u32, bytes).ok_or_else(|| Error::Limit {
-        what: "image values".into(),
-        found: rgb.len().to_string(),
-        limit: format!("{width} x {height} x 3"),
-        help: "pass an [H, W, 3] image".into(),
+    RgbImage::from_raw(width as u32, height as u32, bytes).ok_or_else(|| {
+        invalid!(limit "image values"; found "{}", rgb.len(); expected "{width} x {height} x 3";
+            help "pass an [H, W, 3] image")
     })
 }
 

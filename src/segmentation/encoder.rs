@@ -5,7 +5,7 @@ use super::randla::{LAYERS, NEIGHBOURS, POSITION_CHANNELS, RATIO, RandlaEncoder,
 use super::sampling::Hierarchy;
 use crate::backend::device::upload;
 use crate::config::{SpatialConfig, SpatialSource};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, ensure, invalid};
 use crate::ops::SparseMatrix;
 use crate::weights::{HostTensor, WeightFile, file_digest};
 use burn::tensor::{Device, Tensor};
@@ -43,10 +43,8 @@ impl Cloud<'_> {
     /// direction of no length.
     pub fn oriented(&self) -> Result<Vec<[f32; 3]>> {
         check_finite("positions to encode", self.positions)?;
-        if !(self.scale.is_finite() && self.scale > 0.0) {
-            return Err(invalid!(setting "spatial.scale"; found "{}", self.scale;
-                expected "a finite number above 0"; help "give metres per world unit"));
-        }
+        ensure!(self.scale.is_finite() && self.scale > 0.0, setting "spatial.scale"; found "{}", self.scale;
+            expected "a finite number above 0"; help "give metres per world unit");
         let up = self.up.try_normalize().ok_or_else(|| {
             invalid!(argument "up"; found "{}", self.up; expected "a finite direction";
                 help "give the direction that points up")
@@ -107,12 +105,8 @@ pub fn encode(
     seed: u64,
     device: &Device,
 ) -> Result<Encoding> {
-    if cloud.positions.is_empty() {
-        return Err(
-            invalid!(argument "positions to encode"; found "none"; expected "at least one point";
-            help "encode a scene with Gaussians"),
-        );
-    }
+    ensure!(!cloud.positions.is_empty(), argument "positions to encode"; found "none"; expected "at least one point";
+        help "encode a scene with Gaussians");
     let positions = cloud.oriented()?;
     let hierarchy = Hierarchy::build(&positions, LAYERS, RATIO, NEIGHBOURS, seed)?;
     let device = device.clone().inner();

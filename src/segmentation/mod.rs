@@ -6,7 +6,6 @@ pub mod interpolation;
 pub mod loss;
 pub mod neighbours;
 pub mod pixels;
-pub mod pretrain;
 pub mod pyramid;
 pub mod randla;
 pub mod sampling;

@@ -1,6 +1,6 @@
 //! Exact nearest neighbours in 3D, the same at any thread count and for any input order of equal distances.
 
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, invalid};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use std::num::NonZero;
@@ -124,10 +124,8 @@ impl PointIndex {
     pub fn nearest(&self, queries: &[[f32; 3]], k: usize) -> Result<(Neighbours, Vec<f64>)> {
         check_finite("queries", queries)?;
         if self.is_empty() && k > 0 && !queries.is_empty() {
-            return Err(
-                invalid!(argument "points"; found "none"; expected "at least one point";
-                help "give the search a point to find"),
-            );
+            bail!(argument "points"; found "none"; expected "at least one point";
+                help "give the search a point to find");
         }
         let mut indices = vec![0; queries.len() * k];
         let mut distances = vec![0.0; queries.len() * k];
@@ -251,12 +249,7 @@ fn fill(row: &mut [u32], first: usize, found: impl Iterator<Item = u32>) {
 }
 
 fn too_many(found: String) -> Error {
-    Error::Limit {
-        what: "points in a neighbour search".into(),
-        found,
-        limit: u32::MAX.to_string(),
-        help: "use fewer points".into(),
-    }
+    invalid!(limit "points in a neighbour search"; found "{found}"; expected "{}", u32::MAX; help "use fewer points")
 }
 
 fn wide(p: &[f32; 3]) -> [f64; 3] {

@@ -2,7 +2,7 @@
 
 use super::encoder::Encoding;
 use crate::backend::device::upload;
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail};
 use crate::ops::{SparseMatrix, select};
 use burn::tensor::Tensor;
 use std::sync::Arc;
@@ -61,9 +61,9 @@ impl Pyramid {
         image: impl Fn(usize, &[u32]) -> Result<Tensor<2>>,
     ) -> Result<Self> {
         if !switches.image && !switches.spatial {
-            return Err(invalid!(argument "decoder inputs"; found "none";
+            bail!(argument "decoder inputs"; found "none";
                 expected "image features, spatial features or both";
-                help "leave image or spatial features on"));
+                help "leave image or spatial features on");
         }
         let device = encoding.coarsest.features.device();
         let count = if switches.single_scale.is_some() {

@@ -1,7 +1,7 @@
 //! The contract of a segmenter: how a photo becomes its input, and what its output says about the photo.
 
 use crate::data::ScoreGrid;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files;
 use image::RgbImage;
 use image::imageops::{FilterType, resize};
@@ -208,52 +208,24 @@ impl Contract {
     }
 
     fn check(&self) -> Result<()> {
-        let wrong = |key: &str, found: String, expected: &str| {
-            Err(Error::input(
-                &self.file,
-                key,
-                found,
-                expected,
-                "correct the contract",
-            ))
-        };
+        const HELP: &str = "correct the contract";
+        let file = &self.file;
         let (input, output, names) = (&self.input, &self.output, &self.classes.names);
         let in_range = |side: &usize| (1..=LONGEST).contains(side);
-        if !input.size.iter().all(in_range) {
-            return wrong(
-                "input.size",
-                format!("{:?}", input.size),
-                "sides of 1 to 8192 pixels",
-            );
-        }
+        ensure!(input.size.iter().all(in_range), file, "input.size"; found "{:?}", input.size;
+            expected "sides of 1 to 8192 pixels"; help "{HELP}");
         let numbers = [input.pad, input.mean, input.std];
-        if !numbers.as_flattened().iter().all(|v| v.is_finite()) || input.std.contains(&0.0) {
-            return wrong(
-                "input",
-                format!("pad, mean, std {numbers:?}"),
-                "finite numbers, std not 0",
-            );
-        }
-        if output.stride == 0 || output.stride > input.size[0].min(input.size[1]) {
-            return wrong(
-                "output.stride",
-                output.stride.to_string(),
-                "1 or more, within the input",
-            );
-        }
-        if !(2..=usize::from(u16::MAX)).contains(&names.len()) {
-            return wrong(
-                "classes.names",
-                format!("{} names", names.len()),
-                "2 to 65535 names",
-            );
-        }
-        if let Some(none) = output.none.filter(|none| *none >= names.len()) {
-            return wrong(
-                "output.none",
-                none.to_string(),
-                &format!("an index below {}", names.len()),
-            );
+        let are_finite = numbers.as_flattened().iter().all(|v| v.is_finite());
+        ensure!(are_finite && !input.std.contains(&0.0), file, "input"; found "pad, mean, std {numbers:?}";
+            expected "finite numbers, std not 0"; help "{HELP}");
+        let stride = output.stride;
+        ensure!((1..=input.size[0].min(input.size[1])).contains(&stride), file, "output.stride"; found "{stride}";
+            expected "1 or more, within the input"; help "{HELP}");
+        let count = names.len();
+        ensure!((2..=usize::from(u16::MAX)).contains(&count), file, "classes.names"; found "{count} names";
+            expected "2 to 65535 names"; help "{HELP}");
+        if let Some(none) = output.none.filter(|none| *none >= count) {
+            bail!(file, "output.none"; found "{none}"; expected "an index below {count}"; help "{HELP}");
         }
         let twice = (0..names.len()).find(|&i| {
             names[..i]
@@ -261,11 +233,7 @@ impl Contract {
                 .any(|name| plain(name) == plain(&names[i]))
         });
         if let Some(i) = twice {
-            return wrong(
-                "classes.names",
-                format!("{:?} twice", names[i]),
-                "different names",
-            );
+            bail!(file, "classes.names"; found "{:?} twice", names[i]; expected "different names"; help "{HELP}");
         }
         Ok(())
     }
@@ -376,12 +344,8 @@ pub(super) fn nearest_first<'a>(name: &str, names: impl Iterator<Item = &'a str>
 
 fn unknown(name: &str) -> Error {
     let shipped = nearest_first(name, Contract::names()).join(", ");
-    Error::argument(
-        "--contract",
-        format!("no contract {name:?}"),
-        format!("a TOML file, or one of {shipped}"),
-        "name one, or write a file of the model's name with the extension toml beside it (docs/data.md)",
-    )
+    invalid!(argument "--contract"; found "no contract {name:?}"; expected "a TOML file, or one of {shipped}";
+        help "name one, or write a file of the model's name with the extension toml beside it (docs/data.md)")
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! The graph of an ONNX file, checked before the library sees it.
 
 use super::contract::{Contract, nearest_first};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, ensure, invalid};
 use std::collections::HashSet;
 use std::path::Path;
 use tract_onnx::pb::{GraphProto, ModelProto, TensorProto, ValueInfoProto};
@@ -70,12 +70,9 @@ fn decode(file: &Path, bytes: &[u8]) -> Result<ModelProto> {
 /// Refuses weights that do not fill their shape.
 fn check_weights(file: &Path, weights: &TensorProto) -> Result<()> {
     let name = &weights.name;
-    if weights.data_location == Some(tensor_proto::DataLocation::External as i32) {
-        return Err(
-            invalid!(file, "tensor {name}"; found "weights in another file"; expected "weights in this file";
-            help "save the network as one file; in Python: onnx.save(onnx.load(path), path)"),
-        );
-    }
+    ensure!(weights.data_location != Some(tensor_proto::DataLocation::External as i32),
+        file, "tensor {name}"; found "weights in another file"; expected "weights in this file";
+        help "save the network as one file; in Python: onnx.save(onnx.load(path), path)");
     let shape = &weights.dims;
     let volume = shape.iter().try_fold(1_u128, |all, &side| {
         all.checked_mul(u128::try_from(side).ok()?)
@@ -98,13 +95,10 @@ fn check_weights(file: &Path, weights: &TensorProto) -> Result<()> {
             volume == stored.iter().map(|n| *n as u128).sum::<u128>()
         }
     });
-    if fits {
-        return Ok(());
-    }
-    Err(
-        invalid!(file, "tensor {name}"; found "shape {shape:?} with {raw} bytes, {} numbers", stored.iter().sum::<usize>();
-        expected "as many values as the shape has"; help "copy or export the network again"),
-    )
+    ensure!(fits,
+        file, "tensor {name}"; found "shape {shape:?} with {raw} bytes, {} numbers", stored.iter().sum::<usize>();
+        expected "as many values as the shape has"; help "copy or export the network again");
+    Ok(())
 }
 
 /// Bytes of a value of an ONNX type.
@@ -153,14 +147,12 @@ fn check_input(file: &Path, graph: &GraphProto, contract: &Contract) -> Result<(
             .is_none_or(|name| *name == input.name)
     };
     let [input] = inputs[..] else {
-        return Err(
-            invalid!(file, "inputs"; found "{}", described(&inputs); expected "one input"; help "{OTHER}"),
-        );
+        bail!(file, "inputs"; found "{}", described(&inputs); expected "one input"; help "{OTHER}");
     };
     if !named(input) {
         let expected = contract.input.tensor.as_deref().unwrap_or_default();
-        return Err(invalid!(file, "inputs"; found "{}", described(&inputs);
-            expected "{expected:?}, as {} says", contract.file.display(); help "{OTHER}"));
+        bail!(file, "inputs"; found "{}", described(&inputs);
+            expected "{expected:?}, as {} says", contract.file.display(); help "{OTHER}");
     }
     let expected = contract.input_shape();
     let declared = shape(input);
@@ -170,13 +162,9 @@ fn check_input(file: &Path, graph: &GraphProto, contract: &Contract) -> Result<(
         };
         declared.len() == expected.len() && declared.iter().zip(&expected).all(same)
     });
-    if fits {
-        return Ok(());
-    }
-    Err(
-        invalid!(file, "tensor {}", input.name; found "shape {}", shape_text(declared.as_deref());
-        expected "{expected:?}, as {} says", contract.file.display(); help "{OTHER}"),
-    )
+    ensure!(fits, file, "tensor {}", input.name; found "shape {}", shape_text(declared.as_deref());
+        expected "{expected:?}, as {} says", contract.file.display(); help "{OTHER}");
+    Ok(())
 }
 
 /// Makes the named output, or the only one, the network's only output; returns its name.
@@ -190,19 +178,14 @@ fn choose_output(file: &Path, graph: &mut GraphProto, name: Option<&str>) -> Res
                 "one output, or its name in the contract".to_owned(),
                 |name| format!("{name:?}"),
             );
-            return Err(
-                invalid!(file, "outputs"; found "{}", described(&outputs); expected "{expected}"; help "{OTHER}"),
-            );
+            bail!(file, "outputs"; found "{}", described(&outputs); expected "{expected}"; help "{OTHER}");
         }
     };
     // The library takes this for granted.
     let made = graph.node.iter().flat_map(|node| &node.output);
     let given = graph.input.iter().map(|input| &input.name);
-    if !made.chain(given).any(|made| *made == name) {
-        return Err(
-            invalid!(file, "tensor {name}"; found "no operator that makes it"; expected "an output of the graph"; help "{OTHER}"),
-        );
-    }
+    ensure!(made.chain(given).any(|made| *made == name),
+        file, "tensor {name}"; found "no operator that makes it"; expected "an output of the graph"; help "{OTHER}");
     graph.output.retain(|output| output.name == name);
     graph.output.truncate(1);
     Ok(name)
@@ -252,10 +235,8 @@ fn expose(file: &Path, graph: &mut GraphProto, tensor: &str) -> Result<()> {
     if !made.contains(&tensor) {
         let nearest = nearest_first(tensor, made.into_iter());
         let nearest = nearest[..nearest.len().min(LISTED)].join(", ");
-        return Err(
-            invalid!(file, "tensor"; found "{tensor:?}"; expected "a tensor of the network, such as {nearest}";
-            help "correct the name"),
-        );
+        bail!(file, "tensor"; found "{tensor:?}"; expected "a tensor of the network, such as {nearest}";
+            help "correct the name");
     }
     graph.output.push(ValueInfoProto {
         name: tensor.to_owned(),

@@ -1,7 +1,7 @@
 //! `label.json` in a folder of labels: which files `coseg label` wrote there, and what from.
 
 use crate::data::atomic;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Result, bail, invalid};
 use crate::files;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -44,17 +44,15 @@ impl Index {
     /// The index of `folder`; empty where there is none.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Input`] for an index that does not parse, and for a folder that holds other files.
+    /// [`crate::Error::Io`]; [`crate::Error::Input`] for an index that does not parse, and for a folder that holds other files.
     pub fn open(folder: &Path) -> Result<Self> {
         let path = folder.join(FILE);
         let content = if path.is_file() {
             files::json(&path, "the index of a folder that `coseg label` wrote")?
         } else {
             if let Some(other) = files::names(folder, |name, _| !name.starts_with('.')).first() {
-                return Err(
-                    invalid!(folder, "{FILE}"; found "no such file, but {other}";
-                    expected "a new or empty folder, or one that `coseg label` wrote"; help "name a new folder"),
-                );
+                bail!(folder, "{FILE}"; found "no such file, but {other}";
+                    expected "a new or empty folder, or one that `coseg label` wrote"; help "name a new folder");
             }
             Content::default()
         };
@@ -107,7 +105,7 @@ impl Index {
     /// Writes files with `bytes`, after an index that names them: a run that is cut off knows its own files.
     ///
     /// # Errors
-    /// [`Error::Io`]; as [`Index::check_own`].
+    /// [`crate::Error::Io`]; as [`Index::check_own`].
     pub fn write(&mut self, files: &[(String, Vec<u8>)]) -> Result<()> {
         let mut changed = Vec::new();
         for file @ (name, bytes) in files {
@@ -154,10 +152,7 @@ impl Index {
     }
 
     fn store(&self) -> Result<()> {
-        let path = self.folder.join(FILE);
-        let text = serde_json::to_vec_pretty(&self.content)
-            .map_err(|e| Error::io(&path, "encode", e.into()))?;
-        atomic::write_bytes(&path, &text)
+        atomic::write_json(self.folder.join(FILE), &self.content)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::contract::{Contract, nearest_first, plain};
 use crate::data::Classes;
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail, ensure, invalid};
 use crate::files;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -91,28 +91,21 @@ impl Mapping {
             } else {
                 scene_class(user, name, scene)?
             };
-            if mapping.ids.contains(&id) {
-                return Err(
-                    invalid!(&user.file, "classes"; found "{name:?} twice"; expected "each class once"; help "join the two lists"),
-                );
-            }
+            ensure!(!mapping.ids.contains(&id),
+                &user.file, "classes"; found "{name:?} twice"; expected "each class once"; help "join the two lists");
             mapping.ids.push(id);
             for member in members {
                 let index = network_class(contract, user, name, member)?;
                 if let Some(other) = mapping.channels[index].replace(channel) {
                     let other = user.classes.keys().nth(other).map_or("", String::as_str);
-                    return Err(
-                        invalid!(&user.file, "classes.{name}"; found "{member:?}, which {other} has too";
-                        expected "each class of the network once"; help "remove it from one of them"),
-                    );
+                    bail!(&user.file, "classes.{name}"; found "{member:?}, which {other} has too";
+                        expected "each class of the network once"; help "remove it from one of them");
                 }
             }
         }
         if mapping.channels.iter().all(Option::is_none) {
-            return Err(
-                invalid!(&user.file, "classes"; found "no class of the network"; expected "one or more";
-                help "list names of the network's classes"),
-            );
+            bail!(&user.file, "classes"; found "no class of the network"; expected "one or more";
+                help "list names of the network's classes");
         }
         mapping.classes = if scene.is_empty() {
             Classes::from_names(

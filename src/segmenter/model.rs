@@ -2,7 +2,7 @@
 
 use super::contract::Contract;
 use super::graph::{self, OTHER, one_line};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, ensure, invalid};
 use sha2::{Digest, Sha256};
 use std::cell::Cell;
 use std::fmt;
@@ -178,18 +178,9 @@ fn check_sizes(file: &Path, model: &TypedModel) -> Result<()> {
             let volume: u128 = shape
                 .iter()
                 .fold(1, |all, &side| all.saturating_mul(side as u128));
-            if volume > LARGEST {
-                return Err(Error::Limit {
-                    what: format!(
-                        "{}: values of tensor {} of shape {shape:?}",
-                        file.display(),
-                        node.name
-                    ),
-                    found: volume.to_string(),
-                    limit: LARGEST.to_string(),
-                    help: "use a smaller network or a smaller input".into(),
-                });
-            }
+            ensure!(volume <= LARGEST,
+                limit "{}: values of tensor {} of shape {shape:?}", file.display(), node.name;
+                found "{volume}"; expected "{LARGEST}"; help "use a smaller network or a smaller input");
         }
     }
     Ok(())

@@ -3,6 +3,7 @@
 use super::contract::{Layout, Values};
 use super::mapping::Mapping;
 use super::model::Network;
+use crate::data::bilinear::beside;
 use crate::data::{LabelMap, ScoreGrid, ScoreMap};
 use crate::error::Result;
 use image::RgbImage;
@@ -151,12 +152,12 @@ impl Between {
     fn axis(grid: &ScoreGrid, a: usize, cells: usize) -> Vec<Self> {
         let pixel = |pixel: usize| {
             let place = grid.scale[a] * (pixel as f64 + 0.5) + grid.offset[a];
-            let place = place.clamp(0.0, (cells - 1) as f64);
-            let first = place as usize;
+            let (first, second, share) = beside(place, cells);
+            let share = share as f32;
             Self {
                 first,
-                second: (first + 1).min(cells - 1),
-                share: place.fract() as f32,
+                second,
+                share,
             }
         };
         (0..grid.photo[a]).map(pixel).collect()

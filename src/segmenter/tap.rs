@@ -2,6 +2,7 @@
 
 use super::contract::{Alignment, Contract, Layout};
 use super::model::Network;
+use crate::data::bilinear::{among, beside};
 use crate::error::Result;
 use image::RgbImage;
 use std::path::Path;
@@ -59,7 +60,7 @@ impl Tap {
             Layout::Nchw => values[(channel * down + y) * across + x],
             Layout::Nhwc => values[(y * across + x) * channels + channel],
         };
-        let axis = |a: usize, cells: usize| -> Vec<(usize, f32)> {
+        let axis = |a: usize, cells: usize| -> Vec<(usize, usize, f64)> {
             let side = contract.input.size[a] as f64;
             let (at, size) = (placed.at[a] as f64, placed.size[a] as f64);
             let count = (cells as f64 * size / side).round().max(1.0) as usize;
@@ -71,24 +72,19 @@ impl Tap {
                     }
                     Alignment::HalfPixel => input * cells as f64 / side - 0.5,
                 };
-                let place = place.clamp(0.0, (cells - 1) as f64);
-                (place as usize, place.fract() as f32)
+                beside(place, cells)
             };
             (0..count).map(place).collect()
         };
         let columns = axis(0, across);
         let rows = axis(1, down);
         let mut found = Vec::with_capacity(rows.len() * columns.len() * channels);
-        for &(top, fy) in &rows {
-            let bottom = (top + 1).min(down - 1);
-            for &(left, fx) in &columns {
-                let right = (left + 1).min(across - 1);
+        for &(top, bottom, fy) in &rows {
+            for &(left, right, fx) in &columns {
+                let corners = [(left, top), (right, top), (left, bottom), (right, bottom)];
                 for channel in 0..channels {
-                    let blend = |y: usize| {
-                        let [a, b] = [left, right].map(|x| value(x, y, channel));
-                        a + fx * (b - a)
-                    };
-                    found.push(blend(top) + fy * (blend(bottom) - blend(top)));
+                    let values = corners.map(|(x, y)| value(x, y, channel));
+                    found.push(among(values, fx as f32, fy as f32));
                 }
             }
         }

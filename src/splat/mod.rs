@@ -12,7 +12,7 @@ pub(crate) mod sh;
 pub use self::geometry::Geometry;
 pub use self::motion::Motion;
 pub use self::sh::SH_0;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, ensure};
 
 /// A quaternion of a smaller squared length stands for no rotation.
 pub(crate) const ZERO_QUATERNION: f64 = 1e-12;
@@ -139,10 +139,8 @@ impl Gaussians {
     /// [`Error::Argument`] for a length or degree; [`Error::NonFinite`] naming tensor and row.
     pub fn check(&self, labels: Option<&[u16]>) -> Result<()> {
         if self.sh_degree > 3 {
-            return Err(
-                invalid!(argument "gaussians.sh_degree"; found "{}", self.sh_degree;
-                expected "0 to 3"; help "lower the degree"),
-            );
+            bail!(argument "gaussians.sh_degree"; found "{}", self.sh_degree;
+                expected "0 to 3"; help "lower the degree");
         }
         let n = self.len();
         let lengths = [
@@ -153,12 +151,8 @@ impl Gaussians {
             ("labels", labels.map_or(n, <[u16]>::len), n),
         ];
         for (name, found, expected) in lengths {
-            if found != expected {
-                return Err(
-                    invalid!(argument "gaussians.{name}"; found "{found}"; expected "{expected}";
-                    help "make all fields agree on the number of Gaussians"),
-                );
-            }
+            ensure!(found == expected, argument "gaussians.{name}"; found "{found}"; expected "{expected}";
+                help "make all fields agree on the number of Gaussians");
         }
         let tensors: [(&str, &[f32], usize); 5] = [
             ("means", self.means.as_flattened(), 3),

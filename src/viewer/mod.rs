@@ -7,7 +7,7 @@
 mod packing;
 
 use crate::data::{Classes, NamedCamera, Split, atomic};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, ensure};
 use crate::objects::{Object, inventory};
 use crate::splat::Gaussians;
 use crate::splat::camera::{Camera, level_up};
@@ -126,21 +126,13 @@ impl Viewer<'_> {
     /// [`Error::NonFinite`].
     pub fn page(&self) -> Result<String> {
         self.gaussians.check(self.labels)?;
-        if self.gaussians.is_empty() {
-            return Err(
-                invalid!(argument "gaussians"; found "none"; expected "one or more";
-                    help "name a scene that is not empty"),
-            );
-        }
-        if !(self.alpha_max > 0.0 && self.alpha_max <= 1.0) {
-            return Err(invalid!(argument "alpha_max"; found "{}", self.alpha_max;
-                    expected "a number in (0, 1]"; help "choose a value in that range"));
-        }
+        ensure!(!self.gaussians.is_empty(), argument "gaussians"; found "none"; expected "one or more";
+            help "name a scene that is not empty");
+        ensure!(self.alpha_max > 0.0 && self.alpha_max <= 1.0, argument "alpha_max"; found "{}", self.alpha_max;
+            expected "a number in (0, 1]"; help "choose a value in that range");
         if let Some(up) = self.up.filter(|up| up.try_normalize().is_none()) {
-            return Err(
-                invalid!(argument "up"; found "{up}"; expected "a direction";
-                help "name one, such as 0,0,1"),
-            );
+            bail!(argument "up"; found "{up}"; expected "a direction";
+                help "name one, such as 0,0,1");
         }
         let unlabelled = vec![0; self.gaussians.len()];
         let all = inventory(self.gaussians, &unlabelled);

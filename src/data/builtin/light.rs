@@ -2,6 +2,7 @@
 
 use super::build::Light;
 use super::shapes::Solids;
+use crate::data::bilinear::among;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::f64::consts::PI;
@@ -175,12 +176,8 @@ impl LightMap {
             cell(q[(axis + 2) % 3], side.rows),
         );
         let at = j * side.columns + i;
-        let [a, b, c, d] =
-            [at, at + 1, at + side.columns, at + side.columns + 1].map(|k| &side.texels[k]);
-        let mix = |k: usize| {
-            let (low, high) = (a[k] + (b[k] - a[k]) * u, c[k] + (d[k] - c[k]) * u);
-            f64::from(low + (high - low) * v)
-        };
+        let corners = [at, at + 1, at + side.columns, at + side.columns + 1];
+        let mix = |k: usize| f64::from(among(corners.map(|i| side.texels[i][k]), u, v));
         DVec3::new(mix(0), mix(1), mix(2))
     }
 }

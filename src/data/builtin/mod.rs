@@ -22,7 +22,7 @@ pub use self::points::{LabelledPoints, PRETRAINING_SEEDS, labelled_points};
 pub use self::room::{Room, Truth, render_truth};
 
 use super::{Class, Classes, LabelMap, Scene, Split, View};
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail};
 use build::class;
 use glam::DVec3;
 use rand::Rng;
@@ -111,8 +111,8 @@ pub fn scene_with(options: &BuiltinOptions) -> Result<Scene> {
     .into_iter()
     .find(|(_, value, range)| !range.contains(value));
     if let Some((key, value, range)) = out_of_range {
-        return Err(invalid!(argument "{key}"; found "{value}";
-            expected "{} to {}", range.start(), range.end(); help "change the option"));
+        bail!(argument "{key}"; found "{value}";
+            expected "{} to {}", range.start(), range.end(); help "change the option");
     }
     Ok(assemble(options))
 }

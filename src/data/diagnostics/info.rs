@@ -225,13 +225,13 @@ fn pixels_by_id(map: &LabelMap) -> BTreeMap<u16, u64> {
 }
 
 fn camera_box(listing: &Listing) -> CameraBox {
-    let mean = listing.origin();
+    let (mean, extent) = listing.spread();
     let centers = || listing.frames.iter().map(|frame| frame.camera.center);
     CameraBox {
         low: centers().fold(DVec3::INFINITY, DVec3::min).to_array(),
         high: centers().fold(DVec3::NEG_INFINITY, DVec3::max).to_array(),
         mean: mean.to_array(),
-        extent: centers().map(|c| c.distance(mean)).fold(0.0, f64::max),
+        extent,
     }
 }
 

@@ -4,7 +4,7 @@ use crate::config::Layout;
 use crate::data::first_names;
 use crate::data::formats::frame::{Frame, reduced};
 use crate::data::formats::layout;
-use crate::data::formats::listing::{Cloud, Listing, Problems};
+use crate::data::formats::listing::{Cloud, Folder, Listing, Problems};
 use crate::data::formats::mask_file;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{LoadOptions, MapGeometry, Scene, Split};
@@ -27,7 +27,12 @@ type Side = fn(&Camera) -> [f64; 3];
 /// Lists the frames of a folder, with notices on poses, intrinsics, labels and masks.
 pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
     let mut listing = layout::list(dir, options, problems)?;
-    let masks = mask_file::folder_name(dir, options, listing.layout);
+    let layout = listing.layout;
+    let masks = mask_file::folder_name(Folder {
+        dir,
+        options,
+        layout,
+    });
     let of_scene = [
         large_photos(&listing, options.max_side),
         assumed_undistorted(&listing, options),
@@ -51,12 +56,7 @@ fn frame_names(frames: &[&Frame]) -> String {
 /// Without labels the unit does not matter.
 fn unit(listing: &Listing, unit_is_metre: bool) -> Option<String> {
     let labelled = listing.frames.iter().any(|frame| frame.raw.is_some());
-    let mean = listing.origin();
-    let distances = listing
-        .frames
-        .iter()
-        .map(|frame| frame.camera.center.distance(mean));
-    let extent = distances.fold(0.0, f64::max);
+    let (_, extent) = listing.spread();
     let [low, high] = EXTENT;
     let applies = listing.layout == Layout::Colmap && unit_is_metre && labelled;
     (applies && !(low..=high).contains(&extent)).then(|| {

@@ -5,6 +5,7 @@
 
 use super::convention::Convention;
 use crate::data::Limits;
+use crate::data::bilinear::among;
 use crate::data::formats::frame::Frame;
 use crate::data::formats::listing::Listing;
 use crate::data::options::evenly;
@@ -113,9 +114,8 @@ impl SmallPhoto {
             return None;
         }
         let first = y as usize * w + x as usize;
-        let [a, b, c, d] = [first, first + 1, first + w, first + w + 1].map(|i| self.grey[i]);
-        let (upper, lower) = (a + x.fract() * (b - a), c + x.fract() * (d - c));
-        Some(upper + y.fract() * (lower - upper))
+        let corners = [first, first + 1, first + w, first + w + 1].map(|i| self.grey[i]);
+        Some(among(corners, x.fract(), y.fract()))
     }
 }
 

@@ -5,7 +5,7 @@ use crate::data::photos::image_file::{ImageFile, proportional};
 use crate::data::photos::lens::{Lens, Undistortion};
 use crate::data::photos::photo::Preprocessing;
 use crate::data::{LabelMap, Limits, MapGeometry, Split};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail};
 use crate::splat::camera::Camera;
 use image::RgbImage;
 use std::path::{Component, Path, PathBuf};
@@ -66,10 +66,8 @@ impl Frame {
     /// Reads the photo's file without decoding it, and gives the camera for its size. `file` lists the frames, for messages.
     pub fn open(&self, file: &Path, limits: &Limits) -> Result<(ImageFile, Geometry)> {
         if !self.image.is_file() {
-            return Err(Error::missing_file(
-                &self.image,
-                "put the image there or drop the frame",
-            ));
+            let help = "put the image there or drop the frame";
+            return Err(Error::missing("file", &self.image, help));
         }
         let image = ImageFile::open(&self.image, limits)?;
         let size = (self.camera.width, self.camera.height);
@@ -91,10 +89,10 @@ impl Frame {
             });
         }
         let Some(undistortion) = Undistortion::new(&camera, self.lens) else {
-            return Err(invalid!(&self.image, "lens distortion";
+            bail!(&self.image, "lens distortion";
                 found "radial {:?}, tangential {:?}", self.lens.k, self.lens.p;
                 expected "a distortion that does not fold the image over";
-                help "calibrate again, or undistort the photos with the tool that made the poses"));
+                help "calibrate again, or undistort the photos with the tool that made the poses");
         };
         let camera = undistortion.pinhole.clone();
         preprocessing.undistortion = Some(undistortion);

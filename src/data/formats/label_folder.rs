@@ -1,9 +1,9 @@
 //! Label maps and masks in folders beside the photos, found by the names of the photos.
 
 use super::frame::{Frame, joined_name};
-use super::listing::Problems;
+use super::listing::{Folder, Problems};
 use super::mask_file::Masks;
-use crate::config::{Layout, RawFormat};
+use crate::config::RawFormat;
 use crate::data::LoadOptions;
 use crate::data::labels::raw::{coco_instances, labelme};
 use std::path::{Path, PathBuf};
@@ -17,7 +17,8 @@ pub(crate) struct SideFolders {
 }
 
 impl SideFolders {
-    pub fn new(dir: &Path, options: &LoadOptions, layout: Layout, problems: &mut Problems) -> Self {
+    pub fn new(folder: Folder<'_>, problems: &mut Problems) -> Self {
+        let Folder { dir, options, .. } = folder;
         let raw = options.raw_labels.as_deref();
         Self {
             truth: LabelFolder::new(dir.join("labels")),
@@ -27,7 +28,7 @@ impl SideFolders {
                 required: raw.is_some(),
             },
             instances: LabelFolder::new(dir.join("instances")),
-            masks: Masks::new(dir, options, layout, problems),
+            masks: Masks::new(folder, problems),
         }
     }
 

@@ -5,7 +5,7 @@ use super::{colmap, replica, scannet, transforms};
 use crate::config::Layout;
 use crate::data::LoadOptions;
 use crate::data::labels::map_geometry::MapGeometries;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, ensure, invalid};
 use crate::files::names;
 use std::path::Path;
 
@@ -35,18 +35,10 @@ pub fn locate(dir: &Path, options: &LoadOptions) -> Result<Layout> {
     if !dir.try_exists().map_err(|e| Error::io(dir, "look at", e))? {
         let help =
             "give the scene folder that holds the photos and their cameras (--data, or data.dir)";
-        return Err(Error::Missing {
-            what: "folder",
-            path: dir.to_owned(),
-            help: help.into(),
-        });
+        return Err(Error::missing("folder", dir, help));
     }
-    if !dir.is_dir() {
-        return Err(
-            invalid!(dir, "scene"; found "a file"; expected "a scene folder";
-            help "give the folder that holds the photos and their cameras, not a file"),
-        );
-    }
+    ensure!(dir.is_dir(), dir, "scene"; found "a file"; expected "a scene folder";
+        help "give the folder that holds the photos and their cameras, not a file");
     let layout = match options.layout {
         Layout::Auto => detect(dir, options)?,
         named => named,

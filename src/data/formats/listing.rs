@@ -11,12 +11,21 @@ use crate::data::labels::raw::{self, RawFile, RawLabels};
 use crate::data::{
     Classes, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, Split, View,
 };
-use crate::error::{Error, Result, invalid};
-use crate::splat::camera::{Camera, level_up};
+use crate::error::{Error, Result, ensure, invalid};
+use crate::splat::camera::{Camera, level_up, spread};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// A scene folder, and how it is read.
+#[derive(Clone, Copy)]
+pub(crate) struct Folder<'a> {
+    pub dir: &'a Path,
+    pub options: &'a LoadOptions,
+    /// Never `auto`.
+    pub layout: Layout,
+}
 
 /// The frames of a folder and everything known about them.
 pub(crate) struct Listing {
@@ -94,14 +103,17 @@ impl Listing {
     /// A listing without a cloud. Its class table is that of the folder, or where labels need one and the folder has none,
     /// the one of the `dataset`. Raw labels are added by [`Listing::with_raw_labels`].
     pub fn new(
-        dir: &Path,
-        options: &LoadOptions,
-        layout: Layout,
+        folder: Folder<'_>,
         file: PathBuf,
         mut frames: Vec<Frame>,
         dataset: Option<Classes>,
         problems: &mut Problems,
     ) -> Self {
+        let Folder {
+            dir,
+            options,
+            layout,
+        } = folder;
         choose_raw_files(dir, options, &mut frames);
         let labelled = if frames.iter().any(|frame| frame.truth.is_some()) {
             Some("")
@@ -159,13 +171,10 @@ impl Listing {
     pub fn check_sizes(&self, limits: &Limits) -> Result<()> {
         let views = self.frames.len();
         limits.check_views(&self.file, views)?;
-        if self.frames.iter().any(|frame| frame.split == Split::Train) {
-            return Ok(());
-        }
-        Err(
-            invalid!(&self.file, "frames"; found "{views} test frames"; expected "at least one training view";
-            help "mark frames \"train\", or use more of them"),
-        )
+        ensure!(self.frames.iter().any(|frame| frame.split == Split::Train),
+            &self.file, "frames"; found "{views} test frames"; expected "at least one training view";
+            help "mark frames \"train\", or use more of them");
+        Ok(())
     }
 
     /// The id of pixels without a raw label.
@@ -189,7 +198,12 @@ impl Listing {
 
     /// Mean of the camera centres.
     pub fn origin(&self) -> DVec3 {
-        self.frames.iter().map(|f| f.camera.center).sum::<DVec3>() / self.frames.len().max(1) as f64
+        self.spread().0
+    }
+
+    /// Mean of the camera centres, and the largest distance from it.
+    pub fn spread(&self) -> (DVec3, f64) {
+        spread(self.frames.iter().map(|frame| frame.camera.center))
     }
 
     /// World direction that points up.

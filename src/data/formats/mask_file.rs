@@ -2,12 +2,12 @@
 
 use super::frame::{Frame, Geometry};
 use super::label_folder::LabelFolder;
-use super::listing::Problems;
+use super::listing::{Folder, Problems};
 use crate::config::{Layout, NO_MASKS, same_folder};
 use crate::data::mask::Mask;
 use crate::data::photos::image_file::{ImageFile, proportional};
-use crate::data::{LabelMap, Limits, LoadOptions};
-use crate::error::{Error, Result, invalid};
+use crate::data::{LabelMap, Limits};
+use crate::error::{Error, Result, bail, ensure, invalid};
 use std::path::{Path, PathBuf};
 
 /// The folder of masks of a COLMAP project.
@@ -25,11 +25,12 @@ pub(crate) enum Masks {
 
 /// The folder of masks: the one that the user names, or the usual one of the layout, where it is there and holds neither
 /// photos nor raw labels.
-pub(crate) fn folder_name<'a>(
-    dir: &Path,
-    options: &'a LoadOptions,
-    layout: Layout,
-) -> Option<&'a str> {
+pub(crate) fn folder_name<'a>(folder: Folder<'a>) -> Option<&'a str> {
+    let Folder {
+        dir,
+        options,
+        layout,
+    } = folder;
     let mut taken = [Some(&options.images), options.raw_labels.as_ref()]
         .into_iter()
         .flatten();
@@ -50,8 +51,9 @@ fn is_folder(dir: &Path, a: &str, b: &str) -> bool {
 
 impl Masks {
     /// As the user says, or else the layout. A named folder that is not there is a fault; photos are then used whole.
-    pub fn new(dir: &Path, options: &LoadOptions, layout: Layout, problems: &mut Problems) -> Self {
-        match (folder_name(dir, options, layout), options.masks.as_deref()) {
+    pub fn new(folder: Folder<'_>, problems: &mut Problems) -> Self {
+        let dir = folder.dir;
+        match (folder_name(folder), folder.options.masks.as_deref()) {
             (Some(name), _) => Self::In(dir.join(name)),
             (None, None) => Self::OfFrames,
             (None, Some(NO_MASKS)) => Self::Off,
@@ -81,29 +83,21 @@ impl Frame {
             return Ok(None);
         };
         if !path.is_file() {
-            return Err(Error::missing_file(
-                path,
-                "put the mask there, or do not name it",
-            ));
+            let help = "put the mask there, or do not name it";
+            return Err(Error::missing("file", path, help));
         }
         let file = ImageFile::open(path, limits)?;
         let size = (geometry.camera.width, geometry.camera.height);
         if !geometry.is_reduced_size(file.size) && !proportional(file.size, size) {
-            return Err(
-                invalid!(path, "size"; found "{}x{} pixels", file.size.0, file.size.1;
+            bail!(path, "size"; found "{}x{} pixels", file.size.0, file.size.1;
                 expected "{}x{}, as its photo, or a size of the same proportions", size.0, size.1;
-                help "make the mask of the whole photo as it is stored, neither cut nor turned"),
-            );
+                help "make the mask of the whole photo as it is stored, neither cut nor turned");
         }
         let LabelMap { width, height, ids } = geometry.labels_of_photo(decode(path, &file)?);
         let mask = Mask::new(width, height, |pixel| ids[pixel] != 0);
-        if mask.left_out() == width * height {
-            return Err(
-                invalid!(path, "pixels"; found "all pixels of the view are black";
-                expected "black where the photo is left out, and another value in the rest";
-                help "invert masks that are white where the photo is left out, or drop the frame"),
-            );
-        }
+        ensure!(mask.left_out() != width * height, path, "pixels"; found "all pixels of the view are black";
+            expected "black where the photo is left out, and another value in the rest";
+            help "invert masks that are white where the photo is left out, or drop the frame");
         Ok((mask.left_out() > 0).then_some(mask))
     }
 }
@@ -111,10 +105,8 @@ impl Frame {
 /// A mask of the size of its file: 0 where it is black or wholly transparent, else 1.
 fn decode(path: &Path, file: &ImageFile) -> Result<LabelMap> {
     if file.png_color().is_none() {
-        return Err(
-            invalid!(path, "pixel format"; found "JPEG"; expected "a PNG, black where the photo is left out";
-            help "save the mask as PNG: JPEG compression changes what is black"),
-        );
+        bail!(path, "pixel format"; found "JPEG"; expected "a PNG, black where the photo is left out";
+            help "save the mask as PNG: JPEG compression changes what is black");
     }
     let (width, height) = file.size;
     let pixels = file.decode()?.into_rgba16();

@@ -2,7 +2,7 @@
 
 use super::camera_checks::fits_f32;
 use crate::data::{Limits, Points};
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail};
 use crate::files::ply::PlyFile;
 use glam::DVec3;
 use ply_rs_bw::ply::ScalarType;
@@ -42,8 +42,8 @@ impl Points {
         let mut brightest = 0.0_f32;
         file.read(&columns, |row, cells| {
             if let Some(bad) = cells.iter().position(|v| !fits_f32(*v)) {
-                return Err(invalid!(path, "row {row}, column {}", columns[bad].as_deref().unwrap_or_default();
-                    found "{}", cells[bad]; expected "a finite number (f32)"; help "remove this point"));
+                bail!(path, "row {row}, column {}", columns[bad].as_deref().unwrap_or_default();
+                    found "{}", cells[bad]; expected "a finite number (f32)"; help "remove this point");
             }
             let [x, y, z, r, g, b] = *cells;
             let position = (DVec3::new(x, y, z) - origin).to_array();

@@ -8,14 +8,14 @@
 use super::camera_checks::FOCAL;
 use super::frame::Frame;
 use super::label_folder::SideFolders;
-use super::listing::{Listing, Problems};
+use super::listing::{Folder, Listing, Problems};
 use super::sequence::{self, MILLIMETRES};
 use crate::config::Layout;
 use crate::data::options::LoadOptions;
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, Limits};
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail, invalid};
 use crate::files;
 use crate::splat::camera::Camera;
 use serde::Deserialize;
@@ -79,10 +79,8 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let photos: Vec<(usize, PathBuf)> = photos.into_iter().collect();
     let kept = options.pick(&vec![None; photos.len()]);
     let Some(&(first, _)) = kept.first() else {
-        return Err(
-            invalid!(dir, "{folder}"; found "no photos"; expected "{prefix}0.png and so on";
-            help "unpack the whole scene"),
-        );
+        bail!(dir, "{folder}"; found "no photos"; expected "{prefix}0.png and so on";
+            help "unpack the whole scene");
     };
     let (intrinsics, scale) = if is_nice_slam {
         nice_slam(dir, &mut notices)?
@@ -96,7 +94,13 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     };
     let truth = sequence::numbered_maps(dir, truth_folders, "semantic_class_")?;
     let instances = sequence::numbered_maps(dir, &["semantic_instance"], "semantic_instance_")?;
-    let folders = SideFolders::new(dir, options, Layout::Replica, problems);
+    let layout = Layout::Replica;
+    let scene = Folder {
+        dir,
+        options,
+        layout,
+    };
+    let folders = SideFolders::new(scene, problems);
     let mut frames = Vec::with_capacity(kept.len());
     for (i, split) in kept {
         let (number, image) = &photos[i];
@@ -129,19 +133,10 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         )
     });
     let classes = Classes::from_names(0, (1..).zip(CLASSES.lines()));
-    let listing = Listing::new(
-        dir,
-        options,
-        Layout::Replica,
-        path,
-        frames,
-        Some(classes),
-        problems,
-    );
     Ok(Listing {
         cloud,
         notices,
-        ..listing
+        ..Listing::new(scene, path, frames, Some(classes), problems)
     })
 }
 
@@ -194,8 +189,8 @@ fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<(Camera, f64)> {
     if [w, h].iter().any(|side| !(1..=1 << 32).contains(side))
         || !numbers.iter().all(|v| FOCAL.contains(v))
     {
-        return Err(invalid!(path, "camera"; found "{w}x{h} {numbers:?}";
-            expected "sizes, focal lengths, centre and scale above 0"; help "copy the file again"));
+        bail!(path, "camera"; found "{w}x{h} {numbers:?}";
+            expected "sizes, focal lengths, centre and scale above 0"; help "copy the file again");
     }
     // Pixel centres move from whole numbers to halves.
     let camera = Camera {

@@ -6,14 +6,14 @@
 use super::camera_checks::FOCAL;
 use super::frame::Frame;
 use super::label_folder::SideFolders;
-use super::listing::{Listing, Problems, UNMAPPED};
+use super::listing::{Folder, Listing, Problems, UNMAPPED};
 use super::sequence::{self, MILLIMETRES, Pose};
 use crate::config::{Layout, ScannetClasses};
 use crate::data::options::LoadOptions;
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, Limits};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files;
 use crate::splat::camera::Camera;
 use rayon::prelude::*;
@@ -69,15 +69,19 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         format!("{lost} of {all} frames left out: their poses hold infinities (tracking was lost)");
     let kept = options.pick(&vec![None; posed.len()]);
     let Some(&(first, _)) = kept.first() else {
-        return Err(
-            invalid!(dir, "color"; found "{all} photos, {lost} of them without a finite pose";
-            expected "photos with poses"; help "export the .sens file of the scan, photos and poses"),
-        );
+        bail!(dir, "color"; found "{all} photos, {lost} of them without a finite pose";
+            expected "photos with poses"; help "export the .sens file of the scan, photos and poses");
     };
     let intrinsics = read_intrinsics(dir, posed[first].1, &options.limits)?;
     let truth = sequence::numbered_maps(dir, &["label-filt", "label"], "")?;
     let instances = sequence::numbered_maps(dir, &["instance-filt", "instance"], "")?;
-    let folders = SideFolders::new(dir, options, Layout::Scannet, problems);
+    let layout = Layout::Scannet;
+    let folder = Folder {
+        dir,
+        options,
+        layout,
+    };
+    let folders = SideFolders::new(folder, problems);
     let mut frames = Vec::with_capacity(kept.len());
     for (i, split) in kept {
         let (number, image, pose) = &posed[i];
@@ -100,15 +104,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     });
     let file = dir.join("intrinsic/intrinsic_color.txt");
     let dataset = Some(classes(options.scannet_classes));
-    let mut listing = Listing::new(
-        dir,
-        options,
-        Layout::Scannet,
-        file,
-        frames,
-        dataset,
-        problems,
-    );
+    let mut listing = Listing::new(folder, file, frames, dataset, problems);
     if needs_table && table.is_none() {
         // Reported once; without the table every map would be reported as well.
         listing
@@ -129,10 +125,8 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
 /// A 4x4 matrix in a file of its own.
 fn read_matrix(path: &Path) -> Result<Pose> {
     if !path.is_file() {
-        return Err(Error::missing_file(
-            path,
-            "export it from the .sens file again",
-        ));
+        let help = "export it from the .sens file again";
+        return Err(Error::missing("file", path, help));
     }
     sequence::pose(&files::text(path)?, path, "matrix")
 }
@@ -142,17 +136,14 @@ fn read_intrinsics(dir: &Path, photo: &Path, limits: &Limits) -> Result<Camera> 
     let path = dir.join("intrinsic/intrinsic_color.txt");
     let [fx, _, cx, _, _, fy, cy, ..] = read_matrix(&path)?;
     let (width, height) = ImageFile::open(photo, limits)?.size;
-    if ![fx, fy].iter().all(|f| FOCAL.contains(f)) {
-        return Err(
-            invalid!(&path, "focal length"; found "{fx} {fy}"; expected "pixels, 0.001 to 1e9";
-            help "export the intrinsics of the .sens file again"),
-        );
-    }
+    ensure!([fx, fy].iter().all(|f| FOCAL.contains(f)),
+        &path, "focal length"; found "{fx} {fy}"; expected "pixels, 0.001 to 1e9";
+        help "export the intrinsics of the .sens file again");
     let is_central = |c: f64, side: usize| (0.3..=0.7).contains(&(c / side as f64));
     if !is_central(cx, width) || !is_central(cy, height) {
-        return Err(invalid!(&path, "principal point"; found "{cx} {cy}";
+        bail!(&path, "principal point"; found "{cx} {cy}";
             expected "near the middle of the photos, which are {width}x{height}";
-            help "where photos were scaled, scale fx fy cx cy of the first three rows with them"));
+            help "where photos were scaled, scale fx fy cx cy of the first three rows with them");
     }
     let centred = Camera::centred([fx, fy], [width, height]);
     Ok(Camera { cx, cy, ..centred })

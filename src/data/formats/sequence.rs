@@ -6,7 +6,7 @@ use super::frame::Frame;
 use super::label_folder::SideFolders;
 use super::listing::Cloud;
 use crate::data::Split;
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail, ensure, invalid};
 use crate::files::{Numbered, numbered};
 use crate::splat::camera::Camera;
 use glam::DMat4;
@@ -95,21 +95,13 @@ pub(crate) fn pose(text: &str, path: &Path, field: &str) -> Result<Pose> {
 pub(crate) fn camera(pose: &Pose, intrinsics: &Camera, path: &Path, field: &str) -> Result<Camera> {
     let again = "drop the frame, or export its pose again";
     if let Some(i) = pose.iter().position(|v| !fits_f32(*v)) {
-        return Err(
-            invalid!(path, "{field}"; found "{} in row {}, column {}", pose[i], i / 4, i % 4;
-            expected "finite numbers (f32)"; help "{again}"),
-        );
+        bail!(path, "{field}"; found "{} in row {}, column {}", pose[i], i / 4, i % 4;
+            expected "finite numbers (f32)"; help "{again}");
     }
     let last = &pose[12..];
-    if last
-        .iter()
-        .zip([0.0, 0.0, 0.0, 1.0])
-        .any(|(v, want)| (v - want).abs() > 1e-6)
-    {
-        return Err(
-            invalid!(path, "{field}"; found "last row {last:?}"; expected "[0, 0, 0, 1]"; help "{again}"),
-        );
-    }
+    let is_affine =
+        (last.iter().zip([0.0, 0.0, 0.0, 1.0])).all(|(v, want)| (v - want).abs() <= 1e-6);
+    ensure!(is_affine, path, "{field}"; found "last row {last:?}"; expected "[0, 0, 0, 1]"; help "{again}");
     // The matrix is stored by rows.
     let matrix = DMat4::from_cols_array(pose).transpose();
     let camera = intrinsics.clone().with_opencv_pose(&matrix);

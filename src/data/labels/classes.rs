@@ -1,7 +1,7 @@
 //! Class tables: `classes.json` in and out, and the colours of legends.
 
 use crate::data::{Class, Classes, ObjectOf, atomic, class_color};
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail, ensure, invalid};
 use crate::files;
 use serde::{Deserialize, Deserializer, Serialize, de};
 use serde_json::Value;
@@ -83,14 +83,12 @@ impl Classes {
                     help "renumber the classes")
             })?;
             let Value::String(name) = value else {
-                return Err(
-                    invalid!(path, "id {id}"; found "{value}"; expected "a name"; help "put it in quotes"),
-                );
+                bail!(path, "id {id}"; found "{value}"; expected "a name"; help "put it in quotes");
             };
             if id == VOID && !is_void(&name) {
-                return Err(invalid!(path, "id 0"; found "{name:?}";
+                bail!(path, "id 0"; found "{name:?}";
                     expected "\"void\": id 0 is the ignored one in this form of the file";
-                    help "use the form with \"ignore\" and \"classes\", or add one to all ids"));
+                    help "use the form with \"ignore\" and \"classes\", or add one to all ids");
             }
             named.push((id, name));
         }
@@ -126,12 +124,8 @@ pub(crate) fn is_void(name: &str) -> bool {
 fn check_unique(path: &Path, ids: impl Iterator<Item = u16>) -> Result<()> {
     let mut first = HashSet::new();
     for id in ids {
-        if !first.insert(id) {
-            return Err(
-                invalid!(path, "id {id}"; found "two entries"; expected "one entry for each id";
-                help "give each class an id of its own"),
-            );
-        }
+        ensure!(first.insert(id), path, "id {id}"; found "two entries"; expected "one entry for each id";
+            help "give each class an id of its own");
     }
     Ok(())
 }

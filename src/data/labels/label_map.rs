@@ -2,7 +2,7 @@
 
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap, Limits, atomic};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, invalid};
 use image::{DynamicImage, GrayImage, ImageBuffer, Luma, codecs::png::PngEncoder};
 use std::collections::BTreeSet;
 use std::io::{self, Write};
@@ -99,8 +99,8 @@ impl LabelMap {
             Some(DynamicImage::ImageLuma16(image)) => image.into_raw(),
             // A transparency chunk adds alpha to grey.
             _ => {
-                return Err(invalid!(path, "pixel format"; found "{found}";
-                    expected "a grey PNG of 8 or 16 bits whose values are class ids"; help "{help}"));
+                bail!(path, "pixel format"; found "{found}";
+                    expected "a grey PNG of 8 or 16 bits whose values are class ids"; help "{help}");
             }
         };
         Ok(Self { width, height, ids })
@@ -153,11 +153,7 @@ impl LabelMap {
 
 /// Refuses a label map that is not there.
 pub(crate) fn expect_file(path: &Path) -> Result<()> {
-    if path.is_file() {
-        return Ok(());
-    }
-    Err(Error::missing_file(
-        path,
-        "put the label map there, or do not name it",
-    ))
+    let help = "put the label map there, or do not name it";
+    let missing = || Error::missing("file", path, help);
+    path.is_file().then_some(()).ok_or_else(missing)
 }

@@ -1,7 +1,7 @@
 //! PNG and JPEG files. Incomplete files are refused, because decoders accept files that were cut off.
 
 use crate::data::Limits;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, ensure, invalid};
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Rgb, RgbImage};
 use sha2::{Digest, Sha256};
@@ -38,10 +38,8 @@ impl ImageFile {
                 let start = String::from_utf8_lossy(&bytes[..bytes.len().min(8)])
                     .escape_debug()
                     .to_string();
-                return Err(
-                    invalid!(path, "format"; found "a file of {} bytes starting with \"{start}\"", bytes.len();
-                    expected "PNG or JPEG"; help "convert it"),
-                );
+                bail!(path, "format"; found "a file of {} bytes starting with \"{start}\"", bytes.len();
+                    expected "PNG or JPEG"; help "convert it");
             }
         };
         let is_complete = if format == ImageFormat::Png {
@@ -50,12 +48,8 @@ impl ImageFile {
             jpeg_is_complete
         };
         let name = name(format);
-        if !is_complete(&bytes) {
-            return Err(
-                invalid!(path, "image data"; found "{} bytes without the end of the image", bytes.len();
-                expected "a complete {name}"; help "{AGAIN}"),
-            );
-        }
+        ensure!(is_complete(&bytes), path, "image data"; found "{} bytes without the end of the image", bytes.len();
+            expected "a complete {name}"; help "{AGAIN}");
         let size = ImageReader::with_format(Cursor::new(&bytes), format).into_dimensions();
         let (width, height) = size.map_err(
             |e| invalid!(path, "header"; found "{e}"; expected "a valid {name}"; help "{AGAIN}"),

@@ -5,6 +5,7 @@
 //! has to be masked; with barrel distortion the corners of the photo, with cushion distortion its rims are lost.
 
 use crate::data::LabelMap;
+use crate::data::bilinear::{among, beside};
 use crate::splat::camera::Camera;
 use image::{Rgb, RgbImage};
 
@@ -152,19 +153,14 @@ impl Undistortion {
     /// The photo as the pinhole sees it, bilinear. `photo` has the size of the photo's camera.
     pub fn photo(&self, photo: &RgbImage) -> RgbImage {
         let (w, h) = photo.dimensions();
-        let last = |v: f64, length: u32| v.clamp(0.0, f64::from(length.saturating_sub(1)));
         RgbImage::from_fn(w, h, |column, row| {
             let (u, v) = self.source(f64::from(column) + 0.5, f64::from(row) + 0.5);
-            let (x, y) = (last(u - 0.5, w), last(v - 0.5, h));
-            let (left, top) = (x as u32, y as u32);
-            let (right, bottom) = ((left + 1).min(w - 1), (top + 1).min(h - 1));
-            let (fx, fy) = (x.fract(), y.fract());
-            let [a, b, c, d] = [(left, top), (right, top), (left, bottom), (right, bottom)]
-                .map(|(x, y)| photo.get_pixel(x, y).0.map(f64::from));
+            let (left, right, fx) = beside(u - 0.5, w as usize);
+            let (top, bottom, fy) = beside(v - 0.5, h as usize);
+            let corners = [(left, top), (right, top), (left, bottom), (right, bottom)]
+                .map(|(x, y)| photo.get_pixel(x as u32, y as u32).0.map(f64::from));
             Rgb(std::array::from_fn(|i| {
-                let upper = a[i] + fx * (b[i] - a[i]);
-                let lower = c[i] + fx * (d[i] - c[i]);
-                (upper + fy * (lower - upper)).round() as u8
+                among(corners.map(|corner| corner[i]), fx, fy).round() as u8
             }))
         })
     }

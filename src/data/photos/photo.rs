@@ -3,7 +3,7 @@
 use super::image_file::ImageFile;
 use super::lens::Undistortion;
 use crate::data::{Limits, PhotoCache};
-use crate::error::{Result, invalid};
+use crate::error::{Result, ensure};
 use image::{RgbImage, imageops};
 use sha2::{Digest, Sha256};
 use std::fmt;
@@ -167,11 +167,9 @@ impl fmt::Debug for Photo {
 impl PhotoFile {
     fn read(&self) -> Result<RgbImage> {
         let file = ImageFile::open(&self.path, &self.limits)?;
-        if file.digest() != self.digest {
-            return Err(invalid!(&self.path, "content"; found "other bytes";
-                expected "the file that the scene was loaded with";
-                help "put it back and resume, or start anew with the files as they are"));
-        }
+        ensure!(file.digest() == self.digest, &self.path, "content"; found "other bytes";
+            expected "the file that the scene was loaded with";
+            help "put it back and resume, or start anew with the files as they are");
         Ok(self.preprocessing.decode(&file)?.0)
     }
 }

@@ -3,6 +3,7 @@
 use super::groups::{Category, Groups};
 use super::ownership::visible_groups;
 use super::segments::{SegmentWeights, ViewSegments};
+use crate::objects::largest::first_largest;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
@@ -46,12 +47,7 @@ pub(super) fn divided<'a>(
 /// The pieces of a segment, one for each of the groups that has a Gaussian of it. Gaussians that none of them has go to the
 /// group that shows most.
 fn cut(groups: &Groups, segment: &SegmentWeights, covered: &[(u32, f64)]) -> Vec<SegmentWeights> {
-    let mut largest = 0;
-    for (i, (_, pixels)) in covered.iter().enumerate() {
-        if *pixels > covered[largest].1 {
-            largest = i;
-        }
-    }
+    let largest = first_largest(covered.iter().map(|(_, pixels)| *pixels)).unwrap_or(0);
     let empty = SegmentWeights {
         segment: segment.segment,
         weights: Vec::new(),

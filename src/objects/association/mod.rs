@@ -31,7 +31,7 @@ mod sweeps;
 
 use crate::config::AssociationConfig;
 use crate::data::{Class, Classes, LabelRuns, ObjectOf, Scene, Split, View, class_color};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, ensure, invalid};
 use crate::raster::Settings;
 use crate::splat::Gaussians;
 use groups::{Assigned, Category, Groups};
@@ -251,14 +251,9 @@ fn listed(groups: &Groups, assigned: &[Assigned<'_>]) -> Result<(Vec<u32>, Vec<G
         .filter(|&group| views[group as usize] > 0)
         .collect();
     kept.sort_by(|&a, &b| weight(b).total_cmp(&weight(a)).then(a.cmp(&b)));
-    if kept.len() >= usize::from(u16::MAX) {
-        return Err(Error::Limit {
-            what: "groups of segments".into(),
-            found: kept.len().to_string(),
-            limit: (u16::MAX - 1).to_string(),
-            help: "give a segmentation of larger things".into(),
-        });
-    }
+    ensure!(kept.len() < usize::from(u16::MAX),
+        limit "groups of segments"; found "{}", kept.len(); expected "{}", u16::MAX - 1;
+        help "give a segmentation of larger things");
     let group = |(&group, id)| Group {
         id,
         class: groups.category(group).class,

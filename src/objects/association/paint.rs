@@ -4,6 +4,7 @@ use super::groups::Assigned;
 use super::segments::{BAND, UNLABELLED};
 use crate::data::{LabelMap, LabelRuns, View};
 use crate::error::Result;
+use crate::objects::largest::first_largest;
 use crate::raster::{Projected, Settings};
 use crate::splat::Gaussians;
 use rayon::prelude::*;
@@ -40,12 +41,7 @@ pub(super) fn paint(
         let pieces = &assigned.pieces[first..first + groups.len()];
         first += groups.len();
         let id = |n: usize| groups[n].map_or(UNLABELLED, ids);
-        let mut largest = 0;
-        for (n, piece) in pieces.iter().enumerate() {
-            if piece.total > pieces[largest].total {
-                largest = n;
-            }
-        }
+        let largest = first_largest(pieces.iter().map(|piece| piece.total)).unwrap_or(0);
         let segment = pieces[0].segment.id;
         let largest = id(largest);
         table[usize::from(segment)] = largest;

@@ -9,7 +9,7 @@ mod ellipsoid;
 mod naming;
 
 use crate::data::Classes;
-use crate::error::{Result, invalid};
+use crate::error::{Result, ensure};
 use crate::segmentation::neighbours::PointIndex;
 use crate::splat::Gaussians;
 use components::connected_components;
@@ -107,21 +107,12 @@ impl Separation {
     }
 
     fn check(&self) -> Result<()> {
-        let fault = |key: &str, found: String, expected: &str| {
-            Err(
-                invalid!(argument "separation {key}"; found "{found}"; expected "{expected}";
-                help "the default suits most scenes"),
-            )
-        };
-        if !(self.level > 0.0 && self.level < 1.0) {
-            return fault("level", self.level.to_string(), "above 0 and below 1");
-        }
-        if !(0.0..=1.0).contains(&self.smallest) {
-            return fault("smallest", self.smallest.to_string(), "0 to 1");
-        }
-        if self.neighbours == 0 {
-            return fault("neighbours", "0".into(), "1 or more");
-        }
+        const HELP: &str = "the default suits most scenes";
+        ensure!(self.level > 0.0 && self.level < 1.0,
+            argument "separation level"; found "{}", self.level; expected "above 0 and below 1"; help "{HELP}");
+        ensure!((0.0..=1.0).contains(&self.smallest),
+            argument "separation smallest"; found "{}", self.smallest; expected "0 to 1"; help "{HELP}");
+        ensure!(self.neighbours > 0, argument "separation neighbours"; found "0"; expected "1 or more"; help "{HELP}");
         Ok(())
     }
 

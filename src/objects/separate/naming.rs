@@ -1,7 +1,7 @@
 //! Ids and names for the pieces of a label.
 
 use crate::data::{Class, Classes, ObjectOf, class_color};
-use crate::error::{Error, Result};
+use crate::error::{Result, ensure};
 use std::collections::{BTreeSet, HashMap, HashSet};
 
 /// Hands out free ids and names.
@@ -47,14 +47,9 @@ impl Naming {
 
     /// Ids of the `pieces` of `id`; the first is `id`. Pieces are things, whatever the whole was.
     pub fn divide(&mut self, id: u16, pieces: usize) -> Result<Vec<u16>> {
-        if pieces - 1 > self.free.len() {
-            return Err(Error::Limit {
-                what: format!("label ids for the pieces of label {id}"),
-                found: format!("{pieces} pieces"),
-                limit: format!("{} ids that are free", self.free.len()),
-                help: "separate fewer labels, or call more pieces strays".into(),
-            });
-        }
+        ensure!(pieces - 1 <= self.free.len(), limit "label ids for the pieces of label {id}";
+            found "{pieces} pieces"; expected "{} ids that are free", self.free.len();
+            help "separate fewer labels, or call more pieces strays");
         let whole = self.entry(id).clone();
         let base = base_name(&whole);
         let object_of = Some(ObjectOf {

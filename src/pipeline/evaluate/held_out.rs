@@ -21,7 +21,7 @@ pub struct HeldOut<'a> {
 }
 
 /// Held-out scores of one variant, or of other label maps.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct HeldOutScores {
     /// Against true labels, void predictions counted as wrong.
     pub labels: LabelScores,

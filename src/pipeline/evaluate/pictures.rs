@@ -5,7 +5,6 @@ use crate::data::{LabelMap, Scene, Split, View};
 use crate::error::Result;
 use crate::metrics::ImageScores;
 use crate::objects::{LabelMaps, RenderOptions, Renderer};
-use crate::raster::Settings;
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 
@@ -22,11 +21,7 @@ impl<'a> Pictures<'a> {
     /// # Errors
     /// As [`Renderer::new`].
     pub fn new(gaussians: &Gaussians, config: &Config, device: &Device) -> Result<Self> {
-        let options = RenderOptions {
-            settings: Settings::from(&config.raster),
-            background: config.raster.background,
-            ..RenderOptions::default()
-        };
+        let options = RenderOptions::from(config);
         Ok(Self {
             renderer: Renderer::new(gaussians.clone(), None, options, device)?,
             maps: &[],

@@ -6,9 +6,9 @@ use super::super::train_decoder::{
 };
 use crate::backend::device::read;
 use crate::config::Blend;
-use crate::data::{Classes, LabelMap, LabelRuns, Split, View};
+use crate::data::{Classes, LabelMap, LabelRuns, View};
 use crate::error::Result;
-use crate::objects::Identities;
+use crate::objects::{Identities, first_largest};
 use crate::segmentation::loss::CoSegLoss;
 use crate::segmentation::pixels::{constant, one_hot};
 use burn::tensor::{Device, Tensor, TensorData};
@@ -47,10 +47,7 @@ impl<'a> PanopticLifting<'a> {
     /// Uniform classes for the Gaussians of `inputs`, on an autodiff `device`, trained for `iterations`.
     pub fn new(inputs: &Inputs<'a>, iterations: usize, device: &Device) -> Self {
         let scene = inputs.scene;
-        let views: Vec<_> = scene
-            .split(Split::Train)
-            .filter(|view| view.raw.is_some())
-            .collect();
+        let views: Vec<_> = scene.labelled().collect();
         let size = [inputs.gaussians.len(), scene.classes.len()];
         Self {
             classes: PerGaussian::new(size, Blend::Probabilities, device),
@@ -114,8 +111,7 @@ fn segment_classes(p: &[f32], classes: usize, segments: &[u32]) -> Vec<u16> {
         let sum = sums.entry(*segment).or_insert_with(|| vec![0.0; classes]);
         sum.iter_mut().zip(row).for_each(|(sum, p)| *sum += p);
     }
-    let largest = |sum: &Vec<f32>| (0..classes).reduce(|a, b| if sum[b] > sum[a] { b } else { a });
-    let class = |segment| largest(&sums[segment]).unwrap_or(0) as u16;
+    let class = |segment| first_largest(&sums[segment]).unwrap_or(0) as u16;
     segments.iter().map(class).collect()
 }
 

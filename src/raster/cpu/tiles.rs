@@ -2,7 +2,7 @@
 
 use super::footprint::{Splat2, TILE};
 use super::outline::{Bins, bin};
-use crate::error::{Error, Result};
+use crate::error::{Result, ensure};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -93,7 +93,7 @@ pub(in crate::raster) fn depth_order(depths: &[f64]) -> Vec<u32> {
 /// Lists for `splats` in depth order over an image of `size` pixels.
 ///
 /// # Errors
-/// [`Error::Limit`] when the lists would have more than 2^32 - 1 entries.
+/// [`crate::Error::Limit`] when the lists would have more than 2^32 - 1 entries.
 pub(in crate::raster) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Result<TileLists> {
     let [columns, rows] = size.map(|s| s.div_ceil(TILE));
     let tiles = columns * rows;
@@ -104,14 +104,9 @@ pub(in crate::raster) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Resu
         .map(|splats| bin(splats, size))
         .collect();
     let total: usize = chunks.iter().map(|c| c.tiles.len()).sum();
-    if total > u32::MAX as usize {
-        return Err(Error::Limit {
-            what: "entries of the tile lists of one view".into(),
-            found: total.to_string(),
-            limit: u32::MAX.to_string(),
-            help: "render a smaller image, or remove very large Gaussians".into(),
-        });
-    }
+    ensure!(total <= u32::MAX as usize,
+        limit "entries of the tile lists of one view"; found "{total}"; expected "{}", u32::MAX;
+        help "render a smaller image, or remove very large Gaussians");
     let mut starts = Vec::with_capacity(tiles + 1);
     let mut sum = 0;
     for tile in 0..tiles {

@@ -5,7 +5,7 @@ use super::lists::{self, Order, TileEntries};
 use super::project::{self, ProjectedScene};
 use super::{scan, view};
 use crate::backend::gpu::{Gpu, add_non_finite};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, ensure};
 use crate::raster::cpu::geometry::Viewpoint;
 use crate::raster::settings::Settings;
 use crate::splat::camera::Camera;
@@ -33,15 +33,9 @@ pub(super) struct Prepared {
 /// [`Error::Limit`] when `count` of `what`, of `bytes` each, exceed the largest allocation of the device or 32 bits.
 pub(super) fn check_size(gpu: &Gpu, what: &str, count: usize, bytes: usize) -> Result<()> {
     let limit = (gpu.largest() / bytes.max(1)).min(scan::CEILING as usize - 1);
-    if count <= limit {
-        return Ok(());
-    }
-    Err(Error::Limit {
-        what: format!("{what} on this device"),
-        found: count.to_string(),
-        limit: limit.to_string(),
-        help: "render a smaller image or fewer channels, remove very large Gaussians, or use a CPU backend".into(),
-    })
+    ensure!(count <= limit, limit "{what} on this device"; found "{count}"; expected "{limit}";
+        help "render a smaller image or fewer channels, remove very large Gaussians, or use a CPU backend");
+    Ok(())
 }
 
 /// Projects and sorts `inputs`; `None` when an input holds a NaN or an infinity.

@@ -1,6 +1,6 @@
 //! What the rasterizer takes and returns.
 
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail, ensure, invalid};
 use burn::tensor::{DType, Tensor};
 
 /// What [`crate::raster::rasterize`] renders. All tensors have one float type and live on one device.
@@ -52,18 +52,12 @@ pub(super) fn sizes(input: &RasterInput) -> Result<Sizes> {
     shape("log_scales", &input.log_scales.dims(), &[n, 3])?;
     shape("rotations", &input.rotations.dims(), &[n, 4])?;
     if input.sh.is_none() && input.features.is_none() {
-        return Err(
-            invalid!(argument "raster input"; found "neither sh nor features";
-            expected "at least one"; help "pass what to render"),
-        );
+        bail!(argument "raster input"; found "neither sh nor features";
+            expected "at least one"; help "pass what to render");
     }
     let sh_terms = input.sh.as_ref().map_or(1, |sh| sh.dims()[1]);
-    if !matches!(sh_terms, 1 | 4 | 9 | 16) {
-        return Err(
-            invalid!(argument "raster input sh"; found "{sh_terms} terms";
-            expected "1, 4, 9 or 16"; help "pass (degree + 1)^2 terms"),
-        );
-    }
+    ensure!(matches!(sh_terms, 1 | 4 | 9 | 16), argument "raster input sh"; found "{sh_terms} terms";
+        expected "1, 4, 9 or 16"; help "pass (degree + 1)^2 terms");
     if let Some(sh) = &input.sh {
         shape("sh", &sh.dims(), &[n, sh_terms, 3])?;
     }
@@ -87,23 +81,16 @@ pub(super) fn sizes(input: &RasterInput) -> Result<Sizes> {
 }
 
 fn shape(name: &str, found: &[usize], expected: &[usize]) -> Result<()> {
-    if found == expected {
-        return Ok(());
-    }
-    Err(
-        invalid!(argument "raster input {name}"; found "shape {found:?}"; expected "{expected:?}";
-        help "pass tensors of one scene"),
-    )
+    ensure!(found == expected, argument "raster input {name}"; found "shape {found:?}"; expected "{expected:?}";
+        help "pass tensors of one scene");
+    Ok(())
 }
 
 fn float_types(input: &RasterInput) -> Result<()> {
     let dtype = input.means.dtype();
-    if !matches!(dtype, DType::F32 | DType::F64) {
-        return Err(
-            invalid!(argument "raster input"; found "{dtype:?}"; expected "f32 or f64";
-            help "cast the tensors"),
-        );
-    }
+    ensure!(matches!(dtype, DType::F32 | DType::F64),
+        argument "raster input"; found "{dtype:?}"; expected "f32 or f64";
+        help "cast the tensors");
     let types = [
         ("log_scales", input.log_scales.dtype()),
         ("rotations", input.rotations.dtype()),

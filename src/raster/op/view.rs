@@ -5,7 +5,7 @@ use super::reference::{ReferenceView, colours};
 use super::splats::SplatTensors;
 use super::tensors::{Colours, ProjectedView, TensorPair, ViewCall};
 use crate::backend::device::largest_allocation;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Result, bail};
 use crate::ops::{CustomOp, SparseMatrix, sparse_apply};
 use crate::raster::settings::Settings;
 use crate::splat::camera::Camera;
@@ -115,16 +115,14 @@ impl SplatView {
     /// `S = W s` of `values` `[N, C]`, the image `[H, W, C]` with gradient to them, and the transmittance `[H, W]` (Eq. 3-4).
     ///
     /// # Errors
-    /// [`Error::Argument`] for tensors of different sizes or float types; those of `Projected::new`; on a GPU [`Error::Limit`]
-    /// for what the device cannot hold, and [`Error::Device`] when it fails.
+    /// [`crate::Error::Argument`] for tensors of different sizes or float types; those of `Projected::new`; on a GPU [`crate::Error::Limit`]
+    /// for what the device cannot hold, and [`crate::Error::Device`] when it fails.
     pub fn blend(&self, values: Tensor<2>) -> Result<(Tensor<3>, Tensor<2>)> {
         let (n, rows) = (self.splats.len(), values.dims()[0]);
         if rows != n {
             let (found, expected) = (format!("{rows} rows"), format!("{n}, one a Gaussian"));
-            return Err(
-                invalid!(argument "values to blend"; found "{found}"; expected "{expected}";
-                help "pass values of these Gaussians"),
-            );
+            bail!(argument "values to blend"; found "{found}"; expected "{expected}";
+                help "pass values of these Gaussians");
         }
         self.splats.check(values.dtype())?;
         if CustomOp::Raster.is_replaced() {
@@ -168,7 +166,7 @@ impl SplatView {
     /// `W^T y` of an image `y`, `[H, W, C]`: the adjoint of [`SplatView::blend`], without autodiff.
     ///
     /// # Errors
-    /// [`Error::Argument`] for an image of another size than the camera has; as [`SplatView::blend`].
+    /// [`crate::Error::Argument`] for an image of another size than the camera has; as [`SplatView::blend`].
     pub fn blend_adjoint(&self, image: Tensor<3>) -> Result<Lifted> {
         let camera = self.camera();
         let [height, width, _] = image.dims();
@@ -177,10 +175,8 @@ impl SplatView {
                 format!("{width}x{height}"),
                 format!("{}x{}", camera.width, camera.height),
             );
-            return Err(
-                invalid!(argument "image to lift"; found "{found}"; expected "{expected}";
-                help "pass an image of the camera's size"),
-            );
+            bail!(argument "image to lift"; found "{found}"; expected "{expected}";
+                help "pass an image of the camera's size");
         }
         self.splats.check(image.dtype())?;
         if CustomOp::Raster.is_replaced() {
@@ -199,7 +195,7 @@ impl SplatView {
     /// The rows `pixels` (row-major) of `W`, entries front to back, rounded to `f32`.
     ///
     /// # Errors
-    /// As [`SplatView::blend`]; [`Error::Device`] where [`SplatTensors::have_stored_weights`] is false.
+    /// As [`SplatView::blend`]; [`crate::Error::Device`] where [`SplatTensors::have_stored_weights`] is false.
     ///
     /// # Panics
     /// If a pixel is outside the image.
@@ -211,7 +207,7 @@ impl SplatView {
             ProjectedView::F32(projected) => Ok(projected.weights(Some(pixels))),
             ProjectedView::F64(projected) => Ok(projected.weights(Some(pixels))),
             #[cfg(feature = "cube")]
-            ProjectedView::Gpu(_) => Err(Error::Device {
+            ProjectedView::Gpu(_) => Err(crate::error::Error::Device {
                 device: "the GPU of this view".into(),
                 reason: "it blends anew and has no stored weights".into(),
                 help: "use `blend`".into(),
@@ -223,7 +219,7 @@ impl SplatView {
     /// autodiff; any values for Gaussians that the view does not show.
     ///
     /// # Errors
-    /// As [`SplatView::blend`]; [`Error::NonFinite`] for the coefficients.
+    /// As [`SplatView::blend`]; [`crate::Error::NonFinite`] for the coefficients.
     pub(crate) fn colours(&self, sh: Tensor<3>, degree: usize) -> Result<Tensor<2>> {
         if CustomOp::Raster.is_replaced() {
             return Ok(colours(&self.splats.means, sh, degree, self.camera()).inner());

@@ -1,7 +1,7 @@
 //! Adaptive density control (3DGS, Kerbl et al. 2023).
 
 use super::{Densification, Densified, GradientStatistics};
-use crate::error::{Error, Result};
+use crate::error::{Result, ensure};
 use crate::reconstruction::initialization::logit;
 use crate::splat::{Geometry, rotation};
 use glam::{DVec3, Vec3};
@@ -60,7 +60,7 @@ pub struct AdcRules {
 /// the clones, then the children.
 ///
 /// # Errors
-/// [`Error::Limit`] when the statistics are not those of these Gaussians.
+/// [`crate::Error::Limit`] when the statistics are not those of these Gaussians.
 pub fn adc<'a>(
     gaussians: impl Into<Geometry<'a>>,
     stats: &GradientStatistics,
@@ -69,14 +69,9 @@ pub fn adc<'a>(
 ) -> Result<Densification> {
     let old = gaussians.into();
     let n = old.len();
-    if stats.gradient.len() != n || stats.visible.len() != n {
-        return Err(Error::Limit {
-            what: "rows of the densification statistics".into(),
-            found: stats.gradient.len().to_string(),
-            limit: n.to_string(),
-            help: "pass the statistics gathered for these Gaussians".into(),
-        });
-    }
+    ensure!(stats.gradient.len() == n && stats.visible.len() == n,
+        limit "rows of the densification statistics"; found "{}", stats.gradient.len(); expected "{n}";
+        help "pass the statistics gathered for these Gaussians");
     let scales: Vec<f32> = old.log_scales.iter().map(largest_scale).collect();
     let is_large = |i: usize| scales[i] > rules.clone_below;
     let threshold = logit(rules.prune_opacity);

@@ -2,6 +2,7 @@
 
 use crate::data::{Points, View};
 use crate::error::Result;
+use crate::splat::camera::spread;
 use glam::{DMat3, DVec3};
 use image::RgbImage;
 use rand::Rng;
@@ -200,11 +201,7 @@ fn disagreement(differences: &[(u8, u16)]) -> f64 {
 
 /// Median depth of the point nearest to all optical axes, or ten baselines where that point is not in front.
 fn focus_distance(views: &[&View]) -> f64 {
-    let mean = views.iter().map(|v| v.camera.center).sum::<DVec3>() / views.len() as f64;
-    let baseline = views
-        .iter()
-        .map(|v| v.camera.center.distance(mean))
-        .fold(0.0, f64::max);
+    let (mean, baseline) = spread(views.iter().map(|v| v.camera.center));
     let fallback = if baseline > 0.0 { 10.0 * baseline } else { 1.0 };
     // normal equations of sum |(I - d d^T) (x - c)|^2
     let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);

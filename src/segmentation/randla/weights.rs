@@ -3,7 +3,7 @@
 use super::{AttentivePooling, LAYERS, POSITION_CHANNELS, RandlaEncoder, ResidualBlock, SharedMlp};
 use super::{host, parameter};
 use crate::backend::device::upload;
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail};
 use crate::weights::{HostTensor, WeightFile};
 use burn::module::{Param, RunningState};
 use burn::nn::{BatchNormConfig, Linear};
@@ -25,11 +25,9 @@ impl RandlaEncoder {
         let [stem, inputs] = match weights.shape("fc0.conv.weight")? {
             [stem, inputs, ..] if matches!(inputs, 3 | 6) => [*stem, *inputs],
             other => {
-                return Err(
-                    invalid!(&weights.origin, "fc0.conv.weight"; found "shape {other:?}";
+                bail!(&weights.origin, "fc0.conv.weight"; found "shape {other:?}";
                     expected "[width, 3] (xyz) or [width, 6] (xyz, rgb)";
-                    help "give an encoder whose inputs are positions, with or without colours"),
-                );
+                    help "give an encoder whose inputs are positions, with or without colours");
             }
         };
         let mut blocks = Vec::with_capacity(LAYERS);

@@ -4,7 +4,7 @@ mod level;
 
 pub use self::level::level_up;
 
-use crate::error::{Result, invalid};
+use crate::error::{Result, ensure};
 use glam::{DMat3, DMat4, DVec3};
 
 /// A posed pinhole camera.
@@ -29,6 +29,14 @@ pub struct Camera {
     pub width: usize,
     /// Image height, pixels.
     pub height: usize,
+}
+
+/// The mean of camera centres, and the largest distance from it; zeros where there are none.
+pub(crate) fn spread(centers: impl Iterator<Item = DVec3> + Clone) -> (DVec3, f64) {
+    let count = centers.clone().count().max(1);
+    let mean = centers.clone().sum::<DVec3>() / count as f64;
+    let distances = centers.map(|center| center.distance(mean));
+    (mean, distances.fold(0.0, f64::max))
 }
 
 impl Camera {
@@ -83,35 +91,20 @@ impl Camera {
     /// # Errors
     /// [`crate::Error::Argument`] naming the field.
     pub fn check(&self) -> Result<()> {
-        let wrong = |field: &str, found: String, expected: &str| {
-            Err(
-                invalid!(argument "camera.{field}"; found "{found}"; expected "{expected}";
-                help "pass a usable camera"),
-            )
-        };
-        let Self {
-            rotation,
-            center,
-            fx,
-            fy,
-            cx,
-            cy,
-            width,
-            height,
-        } = self;
-        if !rotation.is_finite() || !center.is_finite() {
-            return wrong("pose", format!("{rotation} {center}"), "finite numbers");
-        }
-        if !(fx.is_finite() && fy.is_finite() && *fx > 0.0 && *fy > 0.0) {
-            return wrong("fx, fy", format!("{fx}, {fy}"), "positive numbers");
-        }
-        if !(cx.is_finite() && cy.is_finite()) {
-            return wrong("cx, cy", format!("{cx}, {cy}"), "finite numbers");
-        }
-        if *width == 0 || *height == 0 || width.saturating_mul(*height) > u32::MAX as usize {
-            let found = format!("{width} x {height}");
-            return wrong("width, height", found, "1 to 2^32 - 1 pixels");
-        }
+        const HELP: &str = "pass a usable camera";
+        let (rotation, center) = (&self.rotation, self.center);
+        ensure!(rotation.is_finite() && center.is_finite(),
+            argument "camera.pose"; found "{rotation} {center}"; expected "finite numbers"; help "{HELP}");
+        let focals = [self.fx, self.fy];
+        ensure!(focals.iter().all(|f| f.is_finite() && *f > 0.0),
+            argument "camera.fx, fy"; found "{focals:?}"; expected "positive numbers"; help "{HELP}");
+        let center = [self.cx, self.cy];
+        ensure!(center.iter().all(|c| c.is_finite()),
+            argument "camera.cx, cy"; found "{center:?}"; expected "finite numbers"; help "{HELP}");
+        let (width, height) = (self.width, self.height);
+        ensure!((1..=u32::MAX as usize).contains(&width.saturating_mul(height)),
+            argument "camera.width, height"; found "{width} x {height}"; expected "1 to 2^32 - 1 pixels";
+            help "{HELP}");
         Ok(())
     }
 

@@ -1,7 +1,7 @@
 //! A smooth path through given cameras.
 
 use super::check;
-use crate::error::{Result, invalid};
+use crate::error::{Result, ensure};
 use crate::splat::camera::Camera;
 use glam::{DMat3, DQuat, DVec3, DVec4};
 
@@ -83,12 +83,8 @@ impl CameraPath {
             path.lengths.push(length);
             before = key;
         }
-        if !length.is_finite() {
-            return Err(
-                invalid!(argument "cameras"; found "centres further apart than numbers reach";
-                expected "a finite path"; help "give cameras in one place"),
-            );
-        }
+        ensure!(length.is_finite(), argument "cameras"; found "centres further apart than numbers reach";
+            expected "a finite path"; help "give cameras in one place");
         Ok(path)
     }
 

@@ -9,16 +9,12 @@ pub use self::interpolate::CameraPath;
 pub use self::orbit::{Orbit, focus};
 
 use super::camera::Camera;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, ensure};
 
 /// Checks that there is a camera and that each is usable.
 fn check(cameras: &[Camera]) -> Result<()> {
-    if cameras.is_empty() {
-        return Err(
-            invalid!(argument "cameras"; found "none"; expected "one or more";
-            help "pass the cameras that the path is made from"),
-        );
-    }
+    ensure!(!cameras.is_empty(), argument "cameras"; found "none"; expected "one or more";
+        help "pass the cameras that the path is made from");
     for (i, camera) in cameras.iter().enumerate() {
         camera.check().map_err(|error| match error {
             Error::Argument {
@@ -37,10 +33,8 @@ fn check(cameras: &[Camera]) -> Result<()> {
         let rotation = camera.rotation;
         let off = (rotation.transpose() * rotation - glam::DMat3::IDENTITY).to_cols_array();
         if off.iter().any(|v| v.abs() > 1e-2) || rotation.determinant() < 0.0 {
-            return Err(
-                invalid!(argument "cameras[{i}]: rotation"; found "{rotation}";
-                expected "a rotation"; help "correct the pose"),
-            );
+            bail!(argument "cameras[{i}]: rotation"; found "{rotation}";
+                expected "a rotation"; help "correct the pose");
         }
     }
     Ok(())

@@ -1,7 +1,7 @@
 //! A circle around what cameras look at.
 
 use super::check;
-use crate::error::{Result, invalid};
+use crate::error::{Result, ensure};
 use crate::splat::camera::{Camera, level_up};
 use glam::{DMat3, DVec3};
 use nalgebra::Matrix3;
@@ -101,16 +101,13 @@ impl Orbit {
         let is_finite =
             target.is_finite() && height.is_finite() && (radius + height.abs()).is_finite();
         // A smaller circle is a point but for rounding.
-        if !(is_finite && radius > 1e-12 * (height.abs() + target.length()) && radius > 0.0) {
-            return Err(invalid!(argument "orbit";
-                    found "radius {radius:.3e} around {target}, {height:.3e} above it";
-                    expected "a circle"; help "give cameras that stand around something"));
-        }
+        ensure!(is_finite && radius > 1e-12 * (height.abs() + target.length()) && radius > 0.0, argument "orbit";
+            found "radius {radius:.3e} around {target}, {height:.3e} above it";
+            expected "a circle"; help "give cameras that stand around something");
         let off = [up.length() - 1.0, start.length() - 1.0, up.dot(start)];
-        if off.iter().any(|off| off.is_nan() || off.abs() > 1e-6) {
-            return Err(invalid!(argument "orbit"; found "up {up}, start {start}";
-                expected "perpendicular unit vectors"; help "normalise them"));
-        }
+        ensure!(!off.iter().any(|off| off.is_nan() || off.abs() > 1e-6),
+            argument "orbit"; found "up {up}, start {start}";
+            expected "perpendicular unit vectors"; help "normalise them");
         Ok(())
     }
 

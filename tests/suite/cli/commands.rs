@@ -76,7 +76,6 @@ fn help_names_every_command_and_shows_examples() {
         "associate",
         "objects",
         "edit",
-        "pretrain",
         "bench",
         "compare",
         "Examples:",
@@ -94,7 +93,6 @@ fn help_names_every_command_and_shows_examples() {
         "associate",
         "objects",
         "edit",
-        "pretrain",
         "bench",
     ] {
         let help = succeeds(&[command, "--help"]);

@@ -34,7 +34,7 @@ fn trained(rows: &[Variant], iterations: usize) -> Outcome {
 }
 
 fn miou(row: &VariantOutcome) -> f64 {
-    row.scores.miou.expect("held-out truth")
+    row.scores.labels.miou.expect("held-out truth")
 }
 
 #[test]

@@ -223,7 +223,7 @@ fn blended_logits_without_a_prior_are_the_papers_rule_and_learn() {
         edit(s);
         s.lr = STILL;
     });
-    let miou = |o: &Outcome| o.rows[0].scores.miou.expect("a score");
+    let miou = |o: &Outcome| o.rows[0].scores.labels.miou.expect("a score");
     assert!(
         miou(&outcome) > miou(&untaught) + 0.1,
         "{} against {}",
@@ -416,7 +416,7 @@ fn a_truth_that_no_row_is_scored_by_is_none() {
         let outcome = crate::pipeline::resume::whole(&config, &folder.path().join(out));
         let notes = coseg::report::Report::notes_of(&outcome, &config).concat();
         let is_scored = |row: &coseg::pipeline::VariantOutcome| {
-            row.scores.miou.is_some() || row.instances.is_some()
+            row.scores.labels.miou.is_some() || row.scores.instances.is_some()
         };
         let scored = outcome.rows.iter().any(is_scored);
         assert_eq!(

@@ -1,11 +1,9 @@
 //! Pretraining on procedural rooms: it learns, it repeats, and what it stores is what it trained.
 
 use crate::support::point_probe::linear_probe;
+use crate::support::pretraining::{LabelledCloud, PretrainOptions, TrainedEncoder, pretrain, room};
 use coseg::segmentation::encoder::random_weights;
 use coseg::segmentation::pixels::UNLABELLED;
-use coseg::segmentation::pretrain::{
-    LabelledCloud, PretrainOptions, TrainedEncoder, pretrain, room,
-};
 use coseg::segmentation::randla::RandlaEncoder;
 use coseg::weights::WeightFile;
 use coseg::{Error, Result};
@@ -14,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use std::path::Path;
 
 fn run(options: &PretrainOptions) -> Result<TrainedEncoder> {
-    pretrain(options, &crate::support::device(), &mut |_| ())
+    pretrain(options, &crate::support::device(), &mut |_, _| ())
 }
 
 fn small() -> PretrainOptions {

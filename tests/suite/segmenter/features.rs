@@ -18,8 +18,7 @@ fn a_tensor_of_the_network_lies_over_the_photo() {
     };
     let extractor = Extractor::open(&config, &device()).expect("network");
     assert!(
-        extractor.name().starts_with("segmenter ")
-            && extractor.name().ends_with("net.onnx, logits")
+        extractor.name.starts_with("segmenter ") && extractor.name.ends_with("net.onnx, logits")
     );
     // The left half is red, the right one blue.
     let photo = RgbImage::from_fn(32, 24, |x, _| {

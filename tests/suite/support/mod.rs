@@ -7,6 +7,8 @@ pub mod linear_probe;
 pub mod onnx;
 pub mod plates;
 pub mod point_probe;
+#[path = "../../../examples/pretrain_encoder/training.rs"]
+pub mod pretraining;
 pub mod raster_reference;
 pub mod spoilt_masks;
 pub mod torch_file;

@@ -1,5 +1,6 @@
 //! A linear probe: how much of the classes can be read off frozen spatial features by one linear map.
 
+use super::pretraining::{LabelledCloud, Scores};
 use burn::module::{Module, Param};
 use burn::nn::Linear;
 use burn::optim::{AdamConfig, GradientsParams};
@@ -8,7 +9,6 @@ use coseg::Result;
 use coseg::metrics::Confusion;
 use coseg::segmentation::encoder::{Cloud, Encoding, encode};
 use coseg::segmentation::loss::{CoSegLoss, LabelLoss};
-use coseg::segmentation::pretrain::{LabelledCloud, Scores};
 use coseg::segmentation::randla::RandlaEncoder;
 use glam::DVec3;
 use rand::SeedableRng;

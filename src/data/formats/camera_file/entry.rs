@@ -2,7 +2,7 @@
 
 use crate::data::Limits;
 use crate::data::formats::camera_checks::{FOCAL, describe_rotation, fits_f32};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, ensure, invalid};
 use crate::splat::camera::Camera;
 use glam::DMat4;
 use serde_json::Value;
@@ -131,11 +131,7 @@ impl<'a> Entry<'a> {
 
 /// Refuses a list of cameras that is empty, or longer than a scene may be.
 pub(super) fn check_count(path: &Path, field: &str, list: &[Value]) -> Result<()> {
-    if list.is_empty() {
-        return Err(
-            invalid!(path, "{field}"; found "no cameras"; expected "at least one"; help "export them again"),
-        );
-    }
+    ensure!(!list.is_empty(), path, "{field}"; found "no cameras"; expected "at least one"; help "export them again");
     Limits::default().check_views(path, list.len())
 }
 

@@ -7,7 +7,7 @@ mod nerfstudio;
 use super::layout;
 use super::transforms::{self, not_finite::quoted};
 use crate::data::{LoadOptions, NamedCamera, Split};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files;
 use serde_json::Value;
 use std::path::Path;
@@ -71,17 +71,11 @@ pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
         return Err(unusable("frames", "nothing"));
     };
     if let Some(token) = tokens.first() {
-        return Err(
-            invalid!(path, "line {}", token.line; found "{}", token.text; expected "finite numbers";
-            help "export the cameras again"),
-        );
+        bail!(path, "line {}", token.line; found "{}", token.text; expected "finite numbers";
+            help "export the cameras again");
     }
     let cameras = cameras?;
-    if split == Some(Split::Test) {
-        return Err(
-            invalid!(path, "split"; found "cameras without splits, all for training";
-            expected "held-out cameras"; help "ask for all of them"),
-        );
-    }
+    ensure!(split != Some(Split::Test), path, "split"; found "cameras without splits, all for training";
+        expected "held-out cameras"; help "ask for all of them");
     Ok(cameras)
 }

@@ -3,7 +3,7 @@
 use super::reader::Reader;
 use crate::data::formats::camera_checks::{FOCAL, MAX_PIXELS};
 use crate::data::photos::lens::Lens;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, ensure, invalid};
 use crate::splat::camera::Camera;
 use std::path::Path;
 
@@ -79,44 +79,21 @@ fn unsupported(path: &Path, place: &str, name: &str) -> Error {
 impl ModelCamera {
     /// A camera without its pose, and its lens, in range.
     pub fn checked(&self, path: &Path) -> Result<(Camera, Lens)> {
-        let error = |field: &str, found: String, expected: &str| {
-            invalid!(path, "{} (camera {}): {field}", self.place, self.id; found "{found}";
-                expected "{expected}"; help "calibrate again, or copy the file again")
-        };
+        const HELP: &str = "calibrate again, or copy the file again";
+        let place = format!("{} (camera {})", self.place, self.id);
         let [width, height] = self.size;
-        if self
-            .size
-            .iter()
-            .any(|side| !(1..=u64::from(u32::MAX)).contains(side))
-        {
-            let expected = "pixels, at least 1 and below 2^32";
-            return Err(error("WIDTH HEIGHT", format!("{width} {height}"), expected));
-        }
-        if self.params.iter().any(|v| !v.is_finite()) {
-            return Err(error(
-                "PARAMS",
-                format!("{:?}", self.params),
-                "finite numbers",
-            ));
-        }
+        let in_range = |side: &u64| (1..=u64::from(u32::MAX)).contains(side);
+        ensure!(self.size.iter().all(in_range), path, "{place}: WIDTH HEIGHT"; found "{width} {height}";
+            expected "pixels, at least 1 and below 2^32"; help "{HELP}");
+        ensure!(self.params.iter().all(|v| v.is_finite()),
+            path, "{place}: PARAMS"; found "{:?}", self.params; expected "finite numbers"; help "{HELP}");
         let (focals, rest) = self.params.split_at(self.focals);
         let (center, distortion) = rest.split_at(2);
-        if focals.iter().any(|f| !FOCAL.contains(f)) {
-            let expected = "a positive number of pixels, 0.001 to 1e9";
-            return Err(error(
-                "PARAMS, focal length",
-                format!("{focals:?}"),
-                expected,
-            ));
-        }
-        if center.iter().any(|c| c.abs() > MAX_PIXELS) {
-            let expected = "pixels from the image corner";
-            return Err(error(
-                "PARAMS, principal point",
-                format!("{center:?}"),
-                expected,
-            ));
-        }
+        ensure!(focals.iter().all(|f| FOCAL.contains(f)), path, "{place}: PARAMS, focal length"; found "{focals:?}";
+            expected "a positive number of pixels, 0.001 to 1e9"; help "{HELP}");
+        ensure!(center.iter().all(|c| c.abs() <= MAX_PIXELS),
+            path, "{place}: PARAMS, principal point"; found "{center:?}";
+            expected "pixels from the image corner"; help "{HELP}");
         let coefficient = |i: usize| distortion.get(i).copied().unwrap_or(0.0);
         let lens = Lens {
             k: [coefficient(0), coefficient(1), 0.0],

@@ -7,7 +7,7 @@ use crate::data::Limits;
 use crate::data::formats::camera_checks::not_a_rotation;
 use crate::data::formats::frame::joined_name;
 use crate::data::photos::lens::Lens;
-use crate::error::{Result, invalid};
+use crate::error::{Result, ensure, invalid};
 use crate::files::check_limit;
 use crate::splat::camera::Camera;
 use glam::{DMat3, DMat4, DQuat, DVec3};
@@ -86,41 +86,24 @@ impl PosedImage {
         calibration: &Path,
         cameras: &BTreeMap<u32, ModelCamera>,
     ) -> Result<(Camera, Lens)> {
-        let error = |field: &str, found: String, expected: &str, help: &str| {
-            invalid!(images, "{} ({}): {field}", self.place, self.name; found "{found}";
-                expected "{expected}"; help "{help}")
-        };
+        let place = format!("{} ({})", self.place, self.name);
         let is_below = |part| matches!(part, Component::Normal(_) | Component::CurDir);
-        if self.view_name().is_empty() || !Path::new(&self.name).components().all(is_below) {
-            let expected = "a path below the folder of photos";
-            let help = "write the model with relative names";
-            return Err(error("NAME", format!("{:?}", self.name), expected, help));
-        }
-        let Some(camera) = cameras.get(&self.camera) else {
-            let expected = format!(
-                "one of the {} cameras of {}",
-                cameras.len(),
-                calibration.display()
-            );
-            let help = "copy cameras and images of the same model";
-            return Err(error("CAMERA_ID", self.camera.to_string(), &expected, help));
-        };
+        ensure!(!self.view_name().is_empty() && Path::new(&self.name).components().all(is_below),
+            images, "{place}: NAME"; found "{:?}", self.name; expected "a path below the folder of photos";
+            help "write the model with relative names");
+        let camera = cameras.get(&self.camera).ok_or_else(|| {
+            invalid!(images, "{place}: CAMERA_ID"; found "{}", self.camera;
+                expected "one of the {} cameras of {}", cameras.len(), calibration.display();
+                help "copy cameras and images of the same model")
+        })?;
         let [w, x, y, z] = self.rotation;
         let norm = DQuat::from_xyzw(x, y, z, w).length();
         // Text files round; anything farther off is no rotation.
-        if !(0.99..1.01).contains(&norm) {
-            let found = format!("{:?} of length {norm:.4}", self.rotation);
-            return Err(error(
-                "QW QX QY QZ",
-                found,
-                "a quaternion of length 1",
-                AGAIN,
-            ));
-        }
-        if self.translation.iter().any(|&v| !(v as f32).is_finite()) {
-            let found = format!("{:?}", self.translation);
-            return Err(error("TX TY TZ", found, "finite numbers (f32)", AGAIN));
-        }
+        ensure!((0.99..1.01).contains(&norm),
+            images, "{place}: QW QX QY QZ"; found "{:?} of length {norm:.4}", self.rotation;
+            expected "a quaternion of length 1"; help "{AGAIN}");
+        ensure!(self.translation.iter().all(|&v| (v as f32).is_finite()),
+            images, "{place}: TX TY TZ"; found "{:?}", self.translation; expected "finite numbers (f32)"; help "{AGAIN}");
         let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
         let center = -(rotation.transpose() * DVec3::from(self.translation));
         let mut pose = DMat4::from_mat3(rotation.transpose());

@@ -10,11 +10,11 @@ mod reader;
 
 use super::frame::Frame;
 use super::label_folder::SideFolders;
-use super::listing::{Cloud, Listing, Problems};
+use super::listing::{Cloud, Folder, Listing, Problems};
 use crate::config::Layout;
 use crate::data::options::LoadOptions;
 use crate::data::{Limits, Points};
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail, invalid};
 use crate::files::names;
 use glam::DVec3;
 use model::SparseModel;
@@ -57,7 +57,13 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let mut images = images::read(&model.images, &options.limits)?;
     images.sort_by(|a, b| a.name.cmp(&b.name));
 
-    let folders = SideFolders::new(dir, options, Layout::Colmap, problems);
+    let layout = Layout::Colmap;
+    let folder = Folder {
+        dir,
+        options,
+        layout,
+    };
+    let folders = SideFolders::new(folder, problems);
     let mut first = HashMap::new();
     let mut frames = Vec::new();
     for (i, split) in options.pick(&vec![None; images.len()]) {
@@ -91,9 +97,9 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         notices.extend(model::unplaced(&dir.join(&options.images), &images));
     }
     if points.is_none() {
-        let folder = model.folder.display();
+        let model = model.folder.display();
         notices.push(format!(
-            "no points3D in {folder}: Gaussians start from random points"
+            "no points3D in {model}: Gaussians start from random points"
         ));
     }
     let unlabelled = frames.iter().filter(|frame| frame.truth.is_none()).count();
@@ -106,15 +112,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     Ok(Listing {
         cloud: points.map_or(Cloud::None, Cloud::Colmap),
         notices,
-        ..Listing::new(
-            dir,
-            options,
-            Layout::Colmap,
-            model.images,
-            frames,
-            None,
-            problems,
-        )
+        ..Listing::new(folder, model.images, frames, None, problems)
     })
 }
 
@@ -132,10 +130,8 @@ pub(crate) fn read_points(path: &Path, origin: DVec3, limits: &Limits) -> Result
             .to_array()
             .map(|v| v as f32);
         if let Some(axis) = relative.iter().position(|v| !v.is_finite()) {
-            return Err(
-                invalid!(path, "{}: {}", reader.place(), ["x", "y", "z"][axis]; found "{}", position[axis];
-                expected "a finite number (f32)"; help "remove this point"),
-            );
+            bail!(path, "{}: {}", reader.place(), ["x", "y", "z"][axis]; found "{}", position[axis];
+                expected "a finite number (f32)"; help "remove this point");
         }
         reader.skip_list(8, "TRACK", false)?;
         points.positions.push(relative);

@@ -2,7 +2,7 @@
 //! `.txt` has one item a line, two lines an image, and comments behind `#`.
 
 use super::AGAIN;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, ensure, invalid};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
@@ -171,12 +171,8 @@ impl<'p> Reader<'p> {
                     .split_ascii_whitespace()
                     .collect::<Vec<_>>()
                     .join(" ");
-                if name.is_empty() {
-                    return Err(
-                        invalid!(path, "line {}: NAME", text.line; found "the end of the line";
-                        expected "a file name"; help "{AGAIN}"),
-                    );
-                }
+                ensure!(!name.is_empty(), path, "line {}: NAME", text.line; found "the end of the line";
+                    expected "a file name"; help "{AGAIN}");
                 Ok(name)
             }
         }
@@ -305,12 +301,8 @@ impl Text {
     }
 
     fn word(&mut self, path: &Path, field: &str) -> Result<String> {
-        if self.rest.is_empty() {
-            return Err(
-                invalid!(path, "line {}: {field}", self.line; found "the end of the line";
-                expected "a value"; help "{AGAIN}"),
-            );
-        }
+        ensure!(!self.rest.is_empty(), path, "line {}: {field}", self.line; found "the end of the line";
+            expected "a value"; help "{AGAIN}");
         let end = self
             .rest
             .find(|c: char| c.is_ascii_whitespace())

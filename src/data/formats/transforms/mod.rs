@@ -15,14 +15,14 @@ pub use crate::data::NamedCamera;
 pub use crate::data::options::LoadOptions;
 
 use super::frame::Frame;
-use super::listing::{Cloud, Listing, Problems};
+use super::listing::{Cloud, Folder, Listing, Problems};
 use super::mask_file::Masks;
 use crate::config::Layout;
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::photos::lens::Lens;
 use crate::data::{Limits, Scene, Split};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, ensure, invalid};
 use crate::files::names;
 use crate::splat::camera::Camera;
 use named_folder::NamedFolder;
@@ -85,7 +85,13 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let sources = Sources::read(dir, options, problems)?;
     let kept = sources.pick(options, problems);
     limits.check_views(&sources.file, kept.len())?;
-    let files = LabelFiles::new(dir, options, &sources, problems);
+    let layout = Layout::Transforms;
+    let folder = Folder {
+        dir,
+        options,
+        layout,
+    };
+    let files = LabelFiles::new(folder, &sources, problems);
     let mut photos = Vec::new();
     let look = |kept: &Kept| photo(dir, &sources.files[kept.source], kept.index, limits);
     kept.par_iter().map(look).collect_into_vec(&mut photos);
@@ -122,15 +128,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         z_up: files.iter().all(|source| source.transforms.z_up()),
         cloud: named_cloud.map_or(Cloud::None, |file| Cloud::Ply(dir.join(file))),
         notices,
-        ..Listing::new(
-            dir,
-            options,
-            Layout::Transforms,
-            file,
-            frames,
-            None,
-            problems,
-        )
+        ..Listing::new(folder, file, frames, None, problems)
     })
 }
 
@@ -143,13 +141,9 @@ struct LabelFiles<'a> {
 }
 
 impl<'a> LabelFiles<'a> {
-    fn new(
-        dir: &'a Path,
-        options: &LoadOptions,
-        sources: &Sources,
-        problems: &mut Problems,
-    ) -> Self {
-        let masks = Masks::new(dir, options, Layout::Transforms, problems);
+    fn new(folder: Folder<'a>, sources: &Sources, problems: &mut Problems) -> Self {
+        let Folder { dir, options, .. } = folder;
+        let masks = Masks::new(folder, problems);
         let mask_folder = match &masks {
             Masks::In(folder) => Some(NamedFolder::new(folder.clone(), sources, |f| {
                 f.mask_path.as_ref()
@@ -258,12 +252,8 @@ pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
             camera,
         });
     }
-    if cameras.is_empty() {
-        return Err(
-            invalid!(path, "frames"; found "no frame of split {split:?}"; expected "at least one";
-            help "choose the other split or all"),
-        );
-    }
+    ensure!(!cameras.is_empty(), path, "frames"; found "no frame of split {split:?}"; expected "at least one";
+        help "choose the other split or all");
     Ok(cameras)
 }
 

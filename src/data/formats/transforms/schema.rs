@@ -3,7 +3,7 @@
 use super::not_finite::quoted;
 use crate::data::formats::camera_checks::{FOCAL, MAX_PIXELS, describe_rotation, fits_f32};
 use crate::data::photos::lens::Lens;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files;
 use crate::splat::camera::Camera;
 use glam::{DMat3, DMat4};
@@ -96,17 +96,12 @@ impl Transforms {
             invalid!(path, "line {}", token.line; found "{}", line.trim(); expected "finite numbers";
                 help "correct the file there or export it again")
         })?;
-        if file.frames.is_empty() {
-            return Err(
-                invalid!(path, "frames"; found "no frames"; expected "at least one"; help "add views"),
-            );
-        }
+        ensure!(!file.frames.is_empty(),
+            path, "frames"; found "no frames"; expected "at least one"; help "add views");
         let convention = file.convention();
         if convention.contains("opencv") && !convention.contains("opengl") {
-            return Err(
-                invalid!(path, "convention"; found "{convention}"; expected "OpenGL camera-to-world";
-                help "negate the second and third column of every transform_matrix"),
-            );
+            bail!(path, "convention"; found "{convention}"; expected "OpenGL camera-to-world";
+                help "negate the second and third column of every transform_matrix");
         }
         Ok(file)
     }
@@ -135,13 +130,10 @@ impl Transforms {
     /// Width and height that the file gives for a frame.
     pub fn declared_size(&self, path: &Path, frame: usize) -> Result<Option<(usize, usize)>> {
         let whole = |name: &str, value: f64| {
-            if value.fract() == 0.0 && (1.0..=f64::from(u32::MAX)).contains(&value) {
-                return Ok(value as usize);
-            }
-            Err(
-                invalid!(path, "{}.{name}", self.field(frame); found "{value:?}";
-                expected "a whole number of pixels, at least 1"; help "correct the size"),
-            )
+            ensure!(value.fract() == 0.0 && (1.0..=f64::from(u32::MAX)).contains(&value),
+                path, "{}.{name}", self.field(frame); found "{value:?}";
+                expected "a whole number of pixels, at least 1"; help "correct the size");
+            Ok(value as usize)
         };
         let lens = self.lens_fields(frame);
         match (lens.w, lens.h) {
@@ -185,15 +177,11 @@ impl Transforms {
     /// The pose, finite, 4x4.
     fn matrix(&self, path: &Path, frame: usize) -> Result<DMat4> {
         let rows = &self.frames[frame].transform_matrix;
-        let error = |place: String, found: String, expected: &str| {
-            invalid!(path, "{}.transform_matrix{place}", self.field(frame); found "{found}";
-                expected "{expected}"; help "export the pose again")
-        };
-        if !(3..=4).contains(&rows.len()) || rows.iter().any(|r| r.len() != 4) {
-            let lengths: Vec<_> = rows.iter().map(Vec::len).collect();
-            let found = format!("rows of lengths {lengths:?}");
-            return Err(error(String::new(), found, "4 rows of 4 numbers"));
-        }
+        const AGAIN: &str = "export the pose again";
+        let field = format!("{}.transform_matrix", self.field(frame));
+        let lengths: Vec<_> = rows.iter().map(Vec::len).collect();
+        ensure!((3..=4).contains(&rows.len()) && lengths.iter().all(|length| *length == 4),
+            path, "{field}"; found "rows of lengths {lengths:?}"; expected "4 rows of 4 numbers"; help "{AGAIN}");
         let mut m = DMat4::IDENTITY.to_cols_array_2d();
         for (r, row) in rows.iter().enumerate() {
             for (c, value) in row.iter().enumerate() {
@@ -201,13 +189,12 @@ impl Transforms {
                 m[r][c] = number.ok_or_else(|| {
                     let text = value.as_str().map(str::to_owned);
                     let found = text.unwrap_or_else(|| value.to_string());
-                    error(format!("[{r}][{c}]"), found, "a finite number (f32)")
+                    invalid!(path, "{field}[{r}][{c}]"; found "{found}"; expected "a finite number (f32)"; help "{AGAIN}")
                 })?;
             }
         }
-        if m[3] != [0.0, 0.0, 0.0, 1.0] {
-            return Err(error("[3]".into(), format!("{:?}", m[3]), "[0, 0, 0, 1]"));
-        }
+        ensure!(m[3] == [0.0, 0.0, 0.0, 1.0],
+            path, "{field}[3]"; found "{:?}", m[3]; expected "[0, 0, 0, 1]"; help "{AGAIN}");
         Ok(DMat4::from_cols_array_2d(&m).transpose())
     }
 
@@ -218,7 +205,7 @@ impl Transforms {
         frame: usize,
         (width, height): (usize, usize),
     ) -> Result<(Camera, Lens)> {
-        let error = |name: &str, found: String, expected: &str, help: &str| invalid!(path, "{}.{name}", self.field(frame); found "{found}"; expected "{expected}"; help "{help}");
+        let place = self.field(frame);
         let fields = self.lens_fields(frame);
         let is_pinhole = |model: &str| {
             PINHOLE_MODELS
@@ -226,23 +213,17 @@ impl Transforms {
                 .any(|known| known == model.to_uppercase())
         };
         if let Some(model) = fields.camera_model.filter(|model| !is_pinhole(model)) {
-            let expected = "PINHOLE, OPENCV, SIMPLE_RADIAL or RADIAL";
-            return Err(error("camera_model", model, expected, UNDISTORT));
+            bail!(path, "{place}.camera_model"; found "{model}";
+                expected "PINHOLE, OPENCV, SIMPLE_RADIAL or RADIAL"; help "{UNDISTORT}");
         }
-        if fields.is_fisheye == Some(true) {
-            return Err(error(
-                "is_fisheye",
-                "true".into(),
-                "a lens that is no fisheye",
-                UNDISTORT,
-            ));
-        }
+        ensure!(fields.is_fisheye != Some(true),
+            path, "{place}.is_fisheye"; found "true"; expected "a lens that is no fisheye"; help "{UNDISTORT}");
         // Tools differ on the meaning of what follows k3: a further power of the radius, or a denominator.
         let beyond = [("k4", fields.k4), ("k5", fields.k5), ("k6", fields.k6)];
         for (name, k) in beyond {
             if let Some(k) = k.filter(|k| *k != 0.0) {
-                let expected = "0: of lens distortion only k1 k2 k3 p1 p2 are read";
-                return Err(error(name, k.to_string(), expected, UNDISTORT));
+                bail!(path, "{place}.{name}"; found "{k}";
+                    expected "0: of lens distortion only k1 k2 k3 p1 p2 are read"; help "{UNDISTORT}");
             }
         }
         let lens = Lens {
@@ -253,35 +234,20 @@ impl Transforms {
         let from_width = || fields.camera_angle_x.map(|angle| from_angle(width, angle));
         let from_height = || fields.camera_angle_y.map(|angle| from_angle(height, angle));
         let fx = fields.fl_x.or_else(from_width).ok_or_else(|| {
-            let found = "neither fl_x nor camera_angle_x".into();
-            error(
-                "fl_x",
-                found,
-                "one of them",
-                "add the focal length in pixels",
-            )
+            invalid!(path, "{place}.fl_x"; found "neither fl_x nor camera_angle_x"; expected "one of them";
+                help "add the focal length in pixels")
         })?;
         // One focal length only: square pixels.
         let fy = fields.fl_y.or_else(from_height).unwrap_or(fx);
         for (name, f) in [("fl_x", fx), ("fl_y", fy)] {
-            if !FOCAL.contains(&f) {
-                let expected = "a positive number of pixels, 0.001 to 1e9";
-                let help = "correct the focal length or camera_angle";
-                return Err(error(name, format!("{f:?}"), expected, help));
-            }
+            ensure!(FOCAL.contains(&f), path, "{place}.{name}"; found "{f:?}";
+                expected "a positive number of pixels, 0.001 to 1e9"; help "correct the focal length or camera_angle");
         }
         let cx = fields.cx.unwrap_or(0.5 * width as f64);
         let cy = fields.cy.unwrap_or(0.5 * height as f64);
         for (name, c) in [("cx", cx), ("cy", cy)] {
-            if c.abs() > MAX_PIXELS {
-                let expected = "pixels from the image corner";
-                return Err(error(
-                    name,
-                    format!("{c:?}"),
-                    expected,
-                    "correct the principal point",
-                ));
-            }
+            ensure!(c.abs() <= MAX_PIXELS, path, "{place}.{name}"; found "{c:?}";
+                expected "pixels from the image corner"; help "correct the principal point");
         }
         let centred = Camera::centred([fx, fy], [width, height]);
         Ok((Camera { cx, cy, ..centred }, lens))

@@ -102,13 +102,12 @@ impl Transforms {
     }
 
     fn lists(&self) -> impl Iterator<Item = (Use, &Vec<String>)> {
-        let train = self.train_filenames.iter().map(|files| (Use::Train, files));
-        let validation = self
-            .val_filenames
-            .iter()
-            .map(|files| (Use::Validation, files));
-        train
-            .chain(validation)
-            .chain(self.test_filenames.iter().map(|files| (Use::Test, files)))
+        let lists = [
+            (Use::Train, &self.train_filenames),
+            (Use::Validation, &self.val_filenames),
+            (Use::Test, &self.test_filenames),
+        ];
+        let given = lists.into_iter();
+        given.filter_map(|(of, files)| Some((of, files.as_ref()?)))
     }
 }

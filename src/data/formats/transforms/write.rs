@@ -3,7 +3,6 @@
 use crate::data::{NamedCamera, Split, atomic};
 use crate::error::Result;
 use serde::Serialize;
-use std::io::Write;
 use std::path::Path;
 
 #[derive(Serialize)]
@@ -50,8 +49,5 @@ pub fn write_cameras(path: &Path, cameras: &[NamedCamera]) -> Result<()> {
         camera_model: "PINHOLE",
         frames: cameras.iter().map(frame).collect(),
     };
-    atomic::write(path, |out| {
-        serde_json::to_writer_pretty(&mut *out, &file)?;
-        out.write_all(b"\n")
-    })
+    atomic::write_json(path, &file)
 }

@@ -4,7 +4,7 @@
 use super::Vocabulary;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap, Segment};
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail};
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::LazyLock;
@@ -63,20 +63,18 @@ pub(super) fn decode(
 ) -> Result<LabelMap> {
     if !matches!(file.png_color(), Some((_, 2 | 3 | 6))) {
         let found = file.png_color().map_or("JPEG", |_| "a grey PNG");
-        return Err(invalid!(path, "pixel format"; found "{found}";
+        bail!(path, "pixel format"; found "{found}";
             expected "a PNG with the colours of ADE20K, RGB or indexed";
-            help "set data.raw_format = \"grey\" for class ids; JPEG changes colours, so save as PNG"));
+            help "set data.raw_format = \"grey\" for class ids; JPEG changes colours, so save as PNG");
     }
     let (width, height) = file.size;
     let mut ids = Vec::with_capacity(width * height);
     for (i, pixel) in file.decode_rgb()?.pixels().enumerate() {
         let class = COLORS.get(&pixel.0);
         if class.is_none() && pixel.0 != BLACK {
-            return Err(
-                invalid!(path, "pixel x {}, y {}", i % width, i / width; found "colour {:?}", pixel.0;
+            bail!(path, "pixel x {}, y {}", i % width, i / width; found "colour {:?}", pixel.0;
                 expected "one of the 150 colours of ADE20K, or black for unlabelled";
-                help "save the map without blending it over the photo, and as PNG"),
-            );
+                help "save the map without blending it over the photo, and as PNG");
         }
         ids.push(class.and_then(|&class| class_ids[class]).unwrap_or(ignore));
     }

@@ -6,7 +6,7 @@
 use super::{RawMap, Vocabulary};
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap, Segment};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, ensure, invalid};
 use crate::files;
 use crate::files::check_limit;
 use serde::{Deserialize, Deserializer};
@@ -101,31 +101,22 @@ impl Panoptic {
         let expected = "{\"annotations\": [{\"file_name\", \"segments_info\": [{\"id\", \"category_id\"}, ..]}, ..], \
             \"categories\": [{\"id\", \"name\", \"isthing\"}, ..]}";
         let file: File = files::json(&path, expected)?;
-        let error = |field: &str, found: String, expected: &str| invalid!(&path, "{field}"; found "{found}"; expected "{expected}"; help "export the panoptic JSON again");
+        const AGAIN: &str = "export the panoptic JSON again";
         // Id 0 is unlabelled in a class table: where the file has a class 0, all ids move up by one.
         let shift = u32::from(file.categories.iter().any(|category| category.id == 0));
         let mut names = Vec::with_capacity(file.categories.len());
         let mut indices = HashMap::new();
         for (i, category) in file.categories.iter().enumerate() {
-            let field = format!("categories[{i}].id");
-            let own = u16::try_from(category.id.saturating_add(shift));
-            let own = own.map_err(|_| error(&field, category.id.to_string(), "0 to 65534"))?;
-            if indices.insert(category.id, i).is_some() {
-                return Err(error(
-                    &field,
-                    format!("{} twice", category.id),
-                    "each id once",
-                ));
-            }
+            let (field, id) = (format!("categories[{i}].id"), category.id);
+            let own = u16::try_from(id.saturating_add(shift)).map_err(
+                |_| invalid!(&path, "{field}"; found "{id}"; expected "0 to 65534"; help "{AGAIN}"),
+            )?;
+            ensure!(indices.insert(id, i).is_none(),
+                &path, "{field}"; found "{id} twice"; expected "each id once"; help "{AGAIN}");
             names.push((own, category.name.as_str()));
         }
-        if names.is_empty() {
-            return Err(error(
-                "categories",
-                "none".into(),
-                "the classes of the segments",
-            ));
-        }
+        ensure!(!names.is_empty(),
+            &path, "categories"; found "none"; expected "the classes of the segments"; help "{AGAIN}");
         let vocabulary = Vocabulary::new(&path, classes, &names)?;
         let mut maps = HashMap::new();
         for (i, annotation) in file.annotations.iter().enumerate() {
@@ -133,34 +124,20 @@ impl Panoptic {
             let mut segments = Segments::new();
             for (j, info) in annotation.segments_info.iter().enumerate() {
                 let index = *indices.get(&info.category_id).ok_or_else(|| {
-                    let field = format!("{field}.segments_info[{j}].category_id");
-                    let expected = format!("one of the {} ids of categories", names.len());
-                    error(&field, info.category_id.to_string(), &expected)
+                    invalid!(&path, "{field}.segments_info[{j}].category_id"; found "{}", info.category_id;
+                        expected "one of the {} ids of categories", names.len(); help "{AGAIN}")
                 })?;
                 let thing = file.categories[index]
                     .isthing
                     .or(info.isthing)
                     .unwrap_or(true);
                 let segment = (vocabulary.ids[index], thing);
-                if segments.insert(info.id, segment).is_some() {
-                    let field = format!("{field}.segments_info");
-                    return Err(error(
-                        &field,
-                        format!("id {} twice", info.id),
-                        "each id once",
-                    ));
-                }
+                ensure!(segments.insert(info.id, segment).is_none(),
+                    &path, "{field}.segments_info"; found "id {} twice", info.id; expected "each id once"; help "{AGAIN}");
             }
-            if maps
-                .insert(stem(Path::new(&annotation.file_name)), segments)
-                .is_some()
-            {
-                return Err(error(
-                    &field,
-                    "a second annotation of this file".into(),
-                    "one for each file",
-                ));
-            }
+            let before = maps.insert(stem(Path::new(&annotation.file_name)), segments);
+            ensure!(before.is_none(), &path, "{field}"; found "a second annotation of this file";
+                expected "one for each file"; help "{AGAIN}");
         }
         Ok(Self {
             path,
@@ -172,11 +149,9 @@ impl Panoptic {
     /// The segments of a map, numbered from 1 on in the order of their ids. Those whose class the scene does not have
     /// are unlabelled.
     pub fn decode(&self, path: &Path, file: &ImageFile) -> Result<RawMap> {
-        if !matches!(file.png_color(), Some((8, 2 | 6))) {
-            return Err(invalid!(path, "pixel format"; found "another kind of file";
-                expected "an RGB PNG of 8 bits whose colours are segment ids, R + 256 G + 65536 B";
-                help "export it with panopticapi's id2rgb, or set data.raw_format"));
-        }
+        ensure!(matches!(file.png_color(), Some((8, 2 | 6))), path, "pixel format"; found "another kind of file";
+            expected "an RGB PNG of 8 bits whose colours are segment ids, R + 256 G + 65536 B";
+            help "export it with panopticapi's id2rgb, or set data.raw_format");
         let listed = self.maps.get(&stem(path)).ok_or_else(|| {
             invalid!(&self.path, "annotations"; found "{} annotations, none for {}", self.maps.len(), path.display();
                 expected "one for each map"; help "{EXPORT_TOGETHER}")

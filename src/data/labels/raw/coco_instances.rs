@@ -5,12 +5,10 @@
 use super::drawing::{self, Drawing, Point, Region};
 use super::{RawFile, Vocabulary};
 use crate::data::{Classes, Limits, LoadOptions, MapGeometry};
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail, ensure, invalid};
 use crate::files::names;
-use serde::de::{self, Deserializer, MapAccess, SeqAccess, Visitor};
-use serde::{Deserialize, de::value::MapAccessDeserializer, de::value::SeqAccessDeserializer};
+use serde::Deserialize;
 use std::collections::{BTreeMap, HashMap};
-use std::fmt;
 use std::path::{Path, PathBuf};
 
 /// JSON files in a folder of labels that are something else.
@@ -81,25 +79,17 @@ pub(super) fn read(
     let mut indices = HashMap::new();
     for (index, category) in file.categories.iter().enumerate() {
         if index >= usize::from(u16::MAX) || indices.insert(category.id, index).is_some() {
-            return Err(
-                invalid!(path, "categories[{index}].id"; found "{}", category.id;
-                expected "each id once, and at most 65534"; help "{AGAIN}"),
-            );
+            bail!(path, "categories[{index}].id"; found "{}", category.id;
+                expected "each id once, and at most 65534"; help "{AGAIN}");
         }
     }
-    if names.is_empty() {
-        return Err(
-            invalid!(path, "categories"; found "none"; expected "the classes of the regions"; help "{AGAIN}"),
-        );
-    }
+    ensure!(!names.is_empty(),
+        path, "categories"; found "none"; expected "the classes of the regions"; help "{AGAIN}");
     let mut vocabulary = Vocabulary::new(path, classes, &names)?;
     let mut images = HashMap::new();
     for (i, image) in file.images.iter().enumerate() {
-        if images.insert(image.id, image).is_some() {
-            return Err(
-                invalid!(path, "images[{i}].id"; found "{} twice", image.id; expected "each id once"; help "{AGAIN}"),
-            );
-        }
+        ensure!(images.insert(image.id, image).is_none(),
+            path, "images[{i}].id"; found "{} twice", image.id; expected "each id once"; help "{AGAIN}");
     }
     let mut of_images: BTreeMap<u64, Vec<(f64, usize, Region)>> = BTreeMap::new();
     for (i, annotation) in file.annotations.into_iter().enumerate() {
@@ -109,12 +99,9 @@ pub(super) fn read(
             invalid!(path, "{}", field("category_id"); found "{}", annotation.category_id;
                 expected "one of the {} ids of categories", names.len(); help "{AGAIN}")
         })?;
-        if !images.contains_key(&annotation.image_id) {
-            return Err(
-                invalid!(path, "{}", field("image_id"); found "{}", annotation.image_id;
-                expected "one of the {} ids of images", images.len(); help "{AGAIN}"),
-            );
-        }
+        ensure!(images.contains_key(&annotation.image_id),
+            path, "{}", field("image_id"); found "{}", annotation.image_id;
+            expected "one of the {} ids of images", images.len(); help "{AGAIN}");
         let region = annotation
             .segmentation
             .region(path, &field("segmentation"), limits)?;
@@ -137,20 +124,14 @@ pub(super) fn read(
             let id = drawing.segment(&vocabulary, index, true)?;
             drawing.regions.push((id, region));
         }
-        if drawings.insert(frame.name.to_owned(), drawing).is_some() {
-            return Err(
-                invalid!(path, "images"; found "{} and another image of this photo", image.file_name;
-                expected "one for each photo"; help "{AGAIN}"),
-            );
-        }
+        ensure!(drawings.insert(frame.name.to_owned(), drawing).is_none(),
+            path, "images"; found "{} and another image of this photo", image.file_name;
+            expected "one for each photo"; help "{AGAIN}");
     }
-    if drawings.is_empty() {
-        return Err(
-            invalid!(path, "annotations"; found "{others} images with regions, none of which is a photo of the scene";
-            expected "polygons or run lengths on photos such as {}", frames.first().map_or("", |frame| frame.name);
-            help "give images the file names of the photos, and draw polygons, not boxes"),
-        );
-    }
+    ensure!(!drawings.is_empty(),
+        path, "annotations"; found "{others} images with regions, none of which is a photo of the scene";
+        expected "polygons or run lengths on photos such as {}", frames.first().map_or("", |frame| frame.name);
+        help "give images the file names of the photos, and draw polygons, not boxes");
     if others > 0 {
         let file = path.display();
         let other = format!("{others} labelled images of {file} are no photos of the scene");
@@ -195,6 +176,11 @@ fn area_of(polygon: &[Point]) -> f64 {
 }
 
 /// `segmentation`: a list of polygons `[x, y, x, y, ..]`, or run lengths.
+#[derive(Deserialize)]
+#[serde(
+    untagged,
+    expecting = "expected a list of polygons [x, y, x, y, ..] or {\"size\", \"counts\"}"
+)]
 enum Segmentation {
     Polygons(Vec<Vec<f64>>),
     Runs(Runs),
@@ -208,6 +194,8 @@ struct Runs {
 }
 
 /// Run lengths, as numbers or packed into a string.
+#[derive(Deserialize)]
+#[serde(untagged)]
 enum Counts {
     Numbers(Vec<u64>),
     Packed(String),
@@ -216,44 +204,6 @@ enum Counts {
 impl Default for Segmentation {
     fn default() -> Self {
         Self::Polygons(Vec::new())
-    }
-}
-
-impl<'de> Deserialize<'de> for Segmentation {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Forms;
-        impl<'de> Visitor<'de> for Forms {
-            type Value = Segmentation;
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a list of polygons [x, y, x, y, ..] or {\"size\", \"counts\"}")
-            }
-            fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<Segmentation, A::Error> {
-                Vec::deserialize(SeqAccessDeserializer::new(list)).map(Segmentation::Polygons)
-            }
-            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Segmentation, A::Error> {
-                Runs::deserialize(MapAccessDeserializer::new(map)).map(Segmentation::Runs)
-            }
-        }
-        deserializer.deserialize_any(Forms)
-    }
-}
-
-impl<'de> Deserialize<'de> for Counts {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Forms;
-        impl<'de> Visitor<'de> for Forms {
-            type Value = Counts;
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a list of run lengths, or a string")
-            }
-            fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<Counts, A::Error> {
-                Vec::deserialize(SeqAccessDeserializer::new(list)).map(Counts::Numbers)
-            }
-            fn visit_str<E: de::Error>(self, text: &str) -> Result<Counts, E> {
-                Ok(Counts::Packed(text.to_owned()))
-            }
-        }
-        deserializer.deserialize_any(Forms)
     }
 }
 
@@ -266,10 +216,8 @@ impl Segmentation {
                     .iter()
                     .find(|list| list.len() < 6 || list.len() % 2 == 1);
                 if let Some(list) = wrong {
-                    return Err(
-                        invalid!(path, "{field}"; found "a polygon of {} numbers", list.len();
-                        expected "x and y of three points or more"; help "{AGAIN}"),
-                    );
+                    bail!(path, "{field}"; found "a polygon of {} numbers", list.len();
+                        expected "x and y of three points or more"; help "{AGAIN}");
                 }
                 let polygon = |list: Vec<f64>| list.as_chunks().0.to_vec();
                 let polygons: Vec<Vec<Point>> = lists.into_iter().map(polygon).collect();

@@ -3,7 +3,7 @@
 use super::{RawMap, Vocabulary};
 use crate::data::photos::image_file::{ACROSS, proportional};
 use crate::data::{LabelMap, Segment};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail};
 use crate::files::{self, check_limit};
 use serde::de::DeserializeOwned;
 use std::ops::Range;
@@ -83,10 +83,8 @@ impl Drawing {
             } else {
                 "draw on this photo, or correct the size in the file"
             };
-            return Err(
-                invalid!(&self.file, "size of the picture"; found "{width}x{height} pixels";
-                expected "{}x{}, as its photo, or that size reduced", photo.0, photo.1; help "{help}"),
-            );
+            bail!(&self.file, "size of the picture"; found "{width}x{height} pixels";
+                expected "{}x{}, as its photo, or that size reduced", photo.0, photo.1; help "{help}");
         }
         let polygons = self.regions.iter().flat_map(|(_, region)| match region {
             Region::Polygons(polygons) => polygons.as_slice(),
@@ -98,8 +96,8 @@ impl Drawing {
         let size = [width as f64, height as f64];
         let far = |point: &&Point| (0..2).any(|i| !(-size[i]..=2.0 * size[i]).contains(&point[i]));
         if let Some([x, y]) = polygons.flatten().find(far) {
-            return Err(invalid!(&self.file, "points"; found "x {x}, y {y}";
-                expected "pixel coordinates of a picture of {width}x{height}"; help "export the shapes again"));
+            bail!(&self.file, "points"; found "x {x}, y {y}";
+                expected "pixel coordinates of a picture of {width}x{height}"; help "export the shapes again");
         }
         Ok((photo.0 as f64 / size[0], photo.1 as f64 / size[1]))
     }

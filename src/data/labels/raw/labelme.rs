@@ -6,7 +6,7 @@ use super::drawing::{self, Drawing, Point, Region};
 use super::{RawFile, Vocabulary, plain};
 use crate::data::Classes;
 use crate::data::labels::classes::is_void;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, ensure, invalid};
 use serde::Deserialize;
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -57,12 +57,9 @@ pub(super) fn read(
         .collect();
     let first = files[0].0.path;
     let folder = first.parent().unwrap_or(first);
-    if labels.is_empty() {
-        return Err(
-            invalid!(folder, "shapes"; found "none with a label"; expected "the outlines of objects, with their classes";
-            help "draw polygons in LabelMe and save them"),
-        );
-    }
+    ensure!(!labels.is_empty(),
+        folder, "shapes"; found "none with a label"; expected "the outlines of objects, with their classes";
+        help "draw polygons in LabelMe and save them");
     let names: Vec<(u16, &str)> = (1..).zip(labels.values().copied()).collect();
     let vocabulary = Vocabulary::new(folder, classes, &names)?;
     let indices: HashMap<&str, usize> = labels.keys().map(String::as_str).zip(0..).collect();

@@ -3,7 +3,7 @@
 
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{LabelMap, Limits};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files::check_limit;
 use crate::files::{self, Numbered, names, numbered};
 use std::collections::BTreeSet;
@@ -29,12 +29,8 @@ pub(super) fn read(
         path.with_extension("")
     };
     if !folder.is_dir() {
-        let help = "put the photo's masks there, or drop the frame".into();
-        return Err(Error::Missing {
-            what: "folder",
-            path: folder,
-            help,
-        });
+        let help = "put the photo's masks there, or drop the frame";
+        return Err(Error::missing("folder", folder, help));
     }
     let is_png = |path: &Path| {
         path.extension()
@@ -45,10 +41,8 @@ pub(super) fn read(
             .is_some_and(|(stem, _)| !stem.starts_with('+') && stem.parse::<usize>().is_ok())
     };
     if let Some(other) = names(&folder, |name, path| is_png(path) && !is_number(name)).first() {
-        return Err(
-            invalid!(&folder, "masks"; found "{other:?}"; expected "whole numbers for names";
-            help "rename or remove the file"),
-        );
+        bail!(&folder, "masks"; found "{other:?}"; expected "whole numbers for names";
+            help "rename or remove the file");
     }
     let files = numbered(&folder, "", &["png"])?;
     let has_table = check_table(&folder, &files)?;
@@ -56,8 +50,8 @@ pub(super) fn read(
         Some(first) => ImageFile::open(first, limits)?.size,
         None if has_table => photo,
         None => {
-            return Err(invalid!(&folder, "masks"; found "no PNG files";
-                expected "0.png, 1.png and so on, or a {TABLE} without rows where nothing was found"; help "{AGAIN}"));
+            bail!(&folder, "masks"; found "no PNG files";
+                expected "0.png, 1.png and so on, or a {TABLE} without rows where nothing was found"; help "{AGAIN}");
         }
     };
     let (width, height) = size;
@@ -115,12 +109,8 @@ fn check_table(folder: &Path, files: &Numbered) -> Result<bool> {
         let number: usize = cell.parse().map_err(|_| {
             invalid!(&path, "line {line}, id"; found "{cell:?}"; expected "the number of a mask"; help "{AGAIN}")
         })?;
-        if !files.contains_key(&number) {
-            return Err(
-                invalid!(&path, "line {line}, id"; found "{number}, which has no file";
-                expected "a file {number}.png beside it"; help "{AGAIN}"),
-            );
-        }
+        ensure!(files.contains_key(&number), &path, "line {line}, id"; found "{number}, which has no file";
+            expected "a file {number}.png beside it"; help "{AGAIN}");
         listed.insert(number);
     }
     match files.keys().find(|number| !listed.contains(number)) {

@@ -14,7 +14,7 @@ use crate::config::{Association, RawFormat};
 use crate::data::labels::scores::ScoreIds;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap, Limits, LoadOptions, Segment};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Result, bail};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -100,11 +100,9 @@ impl Vocabulary {
         let (found, all) = (ids.iter().flatten().count(), names.len());
         if found == 0 {
             let listed: Vec<_> = names.iter().take(5).map(|(_, name)| *name).collect();
-            return Err(
-                invalid!(file, "categories"; found "{} ..", listed.join(", ");
+            bail!(file, "categories"; found "{} ..", listed.join(", ");
                 expected "names of the class table, such as {}", classes.entries[0].name;
-                help "rename the classes of classes.json, or remove it where there are no true labels"),
-            );
+                help "rename the classes of classes.json, or remove it where there are no true labels");
         }
         let others = names.iter().zip(&ids).filter(|(_, id)| id.is_none());
         let others: Vec<&str> = others.map(|((_, name), _)| *name).collect();
@@ -197,7 +195,7 @@ impl RawLabels {
     /// has one.
     ///
     /// # Errors
-    /// As for [`crate::data::load`]; [`Error::Config`] for masks without association.
+    /// As for [`crate::data::load`]; [`crate::Error::Config`] for masks without association.
     pub fn settle(
         dir: &Path,
         options: &LoadOptions,
@@ -245,16 +243,9 @@ impl RawLabels {
                 Source::Drawn(drawings)
             }
             RawFormat::Masks if segments => Source::Masks,
-            RawFormat::Masks => {
-                let expected = "\"gaussians\", as raw labels are folders of masks, whose ids differ from view to view";
-                let help = "add --set data.association=gaussians (`coseg train`, `coseg data`), or use `coseg associate`";
-                return Err(Error::config(
-                    "data.association",
-                    "\"none\"",
-                    expected,
-                    help,
-                ));
-            }
+            RawFormat::Masks => bail!(setting "data.association"; found "\"none\"";
+                expected "\"gaussians\", as raw labels are folders of masks, whose ids differ from view to view";
+                help "add --set data.association=gaussians (`coseg train`, `coseg data`), or use `coseg associate`"),
         };
         let known = vocabulary.as_ref().map_or(classes, |own| &own.classes);
         let scores = match &source {

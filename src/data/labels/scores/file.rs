@@ -1,7 +1,7 @@
 //! The file with the scores of one photo.
 
 use crate::data::{Limits, atomic};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files::check_limit;
 use flate2::write::ZlibEncoder;
 use flate2::{Compression, Decompress, FlushDecompress, Status};
@@ -84,11 +84,9 @@ impl ScoreMap {
         let tensors = SafeTensors::deserialize(&bytes).map_err(damaged)?;
         let (ids, shape) = tensor(path, &tensors, "ids", Dtype::U16)?;
         let (probabilities, of_probabilities) = tensor(path, &tensors, "probabilities", Dtype::U8)?;
-        if of_probabilities != shape {
-            return Err(
-                invalid!(path, "tensor probabilities"; found "shape {of_probabilities:?}"; expected "{shape:?}, as of ids"; help "{AGAIN}"),
-            );
-        }
+        ensure!(of_probabilities == shape,
+            path, "tensor probabilities"; found "shape {of_probabilities:?}"; expected "{shape:?}, as of ids";
+            help "{AGAIN}");
         let [classes, height, width] = shape;
         let scores = Self {
             grid,
@@ -153,28 +151,15 @@ impl ScoreMap {
             limits.image_pixels,
             "store fewer classes of each cell",
         )?;
-        let fault = |field: &str, found: String, expected: &str| {
-            Err(invalid!(path, "{field}"; found "{found}"; expected "{expected}"; help "{AGAIN}"))
-        };
         let lengths = [self.ids.len(), self.probabilities.len()];
-        if values == 0 || lengths.map(|n| n as u64) != [values; 2] {
-            let found = format!(
-                "{lengths:?} values of {} classes, {}x{} cells",
-                self.classes, self.width, self.height
-            );
-            return fault(
-                "tensors",
-                found,
-                "one value for each class and cell, at least one",
-            );
-        }
+        ensure!(values > 0 && lengths.map(|n| n as u64) == [values; 2], path, "tensors";
+            found "{lengths:?} values of {} classes, {}x{} cells", self.classes, self.width, self.height;
+            expected "one value for each class and cell, at least one"; help "{AGAIN}");
         let numbers = self.grid.scale.into_iter().chain(self.grid.offset);
         let is_placed = numbers.clone().all(f64::is_finite)
             && self.grid.scale.into_iter().all(|scale| scale > 0.0);
-        if !is_placed || self.grid.photo.contains(&0) {
-            let expected = "a photo with pixels, finite numbers, a positive scale";
-            return fault("grid", format!("{:?}", self.grid), expected);
-        }
+        ensure!(is_placed && !self.grid.photo.contains(&0), path, "grid"; found "{:?}", self.grid;
+            expected "a photo with pixels, finite numbers, a positive scale"; help "{AGAIN}");
         (0..self.width * self.height).try_for_each(|cell| self.check_cell(path, cell))
     }
 
@@ -187,18 +172,14 @@ impl ScoreMap {
         let sum: u32 = probabilities.clone().map(u32::from).sum();
         if sum > 255 || !probabilities.clone().is_sorted_by(|a, b| a >= b) {
             let found = probabilities.collect::<Vec<_>>();
-            return Err(
-                invalid!(path, "tensor probabilities, {place}"; found "{found:?}";
-                expected "probabilities in 1/255 that descend and add up to 255 at most"; help "{AGAIN}"),
-            );
+            bail!(path, "tensor probabilities, {place}"; found "{found:?}";
+                expected "probabilities in 1/255 that descend and add up to 255 at most"; help "{AGAIN}");
         }
         let known = (0..self.classes).filter(|n| self.probabilities[at(*n)] > 0);
         let ids: Vec<u16> = known.map(|n| self.ids[at(n)]).collect();
         let is_fault = |n: usize| u32::from(ids[n]) >= self.id_limit || ids[..n].contains(&ids[n]);
-        if (0..ids.len()).any(is_fault) {
-            return Err(invalid!(path, "tensor ids, {place}"; found "{ids:?}";
-                expected "different class ids below {}", self.id_limit; help "{AGAIN}"));
-        }
+        ensure!(!(0..ids.len()).any(is_fault), path, "tensor ids, {place}"; found "{ids:?}";
+            expected "different class ids below {}", self.id_limit; help "{AGAIN}");
         Ok(())
     }
 }

@@ -4,6 +4,7 @@ mod file;
 
 pub use self::file::{ScoreGrid, ScoreMap};
 
+use crate::data::bilinear::beside;
 use crate::data::photos::lens::Undistortion;
 use crate::data::{Classes, Limits};
 use crate::error::Result;
@@ -122,13 +123,11 @@ impl LabelScores {
         let grid = &self.map.grid;
         let axis = |a: usize, cells: usize| {
             let place = grid.scale[a] * shares[a] * grid.photo[a] as f64 + grid.offset[a];
-            // A point outside, or not finite, takes the border.
-            let place = place.max(0.0).min((cells - 1) as f64);
-            (place as usize, place.fract() as f32)
+            let (first, second, share) = beside(place, cells);
+            [(first, 1.0 - share as f32), (second, share as f32)]
         };
-        let ((left, fx), (top, fy)) = (axis(0, self.map.width), axis(1, self.map.height));
-        for (row, wy) in [(top, 1.0 - fy), (top + 1, fy)] {
-            for (column, wx) in [(left, 1.0 - fx), (left + 1, fx)] {
+        for (row, wy) in axis(1, self.map.height) {
+            for (column, wx) in axis(0, self.map.width) {
                 if wx * wy > 0.0 {
                     self.add_cell(row * self.map.width + column, wx * wy, found);
                 }

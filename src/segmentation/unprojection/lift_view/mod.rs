@@ -12,7 +12,7 @@ use crate::backend::Real;
 use crate::backend::device::in_host_memory;
 use crate::config::Resolution;
 use crate::data::mask::Mask;
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail, ensure};
 use crate::features::{FeatureMap, Lattice};
 use crate::ops::CustomOp;
 use crate::raster::{Projected, Settings, SplatTensors, Splats};
@@ -142,27 +142,17 @@ fn mask_of_cells(mask: &Mask, camera: &Camera, cells: &Camera) -> Mask {
 /// Checks that `maps` of `gaussians` Gaussians fit sums over `n` Gaussians and maps of `channels`.
 fn check_maps(n: usize, channels: &[usize], gaussians: usize, maps: &[FeatureMap]) -> Result<()> {
     let found: Vec<usize> = maps.iter().map(|m| m.channels).collect();
-    if found != channels {
-        return Err(
-            invalid!(argument "feature maps"; found "channels {found:?}";
-            expected "{channels:?}, one map a scale"; help "reduce all views alike"),
-        );
-    }
+    ensure!(found == channels, argument "feature maps"; found "channels {found:?}";
+        expected "{channels:?}, one map a scale"; help "reduce all views alike");
     if gaussians != n {
         let (found, expected) = (format!("{gaussians} Gaussians"), format!("{n}"));
-        return Err(
-            invalid!(argument "unprojection"; found "{found}"; expected "{expected}";
-            help "use new sums for another scene"),
-        );
+        bail!(argument "unprojection"; found "{found}"; expected "{expected}";
+            help "use new sums for another scene");
     }
     for (scale, map) in maps.iter().enumerate() {
         map.check(&format!("feature map of scale {}", scale + 1))?;
-        if map.cells() == 0 {
-            return Err(
-                invalid!(argument "feature map"; found "no cells"; expected "one or more";
-                help "leave the view out"),
-            );
-        }
+        ensure!(map.cells() != 0, argument "feature map"; found "no cells"; expected "one or more";
+            help "leave the view out");
     }
     Ok(())
 }

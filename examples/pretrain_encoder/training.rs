@@ -2,20 +2,20 @@
 //!
 //! The head is the decoder of Eq. 7 without image features, so the encoder learns to be useful where it will be used.
 
-use super::decoder::{Decoder, DecoderConfig};
-use super::encoder::{Cloud, encode, encoder_input, random_weights};
-use super::loss::{CoSegLoss, LabelLoss};
-use super::pixels::UNLABELLED;
-use super::pyramid::{Level, Pyramid, Switches};
-use super::randla::{LAYERS, NEIGHBOURS, RATIO, RandlaEncoder, host};
-use super::sampling::Hierarchy;
-use crate::data::builtin::{PRETRAINING_SEEDS, classes, labelled_points};
-use crate::error::{Error, Result, invalid};
-use crate::metrics::{Confusion, Void};
-use crate::weights::WeightFile;
 use burn::module::Module;
 use burn::optim::{AdamConfig, GradientsParams};
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
+use coseg::data::builtin::{PRETRAINING_SEEDS, classes, labelled_points};
+use coseg::error::{Error, Result};
+use coseg::metrics::{Confusion, Void};
+use coseg::segmentation::decoder::{Decoder, DecoderConfig};
+use coseg::segmentation::encoder::{Cloud, encode, random_weights};
+use coseg::segmentation::loss::{CoSegLoss, LabelLoss};
+use coseg::segmentation::pixels::UNLABELLED;
+use coseg::segmentation::pyramid::{Level, Pyramid, Switches};
+use coseg::segmentation::randla::{LAYERS, NEIGHBOURS, RATIO, RandlaEncoder};
+use coseg::segmentation::sampling::Hierarchy;
+use coseg::weights::WeightFile;
 use glam::DVec3;
 use rand::seq::{SliceRandom, index};
 use rand::{Rng, SeedableRng};
@@ -59,17 +59,6 @@ impl Default for PretrainOptions {
             rate: 5e-3,
         }
     }
-}
-
-/// Where a pretraining run stands.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PretrainProgress {
-    /// Rooms made so far, of all.
-    pub rooms: [usize; 2],
-    /// Steps done, of all.
-    pub steps: [usize; 2],
-    /// Loss of the last step.
-    pub loss: f32,
 }
 
 /// Labelled points of one room.
@@ -117,28 +106,20 @@ struct Student {
     head: Decoder,
 }
 
-/// Trains an encoder from scratch.
+/// Trains an encoder from scratch. `progress` gets the number of steps that are done, and the loss of the last one.
 ///
 /// # Errors
 /// [`Error::Argument`] for sizes that are zero or out of order, [`Error::NonFinite`] when the loss leaves the numbers.
 pub fn pretrain(
     options: &PretrainOptions,
     device: &Device,
-    progress: &mut dyn FnMut(&PretrainProgress),
+    progress: &mut dyn FnMut(usize, f32),
 ) -> Result<TrainedEncoder> {
     check(options)?;
     let classes = classes().len();
-    let mut state = PretrainProgress {
-        rooms: [0, options.rooms + options.held_out],
-        steps: [0, options.steps],
-        loss: f32::NAN,
-    };
-    let mut rooms = Vec::with_capacity(state.rooms[1]);
-    for i in 0..state.rooms[1] {
-        rooms.push(room(options.seed, i as u64, options.room_points));
-        state.rooms[0] = i + 1;
-        progress(&state);
-    }
+    let rooms: Vec<LabelledCloud> = (0..options.rooms + options.held_out)
+        .map(|i| room(options.seed, i as u64, options.room_points))
+        .collect();
     let (train, held_out) = rooms.split_at(options.rooms);
     let device = device.clone().inner().autodiff();
     let encoder = RandlaEncoder::load(&random_weights(3, options.seed), &device)?;
@@ -155,11 +136,8 @@ pub fn pretrain(
     let mut losses = Vec::with_capacity(options.steps);
     for step in 0..options.steps {
         let loss = student_loss(&student, train, step, options, &device)?;
-        state.loss = host(loss.clone().inner())
-            .first()
-            .copied()
-            .unwrap_or(f32::NAN);
-        if !state.loss.is_finite() {
+        let value: f32 = loss.clone().inner().into_scalar();
+        if !value.is_finite() {
             let context = format!(", step {step}");
             return Err(Error::NonFinite {
                 tensor: "pretraining loss".into(),
@@ -169,9 +147,8 @@ pub fn pretrain(
         }
         let gradients = GradientsParams::from_grads(loss.backward(), &student);
         student = adam.step(rate(step, options), student, gradients);
-        losses.push(state.loss);
-        state.steps[0] = step + 1;
-        progress(&state);
+        losses.push(value);
+        progress(step + 1, value);
     }
     finish(student, held_out, &losses, options, &device)
 }
@@ -186,9 +163,12 @@ fn check(options: &PretrainOptions) -> Result<()> {
     if usable && options.rooms + options.held_out <= ROOMS_PER_SEED as usize {
         return Ok(());
     }
-    Err(invalid!(argument "pretrain"; found "{options:?}";
-        expected "rooms, steps, and 0 < fewest points <= most points <= points of a room";
-        help "correct the sizes"))
+    Err(Error::argument(
+        "pretrain",
+        format!("{options:?}"),
+        "rooms, steps, and 0 < fewest points <= most points <= points of a room",
+        "correct the sizes",
+    ))
 }
 
 fn rate(step: usize, options: &PretrainOptions) -> f64 {
@@ -235,7 +215,8 @@ fn student_loss(
     }
     .oriented()?;
     let hierarchy = Hierarchy::build(&positions, LAYERS, RATIO, NEIGHBOURS, rng.random())?;
-    let input = encoder_input(student.encoder.inputs(), &positions, None, device)?;
+    let flat = positions.as_flattened().to_vec();
+    let input = Tensor::from_data(TensorData::new(flat, [positions.len(), 3]), device);
     let (features, top) = student.encoder.encode_levels(input, &hierarchy, false);
     let upsample = hierarchy.upsampling()?;
     let levels =
@@ -363,7 +344,10 @@ fn finish(
     let scores = Scores::from(&confusion);
     let tenth = losses.len().div_ceil(10).max(1);
     for (key, value) in [
-        ("command", format!("coseg pretrain --seed {}", options.seed)),
+        (
+            "command",
+            format!("pretrain_encoder --seed {}", options.seed),
+        ),
         ("spatial", "RandLA-Net, xyz, procedural rooms".to_owned()),
         ("options", format!("{options:?}")),
         ("held_out_accuracy", format!("{:.4}", scores.accuracy)),
