@@ -4,7 +4,7 @@ use crate::reconstruction::trainer::{config, scene};
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::Tensor;
 use coseg::config::{BuildingConfig, Config, LabelSource, Resolution, Strategy, Variant};
-use coseg::data::{LabelMap, LoadOptions, Split, load};
+use coseg::data::{LabelMap, Split};
 use coseg::objects::{Identities, LabelMaps, LabelRule, RenderOptions, Renderer, Votes, vote};
 use coseg::ops::{CustomOp, with_references};
 use coseg::pipeline::train_decoder::{DecoderModel, IdentityModel, Plan, Training};
@@ -13,7 +13,6 @@ use coseg::progress::Silent;
 use coseg::raster::{Settings, SplatTensors};
 use coseg::reconstruction::{Trainer, TrainerState};
 use coseg::segmentation::loss::LabelLoss;
-use glam::Vec3;
 
 /// Loss of a step, and the state after it, whose first moments are a tenth of the gradients.
 fn step(config: &Config) -> (f64, TrainerState) {
@@ -108,14 +107,7 @@ fn moments(training: &Training<DecoderModel>) -> Vec<[Vec<f32>; 2]> {
 }
 
 fn stage_two(config: &Config) -> StageTwo {
-    let folder = tempfile::tempdir().expect("a folder");
-    crate::support::plates::scene(folder.path());
-    let (mut gaussians, labels) = crate::support::plates::plates();
-    let scene = load(folder.path(), &LoadOptions::default()).expect("a scene");
-    for mean in &mut gaussians.means {
-        let moved = Vec3::from(*mean) - scene.origin.as_vec3();
-        *mean = moved.to_array();
-    }
+    let (scene, gaussians, labels, _folder) = crate::support::plates::loaded();
     let (device, settings) = (crate::support::device(), Settings::default());
     let lifted =
         LiftedFeatures::of_views(&scene, &gaussians, config, &settings, &device, &mut Silent)

@@ -16,7 +16,6 @@ use coseg::raster::{Projected, Settings, SplatTensors};
 use coseg::reconstruction::initialization;
 use coseg::segmentation::loss::LabelLoss;
 use coseg::segmentation::pixels::PixelWeights;
-use glam::Vec3;
 use std::sync::Arc;
 
 fn trained(edit: impl Fn(&mut SegmentationConfig)) -> Outcome {
@@ -112,13 +111,7 @@ fn a_decoder_that_has_learned_nothing_stores_the_pooled_vote() {
 
 #[test]
 fn labels_of_pixels_can_come_from_identities() {
-    let folder = tempfile::tempdir().expect("a folder");
-    crate::support::plates::scene(folder.path());
-    let scene = load(folder.path(), &LoadOptions::default()).expect("a scene");
-    let (mut gaussians, _) = crate::support::plates::plates();
-    for mean in &mut gaussians.means {
-        *mean = (Vec3::from(*mean) - scene.origin.as_vec3()).to_array();
-    }
+    let (scene, gaussians, _, _folder) = crate::support::plates::loaded();
     let device = crate::support::device();
     let mut views = TrainingViews::new(
         &gaussians,
@@ -151,13 +144,7 @@ fn labels_of_pixels_can_come_from_identities() {
 
 #[test]
 fn probabilities_are_blended_over_the_coverage_and_logits_as_they_are() {
-    let folder = tempfile::tempdir().expect("a folder");
-    crate::support::plates::scene(folder.path());
-    let scene = load(folder.path(), &LoadOptions::default()).expect("a scene");
-    let (mut gaussians, _) = crate::support::plates::plates();
-    for mean in &mut gaussians.means {
-        *mean = (Vec3::from(*mean) - scene.origin.as_vec3()).to_array();
-    }
+    let (scene, mut gaussians, _, _folder) = crate::support::plates::loaded();
     gaussians.opacity_logits.fill(0.5);
     let device = crate::support::device();
     let camera = &scene.split(Split::Train).next().expect("a view").camera;

@@ -1,11 +1,11 @@
 //! A small scene for tests of the program: three coloured plates before a wall, photographed and labelled.
 
 use crate::support::hard_labels::hard_label_map;
-use coseg::data::{Classes, LabelMap};
+use coseg::data::{Classes, LabelMap, LoadOptions, Scene, load};
 use coseg::raster::{Projected, Settings, render};
 use coseg::splat::camera::Camera;
 use coseg::splat::{Gaussians, ply};
-use glam::{DMat4, DVec3};
+use glam::{DMat4, DVec3, Vec3};
 use std::path::{Path, PathBuf};
 
 pub const WIDTH: usize = 80;
@@ -77,6 +77,18 @@ fn pose(i: usize) -> DMat4 {
 pub fn camera(i: usize) -> Camera {
     let camera = Camera::centred([80.0; 2], [WIDTH, HEIGHT]);
     camera.with_opengl_pose(&pose(i)).unwrap()
+}
+
+/// The scene of the plates, its Gaussians in the scene's own world, and their labels. Its photos are read from the folder.
+pub fn loaded() -> (Scene, Gaussians, Vec<u16>, tempfile::TempDir) {
+    let folder = tempfile::tempdir().expect("a folder");
+    scene(folder.path());
+    let scene = load(folder.path(), &LoadOptions::default()).expect("a scene");
+    let (mut gaussians, labels) = plates();
+    for mean in &mut gaussians.means {
+        *mean = (Vec3::from(*mean) - scene.origin.as_vec3()).to_array();
+    }
+    (scene, gaussians, labels, folder)
 }
 
 /// A scene folder of the plates: photos, exact labels, raw labels with one object swapped in one view, a PLY file.
