@@ -47,7 +47,7 @@ pub struct Plan {
 /// A scene of a plan.
 #[derive(Clone, Debug)]
 pub struct SceneFolder {
-    /// Name of the folder, or [`BUILTIN`].
+    /// Name of the folder; `builtin` for the built-in room.
     pub name: String,
     /// The folder; absent for the built-in room.
     pub dir: Option<PathBuf>,
@@ -197,9 +197,11 @@ impl Plan {
         }
         for scene in &self.scenes {
             if let Some(dir) = scene.dir.as_ref().filter(|dir| !dir.is_dir()) {
-                let plan = self.path.display();
-                let help = "names it in `scenes`, relative to --data-root or else to the plan";
-                return Err(Error::missing("folder", dir, format!("{plan} {help}")));
+                let help = format!(
+                    "{} names it in `scenes`, relative to --data-root or else to the plan",
+                    self.path.display()
+                );
+                return Err(Error::missing("folder", dir, help));
             }
         }
         Ok(())
