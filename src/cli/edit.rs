@@ -115,7 +115,7 @@ impl EditArgs {
         }
         scene.write(&self.out, &gaussians, &labels, &scene.classes)?;
         terminal::say(&format!(
-            "{}: {} of {} Gaussians, {} turns and moves",
+            "{}: {} of {} Gaussians; turns and moves: {}",
             self.out.display(),
             rows.len(),
             scene.labels.len(),
