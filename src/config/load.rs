@@ -180,10 +180,8 @@ mod tests {
         other.features.source = FeatureSource::Import(path());
         other.spatial.source = SpatialSource::Pretrained(path());
         other.segmentation.loss = LabelLoss::Js { pi_rl: 0.9 };
-        let mut third = full.clone();
-        third.segmentation.loss = LabelLoss::Gjs { pi_rl: 0.9 };
         let mut union = Table::new();
-        for config in [full, other, third] {
+        for config in [full, other] {
             merge(&mut union, table_of(&config));
         }
         union

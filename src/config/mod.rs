@@ -27,7 +27,7 @@ pub use self::features::{
     UnprojectionConfig,
 };
 pub use self::segmentation::{
-    Blend, GCE_EXPONENTS, LabelLoss, LabelSource, Prior, Reduction, SegmentationConfig,
+    Blend, GCE_EXPONENTS, LAMBDA_PIX, LabelLoss, LabelSource, Prior, Reduction, SegmentationConfig,
 };
 pub use self::variant::Variant;
 

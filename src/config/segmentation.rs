@@ -9,6 +9,9 @@ use smart_default::SmartDefault;
 /// Smallest and largest exponent of the GCE loss; at the first the loss is cross-entropy within f32's digits.
 pub const GCE_EXPONENTS: [f64; 2] = [1e-6, 1.0];
 
+/// Weight of the label loss in Eq. 10 (the paper's). No key sets it, because Adam follows the ratio of the weights alone.
+pub const LAMBDA_PIX: f64 = 0.8;
+
 /// Loss on rendered labels. A name alone stands for the variant with its defaults.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
@@ -36,11 +39,7 @@ pub enum LabelLoss {
         least_recall: f64,
     },
     /// Generalised Jensen-Shannon of the label and two predictions under dropout (Englesson and Azizpour 2021).
-    Gjs {
-        /// Weight of the raw label, in (0, 1).
-        #[serde(default = "default_pi_rl")]
-        pi_rl: f64,
-    },
+    Gjs,
 }
 
 fn default_pi_rl() -> f64 {
@@ -65,9 +64,8 @@ impl LabelLoss {
     /// Checks the ranges of the payload.
     pub(crate) fn check(&self) -> Result<()> {
         match *self {
-            Self::Ce | Self::Mae | Self::NceRce => Ok(()),
+            Self::Ce | Self::Mae | Self::NceRce | Self::Gjs => Ok(()),
             Self::Js { pi_rl } => Range::OpenUnit.check("segmentation.loss.js.pi_rl", pi_rl),
-            Self::Gjs { pi_rl } => Range::OpenUnit.check("segmentation.loss.gjs.pi_rl", pi_rl),
             Self::Gce {
                 exponent,
                 least_recall,
@@ -160,13 +158,10 @@ pub struct SegmentationConfig {
     #[serde(deserialize_with = "super::by_name")]
     #[default(LabelLoss::GCE)]
     pub loss: LabelLoss,
-    /// Weight of the label loss.
-    #[default(0.8)]
-    pub lambda_pix: f64,
-    /// Weight of the 3D regularisation (Eq. 9).
+    /// Weight of the 3D regularisation (Eq. 9) beside that of the label loss, [`LAMBDA_PIX`].
     #[default(0.2)]
     pub lambda_reg: f64,
-    /// What these weights multiply.
+    /// What both weights multiply.
     pub reduction: Reduction,
     /// Share of the run that trains with cross-entropy before any other loss.
     #[default(0.1)]
@@ -218,7 +213,6 @@ impl SegmentationConfig {
         checked!(self, "segmentation": {
             iterations: Positive,
             lr: AboveZero,
-            lambda_pix: NotNegative,
             lambda_reg: NotNegative,
             warmup: Unit,
             min_coverage: Unit,

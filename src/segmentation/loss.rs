@@ -12,6 +12,8 @@ use std::sync::Arc;
 const LEAST_PROBABILITY: f64 = 1e-8;
 /// Logarithm of a label's zeros in [`LabelLoss::NceRce`] (Ma et al. 2020).
 const LOG_ZERO: f64 = -4.0;
+/// Weight of the raw label in [`LabelLoss::Gjs`] of the settings.
+const GJS_PI: f64 = 0.99;
 /// Least exponent of a softened [`LabelLoss::Gce`]: within a thousandth of cross-entropy for probabilities above 1e-5.
 const SOFTEST: f64 = 1e-4;
 
@@ -56,7 +58,7 @@ impl LabelLoss {
             config::LabelLoss::Mae => Self::Mae,
             config::LabelLoss::NceRce => Self::NceRce,
             config::LabelLoss::Js { pi_rl: pi } => Self::Js { pi },
-            config::LabelLoss::Gjs { pi_rl: pi } => Self::Gjs { pi },
+            config::LabelLoss::Gjs => Self::Gjs { pi: GJS_PI },
         })
     }
 

@@ -1,7 +1,7 @@
 //! How a variant is trained: losses, learning rates and pixels over the iterations.
 
 use super::view_input::REGULARISED;
-use crate::config::{self, Blend, Reduction, SegmentationConfig};
+use crate::config::{self, Blend, LAMBDA_PIX, Reduction, SegmentationConfig};
 use crate::segmentation::loss::LabelLoss;
 
 /// How a variant is trained.
@@ -47,7 +47,7 @@ impl Plan {
             warmup,
             iterations: config.iterations,
             least_recall,
-            lambda: [config.lambda_pix, config.lambda_reg],
+            lambda: [LAMBDA_PIX, config.lambda_reg],
             reduction: config.reduction,
             neighbours: config.reg_neighbours,
             blend: config.blend,

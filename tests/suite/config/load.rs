@@ -289,7 +289,7 @@ fn values_out_of_range_are_refused() {
         ("segmentation.loss.gce.exponent=0", "from 0.000001 to 1"),
         ("segmentation.loss.gce.exponent=1.01", "from 0.000001 to 1"),
         ("segmentation.loss.js.pi_rl=1.0", "above 0 and below 1"),
-        ("segmentation.loss.gjs.pi_rl=0", "above 0 and below 1"),
+        ("segmentation.loss.js.pi_rl=0", "above 0 and below 1"),
         ("segmentation.pixel_share=0.0", "above 0, at most 1"),
         ("segmentation.warmup=-0.1", "from 0 to 1"),
         ("segmentation.lambda_reg=inf", "finite number of 0 or more"),
@@ -361,7 +361,7 @@ fn a_name_alone_chooses_a_variant_with_its_defaults() {
         LabelLoss::Js { pi_rl: 0.9 }
     );
     assert_eq!(
-        loss(&["segmentation.loss.gjs.pi_rl=0.5", "segmentation.loss=mae"]),
+        loss(&["segmentation.loss.js.pi_rl=0.5", "segmentation.loss=mae"]),
         LabelLoss::Mae
     );
     let unknown = load("", &["segmentation.loss.js.exponent=1"]).unwrap_err();

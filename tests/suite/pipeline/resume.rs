@@ -110,7 +110,7 @@ pub fn same(a: &Outcome, b: &Outcome) {
 fn a_resumed_row_equals_an_uninterrupted_one_bit_for_bit() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::support::plates::scene(folder.path());
-    let gjs = LabelLoss::Gjs { pi_rl: 0.99 };
+    let gjs = LabelLoss::Gjs;
     for (encode, loss, chunk) in [
         (Encode::Scene, LabelLoss::GCE, 65_536),
         (Encode::View, gjs, 65_536),

@@ -104,7 +104,7 @@ fn model<'a>(
         config,
         regularised,
         size: [POINTS, CLASSES],
-        dropout: matches!(config.loss, LabelLoss::Gjs { .. }).then_some(0.3),
+        dropout: matches!(config.loss, LabelLoss::Gjs).then_some(0.3),
         seed: 3,
     };
     let device = crate::support::device().autodiff();
@@ -218,10 +218,7 @@ fn parts_of_any_size_give_the_gradients_of_the_step_at_once() {
         single_scale: Some(1),
         ..Switches::default()
     };
-    let (js, gjs) = (
-        LabelLoss::Js { pi_rl: 0.99 },
-        LabelLoss::Gjs { pi_rl: 0.99 },
-    );
+    let (js, gjs) = (LabelLoss::Js { pi_rl: 0.99 }, LabelLoss::Gjs);
     for (switches, blend, prior, regularised, label_loss) in [
         (Switches::default(), Blend::Probabilities, true, true, js),
         (Switches::default(), Blend::Probabilities, true, true, gjs),
