@@ -269,10 +269,17 @@ fn digest_photos(scene: &Scene) -> Sha256 {
     digest
 }
 
-/// Class ids, and of every training view with raw labels its name, split, camera and labels.
+/// Class ids, and of every training view with raw labels its name, split, camera, labels and scores.
 fn digest_labels(scene: &Scene) -> Sha256 {
     let views: Vec<&View> = scene.labelled().collect();
-    let mut digest = digest_views(&views, |view, hash| digest_map(view.raw.as_ref(), hash));
+    let mut digest = digest_views(&views, |view, hash| {
+        digest_map(view.raw.as_ref(), hash);
+        // A file that cannot be read is an error where its scores are used.
+        let scores = view.scores.as_ref();
+        if let Some(Ok(file)) = scores.map(|scores| std::fs::read(scores.file())) {
+            hash.update(file);
+        }
+    });
     let classes = scene.classes.entries.iter();
     classes.for_each(|class| digest.update(class.id.to_le_bytes()));
     digest

@@ -138,7 +138,7 @@ impl InfoArgs {
         let config = self.settings.load(Some(&self.dir), None)?;
         let options = LoadOptions::for_training(&config);
         if let Some(path) = &self.sheet {
-            data::check_output_file("--sheet", path, (&self.dir, &options))?;
+            data::check_output_file("--sheet", path, "png", (&self.dir, &options))?;
         }
         let info = data::info(&self.dir, &options)?;
         if let Some(path) = &self.sheet {

@@ -56,10 +56,8 @@ impl ObjectSceneArgs {
                 expected "another file than the scene and its classes.json"; help "name a new file");
         }
         if let Some(folder) = out.parent() {
-            check_output_file("--out", out, (folder, &LoadOptions::default()))?;
+            check_output_file("--out", out, "ply", (folder, &LoadOptions::default()))?;
         }
-        ensure!(has_extension(out, "ply"), argument "--out"; found "{}", out.display(); expected "a .ply file";
-            help "end the name in .ply; other tools convert that to their formats");
         ensure!(!names.exists() || Classes::read(&names)? == *classes,
             &names, "classes"; found "another class table"; expected "that of the scene's labels, or no file";
             help "write into another folder");

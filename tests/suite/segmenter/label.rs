@@ -3,7 +3,7 @@
 use crate::cli::commands::{fails, succeeds, utf8};
 use crate::support::onnx::Onnx;
 use crate::support::plates::{self, HEIGHT, WIDTH, scene};
-use coseg::data::{Classes, LabelMap, LoadOptions, View, load};
+use coseg::data::{Classes, LabelMap, Limits, LoadOptions, ScoreMap, View, load};
 use coseg::objects::{vote, weighted_vote};
 use coseg::raster::Settings;
 use glam::Vec3;
@@ -196,6 +196,60 @@ fn what_the_command_did_not_write_is_refused() {
 }
 
 #[test]
+fn train_labels_the_photos_first_and_a_resumed_run_refuses_other_scores() {
+    let (folder, dir, model) = plates();
+    let mine = classes(folder.path());
+    let run = folder.path().join("run");
+    let ply = dir.join("plates.ply");
+    let before = snapshot(&dir);
+    succeeds(&[
+        "train",
+        "--data",
+        utf8(&dir),
+        "--scene",
+        utf8(&ply),
+        "--segmenter",
+        utf8(&model),
+        "--classes",
+        utf8(&mine),
+        "--set",
+        "segmentation.iterations=4",
+        "--set",
+        "segmentation.rows=[\"vote\",\"ours\"]",
+        "--backend",
+        "ndarray",
+        "--out",
+        utf8(&run),
+    ]);
+    assert!(snapshot(&dir) == before);
+    let labels = run.join("labels");
+    assert!(
+        std::fs::read_dir(labels.join("scores"))
+            .expect("scores")
+            .count()
+            == 6
+    );
+    let config = std::fs::read_to_string(run.join("config.toml")).expect("config");
+    assert!(
+        config.contains(utf8(&labels.canonicalize().expect("labels"))),
+        "{config}"
+    );
+    let metrics = std::fs::read_to_string(run.join("metrics.json")).expect("metrics");
+    assert!(metrics.contains("\"ours\""), "{metrics}");
+
+    // Each photo loses the least probable class of one place.
+    for entry in std::fs::read_dir(labels.join("scores")).expect("scores") {
+        let file = entry.expect("entry").path();
+        let mut scores = ScoreMap::read(&file, &Limits::default()).expect("scores");
+        let last = scores.probabilities.iter_mut().rfind(|p| **p > 0);
+        *last.expect("a probability") = 0;
+        scores.write(&file, &Limits::default()).expect("write");
+    }
+    let message = fails(&["train", "--resume", utf8(&run)], 1);
+    assert!(message.contains("raw labels"), "{message}");
+}
+
+#[test]
 fn no_command_writes_into_a_scene() {
     let (folder, dir, model) = plates();
     let ply = dir.join("plates.ply");
@@ -219,9 +273,11 @@ fn no_command_writes_into_a_scene() {
             assert!(snapshot(&dir) == before, "{line:?}");
         }
     }
-    let photo = utf8(&dir.join("images/v0.png")).to_owned();
-    assert!(fails(&["data", "info", &data, "--sheet", &photo], 1).contains("--sheet"));
-    assert!(snapshot(&dir) == before);
+    for file in ["images/v0.png", "transforms.json", "classes.json"] {
+        let file = utf8(&dir.join(file)).to_owned();
+        assert!(fails(&["data", "info", &data, "--sheet", &file], 1).contains("--sheet"));
+        assert!(snapshot(&dir) == before, "{file}");
+    }
     // Labels that others made stay where they are.
     let taken = folder.path().join("taken");
     std::fs::create_dir_all(taken.join("labels")).expect("folder");
