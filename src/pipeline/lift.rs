@@ -94,6 +94,18 @@ impl LiftedFeatures {
     }
 }
 
+impl LiftedFeatures {
+    /// Features of the Gaussians `rows` at `scale`, counted from 0: `[rows, D]`.
+    pub(super) fn rows(&self, scale: usize, rows: &[u32]) -> Vec<f32> {
+        let width = self.dimensions;
+        let mut values = Vec::with_capacity(rows.len() * width);
+        for &row in rows {
+            values.extend_from_slice(&self.lifted[scale][row as usize * width..][..width]);
+        }
+        values
+    }
+}
+
 /// Keeps the rows `kept` (ascending) of `values`, `[N, width]`, in place: the features of a large scene take a gigabyte.
 fn keep_rows(values: &mut Vec<f32>, kept: &[u32], width: usize) {
     for (to, &from) in kept.iter().enumerate() {
