@@ -4,7 +4,7 @@ use super::evaluate::score_images;
 use crate::config::{Config, Resolution};
 use crate::data::{Scene, Split};
 use crate::error::Result;
-use crate::features::{Reduction, SCALES};
+use crate::features::{FeatureColors, Reduction, SCALES};
 use crate::metrics::ImageScores;
 use crate::progress::{Event, Progress, Viewing};
 use crate::raster::Settings;
@@ -95,6 +95,14 @@ impl LiftedFeatures {
 }
 
 impl LiftedFeatures {
+    /// Colours of the kept Gaussians by their features.
+    ///
+    /// # Errors
+    /// As [`FeatureColors::of`].
+    pub(super) fn colors(&self) -> Result<FeatureColors> {
+        FeatureColors::of(&self.lifted, self.dimensions)
+    }
+
     /// Features of the Gaussians `rows` at `scale`, counted from 0: `[rows, D]`.
     pub(super) fn rows(&self, scale: usize, rows: &[u32]) -> Vec<f32> {
         let width = self.dimensions;

@@ -10,6 +10,7 @@ use super::variants::train_variants;
 use crate::config::{Association, Config, LabelLoss, LabelsBy, Prior, Variant};
 use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
 use crate::error::Result;
+use crate::features::FeatureColors;
 use crate::metrics::ImageScores;
 use crate::objects::{Identities, Semantics, has_truth};
 use crate::progress::{CurvePoint, Progress};
@@ -56,6 +57,8 @@ pub struct Outcome {
     pub rows: Vec<VariantOutcome>,
     /// Where the 2D features came from; empty when none were needed.
     pub features: String,
+    /// Colours of the Gaussians by lifted image features; absent where nothing read them.
+    pub feature_colors: Option<FeatureColors>,
     /// Where the point encoder came from; empty when none was needed.
     pub spatial: String,
     /// Where the time went.
@@ -235,6 +238,11 @@ impl Outcome {
             ..Inputs::new(&self.scene, &self.gaussians, config, device)
         };
         let trained = train_variants(&inputs, &files.checkpoints, progress)?;
+        if let Some(lifted) = &inputs.lifted
+            && !trained.stopped
+        {
+            self.feature_colors = Some(lifted.colors()?);
+        }
         self.rows = trained.rows;
         self.spatial = trained.spatial;
         let earlier: f64 = self.rows.iter().map(|row| row.earlier_seconds).sum();
