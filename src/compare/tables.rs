@@ -162,7 +162,7 @@ impl<'a> Tables<'a> {
                 text += &self.table(&labels.name, &columns);
             }
         }
-        text + &published::table(&self.plan.published) + &self.footer()
+        text + &self.footer() + &published::table(&self.plan.published)
     }
 
     /// A table of rows by `columns`: a heading, the scenes that its cells are means over, and what they show.

@@ -57,7 +57,8 @@ impl FieldScores {
     /// Features are blended as in training: divided by the coverage unless `segmentation.blend` is `logits`. Pixels are a sixteenth
     /// of those with a class and enough coverage (`segmentation.min_coverage`), the same ones for every field and seed. Nothing is
     /// standardised: another scale of all features together changes neither index, another scale of single channels changes both.
-    /// Fields compare only where they approximate the same maps.
+    /// Calinski-Harabasz grows with the number of pixels. So fields compare only in the same views, where they approximate the same
+    /// maps.
     ///
     /// There are no scores without held-out truth, nor of objects that association found.
     ///
