@@ -3,18 +3,21 @@
 use super::object_scene::without_labels;
 use super::render_path::PathArgs;
 use super::scene_file::{
-    CAMERAS, cameras_path, classes_beside, read_scene, rendering_beside, scene_path,
+    CAMERAS, FEATURE_COLORS, cameras_path, classes_beside, read_scene, rendering_beside, scene_path,
 };
 use super::values::{alpha_max, numbers};
 use super::{BackendArgs, terminal};
+use burn::tensor::Device;
 use clap::{Args, ValueEnum};
 use coseg::data::formats::transforms;
 use coseg::data::{
     Classes, LabelMap, Limits, LoadOptions, NamedCamera, Split, atomic, check_outputs, read_cameras,
 };
-use coseg::error::Result;
+use coseg::error::{Result, ensure};
+use coseg::features::FeatureColors;
 use coseg::objects::{Frame, RenderOptions, Renderer};
 use coseg::report::pictures;
+use coseg::splat::Gaussians;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -27,6 +30,9 @@ For each frame, with STEM its file name without extension, the output folder get
   --labels       STEM.label.png  the label with the largest blended weight, 0 where alpha is below the run's
                                  segmentation.min_coverage, or 0.5; 8-bit grey, or 16-bit where ids exceed 255
                  STEM.label_color.png  the same in colours, with a legend, where classes.json is beside the scene
+  --features pca STEM.features.png (npy: [H, W, 3] float32)  the three main components of the image features that
+                 `coseg train` lifted onto the Gaussians, as red, green and blue, blended over the background: like
+                 colours are like features. Needs feature_colors.safetensors beside the scene
 
 Cameras
   transforms.json  instant-ngp and nerfstudio, with w and h
@@ -49,6 +55,7 @@ A film of the frames, whose width and height must be even:
 Examples:
   coseg render --scene runs/room --out pictures --split test --labels
   coseg render --scene runs/room --out walk --path interpolate --split train --frames 300 --size 1280,960
+  coseg render --scene runs/room --out features --split test --features pca
   coseg render --scene runs/room --out sofa --path orbit --object sofa
   coseg render --scene other.ply --cameras path.json --out arrays --format npy --background 1,1,1 --alpha-max 0.99";
 
@@ -79,6 +86,9 @@ pub struct RenderArgs {
     /// Render the labels too
     #[arg(long)]
     labels: bool,
+    /// Render the image features of a run too, in colours
+    #[arg(long, value_enum, value_name = "KIND")]
+    features: Option<FeatureKind>,
     /// Colour behind the scene, each 0 to 1 [default: the run's, or 0,0,0]
     #[arg(long, value_name = "R,G,B", value_parser = parse_color)]
     background: Option<[f32; 3]>,
@@ -94,6 +104,13 @@ pub struct RenderArgs {
 enum Format {
     Png,
     Npy,
+}
+
+/// How image features become colours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum FeatureKind {
+    /// Their three main components
+    Pca,
 }
 
 /// A split, or all frames.
@@ -159,6 +176,7 @@ impl RenderArgs {
         let options = RenderOptions::from(&config);
         let labels = scene.labels.filter(|_| self.labels);
         let device = self.backend.open()?;
+        let of_features = self.feature_renderer(&path, &scene.gaussians, options, &device)?;
         let renderer = Renderer::new(scene.gaussians, labels, options, &device)?;
         if is_path {
             transforms::write_cameras(&self.out.join(CAMERAS), &cameras)?;
@@ -171,6 +189,9 @@ impl RenderArgs {
             let frame = renderer.frame(&camera)?;
             times.push(start.elapsed().as_secs_f64());
             self.write(name, &frame, &classes)?;
+            if let Some(of_features) = &of_features {
+                self.write_color(name, "features", &of_features.frame(&camera)?)?;
+            }
             bar.inc(1);
         }
         bar.finish_and_clear();
@@ -185,24 +206,55 @@ impl RenderArgs {
         Ok(())
     }
 
+    /// The `gaussians` of the scene `path` in the colours of their image features, if these are asked for.
+    fn feature_renderer(
+        &self,
+        path: &Path,
+        gaussians: &Gaussians,
+        options: RenderOptions,
+        device: &Device,
+    ) -> Result<Option<Renderer>> {
+        let Some(FeatureKind::Pca) = self.features else {
+            return Ok(None);
+        };
+        let file = path.with_file_name(FEATURE_COLORS);
+        ensure!(file.is_file(), argument "--features"; found "no {FEATURE_COLORS} beside {}", path.display();
+            expected "a run of `coseg train` with a variant that reads image features, such as `ours`";
+            help "give the run folder; scenes of `coseg edit` and of other programs have no such file");
+        let colors = FeatureColors::read(&file, gaussians.len())?;
+        let painted = gaussians.clone().painted(&colors.rgb);
+        Renderer::new(painted, None, options, device).map(Some)
+    }
+
+    /// Writes the colours of `frame` as a file of `kind`.
+    fn write_color(&self, name: &str, kind: &str, frame: &Frame) -> Result<()> {
+        let file = |extension| self.out.join(format!("{name}.{kind}.{extension}"));
+        let &Frame { width, height, .. } = frame;
+        match self.format {
+            Format::Npy => write_npy(&file("npy"), &[height, width, 3], &frame.rgb),
+            Format::Png => {
+                let path = file("png");
+                let rgb = pictures::from_floats(&frame.rgb, width, height)?;
+                atomic::write_bytes(&path, &pictures::png(&rgb, &path)?)
+            }
+        }
+    }
+
     fn write(&self, name: &str, frame: &Frame, classes: &Classes) -> Result<()> {
         let file = |kind: &str| self.out.join(format!("{name}.{kind}"));
+        self.write_color(name, "rgb", frame)?;
         let &Frame {
             width,
             height,
-            ref rgb,
             ref alpha,
             ref labels,
+            ..
         } = frame;
         match self.format {
             Format::Npy => {
-                write_npy(&file("rgb.npy"), &[height, width, 3], rgb)?;
                 write_npy(&file("alpha.npy"), &[height, width], alpha)?;
             }
             Format::Png => {
-                let path = file("rgb.png");
-                let rgb = pictures::from_floats(rgb, width, height)?;
-                atomic::write_bytes(&path, &pictures::png(&rgb, &path)?)?;
                 let ids = alpha
                     .iter()
                     .map(|a| (a.clamp(0.0, 1.0) * 255.0).round() as u16)

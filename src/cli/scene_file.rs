@@ -15,6 +15,8 @@ pub const CLASSES: &str = "classes.json";
 pub const SCENE: &str = "scene.ply";
 /// The cameras of a run folder.
 pub const CAMERAS: &str = "cameras.json";
+/// Colours of the Gaussians of a run folder by their image features.
+pub const FEATURE_COLORS: &str = "feature_colors.safetensors";
 /// The page of a scene.
 pub const VIEWER: &str = "viewer.html";
 /// The scene of a model folder of graphdeco's 3DGS, in point_cloud/iteration_N.

@@ -4,7 +4,7 @@ use super::held_out;
 use super::label::SegmenterArgs;
 use super::progress::Bars;
 use super::run_folder::{IDENTITIES, REPORT, RunFolder};
-use super::scene_file::{CAMERAS, SCENE, VIEWER, cameras_of, scene_path};
+use super::scene_file::{CAMERAS, FEATURE_COLORS, SCENE, VIEWER, cameras_of, scene_path};
 use super::{BackendArgs, Settings, interrupt, terminal};
 use burn::tensor::Device;
 use clap::Args;
@@ -37,6 +37,7 @@ The run folder gets
   classes.json   id, name and colour of each class
   cameras.json   the views as a transforms.json, for render and objects
   config.toml    all settings as run
+  feature_colors.safetensors  colours by image features, for render --features pca; where a variant reads these
   renders/       held-out views: colour, labels, error maps
   labels/        with --segmenter: label maps and scores of all photos, as `coseg label` writes them
   checkpoint/    the state that --resume continues from
@@ -208,6 +209,10 @@ fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<String> {
         Some(identities) => identities.write(&run.file(IDENTITIES))?,
         // Those of an earlier result, which had other variants.
         None => atomic::remove(run.file(IDENTITIES))?,
+    }
+    match &outcome.feature_colors {
+        Some(colors) => colors.write(&run.file(FEATURE_COLORS))?,
+        None => atomic::remove(run.file(FEATURE_COLORS))?,
     }
     let cameras = cameras_of(scene);
     transforms::write_cameras(&run.file(CAMERAS), &cameras)?;

@@ -3,7 +3,7 @@
 use crate::data::Split;
 use crate::error::Result;
 use crate::objects::{RenderOptions, Renderer};
-use crate::pipeline::{Outcome, VariantOutcome};
+use crate::pipeline::{FieldScores, Outcome, VariantOutcome};
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
@@ -29,6 +29,9 @@ pub struct Figures {
     pub feature_seconds: Option<f64>,
     /// Mean PSNR of the held-out views in dB, after attendance pruning.
     pub psnr: Option<f64>,
+    /// Of the feature field that the variant reads; absent for other variants, and in cells of earlier programs.
+    #[serde(default)]
+    pub field: Option<FieldScores>,
     /// Gaussians after attendance pruning.
     pub gaussians: usize,
 }
@@ -57,6 +60,7 @@ impl Figures {
             training_seconds: row.curve.last().map(|_| row.seconds),
             feature_seconds: row.row.trains_decoder().then_some(features),
             psnr: outcome.test.psnr,
+            field: row.field,
             gaussians: outcome.gaussians.len(),
         })
     }

@@ -5,9 +5,11 @@
 //! and spreads of the cells and writes them as JSON, Markdown and plots.
 
 mod cells;
+mod columns;
 mod figures;
 mod plan;
 mod plots;
+mod published;
 mod run;
 mod stage_one;
 mod statistics;
@@ -16,6 +18,7 @@ mod tables;
 pub use self::cells::{Cell, CellId};
 pub use self::figures::Figures;
 pub use self::plan::{LabelKind, Plan, Row, SceneFolder};
+pub use self::published::Published;
 pub use self::run::{Finished, Options, Watch, run};
 pub use self::statistics::Statistic;
 pub use self::tables::Tables;

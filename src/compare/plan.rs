@@ -1,6 +1,6 @@
 //! The plan of a table: scenes, kinds of labels, rows and seeds, read from a TOML file.
 
-use super::CellId;
+use super::{CellId, Published};
 use crate::config::{BuildingConfig, Config, Variant};
 use crate::data::LoadOptions;
 use crate::error::{Error, Result, bail, ensure};
@@ -41,6 +41,8 @@ pub struct Plan {
     pub labels: Vec<LabelKind>,
     /// Lines of each table.
     pub rows: Vec<Row>,
+    /// Rows of papers, shown below the tables.
+    pub published: Vec<Published>,
     settings: Table,
 }
 
@@ -88,6 +90,8 @@ struct PlanFile {
     settings: Table,
     labels: Vec<LabelKind>,
     rows: Vec<Row>,
+    #[serde(default)]
+    published: Vec<Published>,
 }
 
 impl Plan {
@@ -100,7 +104,7 @@ impl Plan {
     pub fn read(path: &Path, root: Option<&Path>) -> Result<Self> {
         let text = files::text(path)?;
         let form = "a plan: title, scenes, seeds, [settings], [[labels]] with name, labelled_photos and settings, \
-                    [[rows]] with name, variant and settings";
+                    [[rows]] with name, variant and settings, [[published]] with name, data, source and figures";
         let file: PlanFile = files::toml(&text, path, form)?;
         let root = root.or(path.parent()).unwrap_or(Path::new("."));
         let scene = |given: &String| SceneFolder {
@@ -114,10 +118,14 @@ impl Plan {
             seeds: file.seeds,
             labels: file.labels,
             rows: file.rows,
+            published: file.published,
             settings: file.settings,
         };
         plan.check_names()?;
         plan.check_size()?;
+        for (row, number) in plan.published.iter().zip(1..) {
+            row.check(path, number)?;
+        }
         plan.check_settings()?;
         Ok(plan)
     }

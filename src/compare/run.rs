@@ -275,7 +275,7 @@ impl<'a> Comparison<'a> {
         config.segmentation.rows = Some(jobs.iter().map(|job| job.row.variant).collect());
         let folder = self.options.out.join("runs").join(name).join(labels);
         let folder = folder.join(format!("{} {seed}", first.row.name));
-        let outcome = pipeline::run_on(scene.clone(), &config, &folder, self.device, watch)?;
+        let outcome = pipeline::run_on(scene.clone(), &config, true, &folder, self.device, watch)?;
         if outcome.stopped {
             return Ok(false);
         }

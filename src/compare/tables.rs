@@ -1,78 +1,15 @@
 //! Means and spreads of the cells of a plan, as JSON, Markdown and plots.
 
+use super::columns::{COLUMNS, Column, FIELD_COLUMNS, FRAMES, MIOU, SECONDS};
 use super::plots::{Bars, Points};
-use super::statistics::{best, mean};
-use super::{Cell, Figures, Plan, Statistic};
+use super::published;
+use super::statistics::mean;
+use super::{Cell, Plan, Statistic};
 use crate::error::Result;
 use crate::files::atomic;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-/// A column of the tables.
-struct Column {
-    /// In JSON.
-    key: &'static str,
-    /// In Markdown.
-    title: &'static str,
-    /// Of one, in the unit of the title.
-    unit: f64,
-    decimals: usize,
-    /// The best is set in bold.
-    is_score: bool,
-    of: fn(&Figures) -> Option<f64>,
-}
-
-impl Column {
-    const fn score(
-        key: &'static str,
-        title: &'static str,
-        of: fn(&Figures) -> Option<f64>,
-    ) -> Self {
-        Self {
-            key,
-            title,
-            unit: 100.0,
-            decimals: 1,
-            is_score: true,
-            of,
-        }
-    }
-
-    const fn cost(
-        key: &'static str,
-        title: &'static str,
-        (unit, decimals): (f64, usize),
-        of: fn(&Figures) -> Option<f64>,
-    ) -> Self {
-        Self {
-            key,
-            title,
-            unit,
-            decimals,
-            is_score: false,
-            of,
-        }
-    }
-}
-
-const MIOU: Column = Column::score("miou", "mIoU, %", |f| f.miou);
-const COLUMNS: [Column; 8] = [
-    MIOU,
-    Column::score("miou_per_view", "mIoU per view, %", |f| f.miou_per_view),
-    Column::score("accuracy", "accuracy, %", |f| f.accuracy),
-    Column::score("boundary_iou", "boundary IoU, %", |f| f.boundary_iou),
-    FRAMES,
-    Column::cost("learnable_bytes", "learnable, MB", (1e-6, 2), |f| {
-        Some(f.learnable_bytes as f64)
-    }),
-    SECONDS,
-    Column::cost("psnr", "PSNR, dB", (1.0, 2), |f| f.psnr),
-];
-const FRAMES: Column = Column::cost("frames_per_second", "frames/s", (1.0, 1), |f| {
-    f.frames_per_second
-});
-const SECONDS: Column = Column::cost("seconds", "seconds", (1.0, 0), Figures::seconds);
 
 /// The tables of a plan.
 pub struct Tables<'a> {
@@ -151,6 +88,13 @@ impl<'a> Tables<'a> {
         self.cells.keys().filter(is_one).count()
     }
 
+    /// The columns: those of feature fields only where a cell has one.
+    fn columns(&self) -> Vec<&'static Column> {
+        let has_field = self.cells.values().any(|cell| cell.figures.field.is_some());
+        let of_fields = FIELD_COLUMNS.iter().filter(|_| has_field);
+        COLUMNS.iter().chain(of_fields).collect()
+    }
+
     fn commits(&self) -> BTreeMap<&'a str, usize> {
         let mut commits = BTreeMap::new();
         for cell in self.cells.values() {
@@ -167,9 +111,8 @@ impl<'a> Tables<'a> {
                 let of = |scenes: &[&str], column| {
                     self.statistic(&labels.name, &row.name, scenes, column)
                 };
-                let figures = COLUMNS
-                    .iter()
-                    .map(|column| (column.key, of(&scenes, column)));
+                let columns = self.columns().into_iter();
+                let figures = columns.map(|column| (column.key, of(&scenes, column)));
                 let miou = scenes.iter().map(|scene| (*scene, of(&[scene], &MIOU)));
                 lines.push(Line {
                     labels: &labels.name,
@@ -193,6 +136,7 @@ impl<'a> Tables<'a> {
             "commits": self.commits(),
             "empty": empty.collect::<Vec<_>>(),
             "lines": lines,
+            "published": self.plan.published,
             "cells": self.cells.values().collect::<Vec<_>>(),
         })
     }
@@ -203,8 +147,9 @@ impl<'a> Tables<'a> {
         let mut text = format!("# {}\n", self.plan.title);
         for labels in &self.plan.labels {
             text += &format!("\n## Labels: {}\n\n", labels.name);
-            let columns: Vec<_> = COLUMNS
-                .iter()
+            let columns: Vec<_> = self
+                .columns()
+                .into_iter()
                 .map(|column| (column.title, &scenes[..], column))
                 .collect();
             text += &self.table(&labels.name, &columns);
@@ -217,7 +162,7 @@ impl<'a> Tables<'a> {
                 text += &self.table(&labels.name, &columns);
             }
         }
-        text + &self.footer()
+        text + &self.footer() + &published::table(&self.plan.published)
     }
 
     /// A table of rows by `columns`: a heading, the scenes that its cells are means over, and what they show.
@@ -245,11 +190,13 @@ impl<'a> Tables<'a> {
                 let mut shown = match &found[r] {
                     _ if finished == 0 => "empty".to_owned(),
                     None => "–".to_owned(),
-                    Some(statistic) => shown(statistic, column),
+                    Some(statistic) => column.shown(statistic),
                 };
-                if finished > 0 && finished < all {
-                    shown += &format!(" ({finished} of {all})");
-                } else if column.is_score && best(found, all) == Some(r) {
+                // Cells of earlier programs have fewer figures.
+                let measured = found[r].map_or(finished, |statistic| statistic.cells);
+                if measured > 0 && measured < all {
+                    shown += &format!(" ({measured} of {all})");
+                } else if column.best(found, all) == Some(r) {
                     shown = format!("**{shown}**");
                 }
                 text += &format!(" | {shown}");
@@ -270,6 +217,12 @@ impl<'a> Tables<'a> {
         } else {
             "There is one seed, so no spread is known and nothing is bold.".to_owned()
         };
+        let fields = if self.columns().len() > COLUMNS.len() {
+            " CH, DB: Calinski-Harabasz (higher is better) and Davies-Bouldin index (lower is better) of rendered image features, in \
+             clusters by their true class. features: seconds of extracting and lifting or distilling them, and what that learned."
+        } else {
+            ""
+        };
         let commits: Vec<String> = self
             .commits()
             .into_iter()
@@ -284,7 +237,7 @@ impl<'a> Tables<'a> {
             "\nFigures are means over scenes and seeds, of held-out views; all rows of a scene share the Gaussians of one stage \
              one. {spread} frames/s: colour and labels together. seconds: training of stage two, with extraction and lifting of \
              image features where the decoder reads them; of raw labels and votes they are not measured. PSNR: after attendance \
-             pruning. \"3 of 9\": a mean over those cells alone, the others are empty.\n\n\
+             pruning.{fields} \"3 of 9\": a mean over those cells alone, the others are empty.\n\n\
              - plan: `{}`\n- command: `{}`\n- commit: {commits}\n- empty cells: {} of {all}\n",
             self.plan.path.display(),
             self.command,
@@ -361,17 +314,5 @@ impl<'a> Tables<'a> {
             bars.add(&row.name, means);
         }
         bars
-    }
-}
-
-/// `52.3 ± 0.4`. A cost that is the same under all seeds has no spread.
-fn shown(statistic: &Statistic, column: &Column) -> String {
-    let number = |value: f64| format!("{:.*}", column.decimals, column.unit * value);
-    let mean = number(statistic.mean);
-    match statistic.spread {
-        Some(spread) if column.is_score || number(spread) != number(0.0) => {
-            format!("{mean} ± {}", number(spread))
-        }
-        _ => mean,
     }
 }

@@ -72,6 +72,11 @@ impl Variant {
         self == Self::Distilled || (self.trains_decoder() && self != Self::NoImageFeatures)
     }
 
+    /// Whether the variant's decoder reads lifted image features of all scales.
+    pub fn reads_lifted_features(self) -> bool {
+        self.trains_decoder() && !matches!(self, Self::NoImageFeatures | Self::SingleScale)
+    }
+
     /// The variant's name in `config.toml` and `metrics.json`.
     pub fn key(self) -> &'static str {
         match self {

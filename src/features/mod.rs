@@ -5,6 +5,7 @@
 //! L2-normalises each cell.
 
 mod cache;
+mod colors;
 pub mod descriptor;
 pub mod dino;
 mod extract;
@@ -15,6 +16,7 @@ pub mod mobilenet;
 mod pca;
 mod segmenter;
 
+pub use self::colors::FeatureColors;
 pub use self::extract::{PCA_CELLS, Reduction, ViewFeatures};
 pub(crate) use self::lattice::Axis;
 pub use self::lattice::{Lattice, Steps};

@@ -151,6 +151,28 @@ impl Pca {
         }
     }
 
+    /// Rows `[n, channels]` centred and projected, `[n, dimensions]`; `what` names them in errors.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] with the first row that holds a NaN or an infinity.
+    pub fn project(&self, rows: &[f32], what: &str) -> Result<Vec<f32>> {
+        let channels = self.channels.max(1);
+        if let Some(at) = rows.iter().position(|x| !x.is_finite()) {
+            return Err(Error::non_finite(what, at / channels));
+        }
+        let mut out = vec![0.0; rows.len() / channels * self.dimensions];
+        let places = out.chunks_exact_mut(self.dimensions.max(1));
+        for (out, row) in places.zip(rows.chunks_exact(channels)) {
+            let axes = self.components.chunks_exact(channels);
+            for (out, axis) in out.iter_mut().zip(axes) {
+                let along = |((x, mean), axis): ((&f32, &f64), &f64)| (f64::from(*x) - mean) * axis;
+                let terms = row.iter().zip(&self.mean).zip(axis).map(along);
+                *out = terms.sum::<f64>() as f32;
+            }
+        }
+        Ok(out)
+    }
+
     /// Each cell centred and projected, then divided by its Euclidean norm: `[h, w, dimensions]`. A cell that projects
     /// to zero within rounding is zero.
     /// `what` names the map in errors.

@@ -27,6 +27,8 @@ pub struct Inputs<'a> {
     pub lifted: Option<LiftedFeatures>,
     /// What the classes of objects are scored against, after association.
     pub semantics: Option<&'a Semantics>,
+    /// Whether feature fields are scored.
+    pub scores_fields: bool,
     /// Settings of the run.
     pub config: &'a Config,
     /// Blending constants.
@@ -36,7 +38,7 @@ pub struct Inputs<'a> {
 }
 
 impl<'a> Inputs<'a> {
-    /// Of `gaussians`, without lifted features and semantics.
+    /// Of `gaussians`, without lifted features, semantics and scores of feature fields.
     pub fn new(
         scene: &'a Scene,
         gaussians: &'a Gaussians,
@@ -48,6 +50,7 @@ impl<'a> Inputs<'a> {
             gaussians,
             lifted: None,
             semantics: None,
+            scores_fields: false,
             config,
             settings: Settings::from(&config.raster),
             device,
@@ -186,12 +189,13 @@ fn join(
                 expected "those of every Gaussian";
                 help "unproject image features first, or leave them off");
         };
-        let (lifted, d) = (&features.lifted[scale], features.dimensions);
-        let mut values = Vec::with_capacity(rows.len() * d);
-        for &row in rows {
-            values.extend_from_slice(&lifted[points[row as usize] as usize * d..][..d]);
-        }
-        Ok(upload(values, [rows.len(), d], inputs.device))
+        let points: Vec<u32> = rows.iter().map(|&row| points[row as usize]).collect();
+        let values = features.rows(scale, &points);
+        Ok(upload(
+            values,
+            [rows.len(), features.dimensions],
+            inputs.device,
+        ))
     };
     Ok(Encoded {
         pyramid: Pyramid::new(encoding, switches, image)?,

@@ -4,7 +4,7 @@ use super::evaluate::score_images;
 use crate::config::{Config, Resolution};
 use crate::data::{Scene, Split};
 use crate::error::Result;
-use crate::features::{Reduction, SCALES};
+use crate::features::{FeatureColors, Reduction, SCALES};
 use crate::metrics::ImageScores;
 use crate::progress::{Event, Progress, Viewing};
 use crate::raster::Settings;
@@ -91,6 +91,26 @@ impl LiftedFeatures {
             content,
             seconds: [extraction, clock.elapsed().as_secs_f64()],
         }))
+    }
+}
+
+impl LiftedFeatures {
+    /// Colours of the kept Gaussians by their features.
+    ///
+    /// # Errors
+    /// As [`FeatureColors::of`].
+    pub(super) fn colors(&self) -> Result<FeatureColors> {
+        FeatureColors::of(&self.lifted, self.dimensions)
+    }
+
+    /// Features of the Gaussians `rows` at `scale`, counted from 0: `[rows, D]`.
+    pub(super) fn rows(&self, scale: usize, rows: &[u32]) -> Vec<f32> {
+        let width = self.dimensions;
+        let mut values = Vec::with_capacity(rows.len() * width);
+        for &row in rows {
+            values.extend_from_slice(&self.lifted[scale][row as usize * width..][..width]);
+        }
+        values
     }
 }
 

@@ -5,10 +5,12 @@ use super::encode::Inputs;
 use super::evaluate::score_images;
 use super::lift::{Pruned, lift};
 use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
-use super::variants::{VariantOutcome, train_variants};
+use super::variant_outcome::VariantOutcome;
+use super::variants::train_variants;
 use crate::config::{Association, Config, LabelLoss, LabelsBy, Prior, Variant};
 use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
 use crate::error::Result;
+use crate::features::FeatureColors;
 use crate::metrics::ImageScores;
 use crate::objects::{Identities, Semantics, has_truth};
 use crate::progress::{CurvePoint, Progress};
@@ -55,6 +57,8 @@ pub struct Outcome {
     pub rows: Vec<VariantOutcome>,
     /// Where the 2D features came from; empty when none were needed.
     pub features: String,
+    /// Colours of the Gaussians by lifted image features; absent where nothing read them.
+    pub feature_colors: Option<FeatureColors>,
     /// Where the point encoder came from; empty when none was needed.
     pub spatial: String,
     /// Where the time went.
@@ -134,18 +138,20 @@ pub fn run(
     let start = Instant::now();
     let scene = load(config, LoadOptions::for_training)?;
     let loading = start.elapsed().as_secs_f64();
-    let mut outcome = run_on(scene, config, out, device, progress)?;
+    let mut outcome = run_on(scene, config, false, out, device, progress)?;
     outcome.seconds.total += loading;
     Ok(outcome)
 }
 
-/// As [`run`], on a scene that was loaded before.
+/// As [`run`], on a scene that was loaded before. Scores feature fields too where `scores_fields` says so, see
+/// [`FieldScores`](super::FieldScores).
 ///
 /// # Errors
 /// Those of both stages, and of writing. Files written before stay.
 pub fn run_on(
     scene: Scene,
     config: &Config,
+    scores_fields: bool,
     out: &Path,
     device: &Device,
     progress: &mut dyn Progress,
@@ -165,7 +171,7 @@ pub fn run_on(
     // A run that is stopped ends without delay.
     let finished = complete && {
         outcome.test = score_images(&outcome.gaussians, &outcome.scene, config, device)?;
-        outcome.associate(progress)? && outcome.segment(&files, device, progress)?
+        outcome.associate(progress)? && outcome.segment(scores_fields, &files, device, progress)?
     };
     outcome.stopped = !finished;
     outcome.seconds.total += start.elapsed().as_secs_f64();
@@ -194,6 +200,7 @@ impl Outcome {
     /// Stage two: lifts features, trains the variants and scores them. False where `progress` stopped it.
     fn segment(
         &mut self,
+        scores_fields: bool,
         files: &RunFiles,
         device: &Device,
         progress: &mut dyn Progress,
@@ -227,9 +234,15 @@ impl Outcome {
         let inputs = Inputs {
             lifted: lifted.features,
             semantics: self.semantics.as_ref(),
+            scores_fields,
             ..Inputs::new(&self.scene, &self.gaussians, config, device)
         };
         let trained = train_variants(&inputs, &files.checkpoints, progress)?;
+        if let Some(lifted) = &inputs.lifted
+            && !trained.stopped
+        {
+            self.feature_colors = Some(lifted.colors()?);
+        }
         self.rows = trained.rows;
         self.spatial = trained.spatial;
         let earlier: f64 = self.rows.iter().map(|row| row.earlier_seconds).sum();

@@ -1,20 +1,20 @@
 //! The variants of the label table: what each is, and its training and scoring.
 
 use super::encode::{Encodings, Inputs, encode, spatial_of};
-use super::evaluate::{HeldOut, HeldOutScores};
+use super::evaluate::{FieldScores, HeldOut, HeldOutScores};
 use super::rivals::{Grouping, LinearHead, PanopticLifting, distil};
 use super::train_decoder::{Adam, IdentityModel, PerGaussian, Plan, Training, TrainingViews};
+use super::variant_outcome::VariantOutcome;
 use super::variant_training::{decoder_training, plan, schedule};
 use super::vote_share::{best_share, mixed};
 use crate::config::{Association, Prior, SpatialConfig, Variant};
 use crate::data::Split;
 use crate::error::Result;
-use crate::metrics::{Agreement, Compactness, LabelScores};
+use crate::metrics::Compactness;
 use crate::objects::{
     Identities, NeighbourGraph, PooledVote, Votes, pooled_vote, vote, weighted_vote,
 };
-use crate::progress::{CurvePoint, Progress};
-use burn::module::Module;
+use crate::progress::Progress;
 use std::cell::OnceCell;
 use std::path::Path;
 use std::time::Instant;
@@ -27,60 +27,6 @@ const LR_GROUPING: f64 = 0.1;
 const LR_LINEAR_HEAD: f64 = 0.1;
 /// Share added to every class of the votes that a decoder starts from.
 const VOTE_FLOOR: f32 = 0.02;
-
-/// One variant, trained and scored.
-#[derive(Clone, Debug)]
-pub struct VariantOutcome {
-    /// Which.
-    pub row: Variant,
-    /// What the Gaussians store; none for the raw labels themselves, and where training was stopped before its end.
-    pub identities: Option<Identities>,
-    /// Held-out scores.
-    pub scores: HeldOutScores,
-    /// Held-out scores with void predictions left out; raw labels only.
-    pub void_left_out: Option<LabelScores>,
-    /// How compact the identities are.
-    pub compactness: Option<Compactness>,
-    /// How far the raw labels agree about the Gaussians; of the vote.
-    pub agreement: Option<Agreement>,
-    /// Training curve; empty where nothing was trained.
-    pub curve: Vec<CurvePoint>,
-    /// Bytes of everything learned.
-    pub learnable_bytes: usize,
-    /// Learning rate, where there is one.
-    pub rate: Option<f64>,
-    /// Share of the vote in the identities of a decoder.
-    pub vote_share: Option<f64>,
-    /// Seconds of training.
-    pub seconds: f64,
-    /// The share of them of earlier parts of a resumed run.
-    pub earlier_seconds: f64,
-}
-
-impl VariantOutcome {
-    /// A variant without identities or training.
-    fn new(row: Variant, scores: HeldOutScores) -> Self {
-        Self {
-            row,
-            identities: None,
-            scores,
-            void_left_out: None,
-            compactness: None,
-            agreement: None,
-            curve: Vec::new(),
-            learnable_bytes: 0,
-            rate: None,
-            vote_share: None,
-            seconds: 0.0,
-            earlier_seconds: 0.0,
-        }
-    }
-
-    /// The variant's name in settings and reports.
-    pub fn name(&self) -> &'static str {
-        self.row.key()
-    }
-}
 
 /// Variants, trained and scored.
 pub struct TrainedVariants {
@@ -151,6 +97,8 @@ struct StageTwo<'a> {
     encodings: Option<(SpatialConfig, Encodings)>,
     /// Name of the encoder's weights; those of the random encoder only where there are no others.
     spatial: String,
+    /// Scores of the lifted features.
+    lifted: OnceCell<Option<FieldScores>>,
 }
 
 impl<'a> StageTwo<'a> {
@@ -164,6 +112,7 @@ impl<'a> StageTwo<'a> {
             pooled: OnceCell::new(),
             encodings: None,
             spatial: String::new(),
+            lifted: OnceCell::new(),
         }
     }
 
@@ -246,7 +195,10 @@ impl<'a> StageTwo<'a> {
             progress,
         )?;
         outcome.seconds += distilled.seconds;
-        outcome.learnable_bytes += 4 * distilled.field.num_params();
+        outcome.learnable_bytes += distilled.field.bytes();
+        if inputs.scores_fields && outcome.identities.is_some() {
+            outcome.field = Some(distilled.scores(inputs)?);
+        }
         Ok(outcome)
     }
 
@@ -277,8 +229,23 @@ impl<'a> StageTwo<'a> {
         }
         let training = decoder_training(variant, &plan, &input, prior, inputs, self.views.len());
         let rate = inputs.config.segmentation.lr;
-        let outcome = self.trained(variant, training, &plan, rate, progress)?;
+        let mut outcome = self.trained(variant, training, &plan, rate, progress)?;
+        if variant.reads_lifted_features() && outcome.identities.is_some() {
+            outcome.field = self.lifted()?;
+        }
         self.with_votes(outcome)
+    }
+
+    /// Scores of the lifted features, computed once, where they are asked for.
+    fn lifted(&self) -> Result<Option<FieldScores>> {
+        if let Some(scores) = self.lifted.get() {
+            return Ok(*scores);
+        }
+        let scores = match self.inputs.scores_fields {
+            true => FieldScores::of_lifted(self.inputs)?,
+            false => None,
+        };
+        Ok(*self.lifted.get_or_init(|| scores))
     }
 
     /// `outcome` with the share of the vote that the settings ask for.

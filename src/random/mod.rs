@@ -34,6 +34,8 @@ pub enum Purpose {
     Background = 9,
     /// Training photos that keep their raw labels; index 0.
     LabelledPhotos = 10,
+    /// Pixels at which features are scored; index = number of the held-out view.
+    ScoredPixels = 12,
     /// Scenes and maps that benchmarks make up; index = size.
     Benchmark = 48,
 }

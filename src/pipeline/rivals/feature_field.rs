@@ -1,6 +1,7 @@
 //! Feature 3DGS (Zhou et al. 2024): a feature for each Gaussian, distilled from 2D feature maps by rendering.
 
 use super::super::encode::Inputs;
+use super::super::evaluate::FieldScores;
 use super::super::train_decoder::{
     Adam, Decoded, IdentityModel, TrainingViews, ViewSample, finite_loss, parameter_gradients,
     values, view_at,
@@ -13,7 +14,7 @@ use crate::objects::Identities;
 use crate::ops::select;
 use crate::progress::{Event, Progress};
 use crate::random::{Purpose, stream};
-use crate::segmentation::pixels::constant;
+use crate::segmentation::pixels::{LabelledPixels, constant};
 use crate::segmentation::randla::parameter;
 use burn::module::{Module, Param};
 use burn::nn::Linear;
@@ -35,12 +36,42 @@ pub struct FeatureField {
     decoder: Linear,
 }
 
+impl FeatureField {
+    /// Decoded features of `pixels`, which show the Gaussians `visible`: `[P, 4 dimensions]`.
+    pub fn at(&self, visible: &[u32], pixels: &LabelledPixels) -> Result<Tensor<2>> {
+        let features = select(&self.features.val(), visible);
+        Ok(self.decoder.forward(pixels.blend(features)?))
+    }
+
+    /// Bytes of everything that it learned.
+    pub fn bytes(&self) -> usize {
+        4 * self.num_params()
+    }
+}
+
 /// A distilled field.
 pub struct Distilled {
     /// The field.
     pub field: FeatureField,
     /// Seconds of feature extraction and training.
     pub seconds: f64,
+}
+
+impl Distilled {
+    /// How well its decoded features separate the true classes of held-out views.
+    ///
+    /// # Errors
+    /// As [`FieldScores::of_field`].
+    pub fn scores(&self, inputs: &Inputs) -> Result<FieldScores> {
+        let field = self.field.valid();
+        let channels = SCALES * inputs.config.features.dimensions;
+        let features = |visible: &[u32], pixels: &_| field.at(visible, pixels);
+        Ok(FieldScores {
+            seconds: self.seconds,
+            learnable_bytes: field.bytes() as u64,
+            ..FieldScores::of_field(inputs, channels, features)?
+        })
+    }
 }
 
 /// Trains a feature field on the 2D features of all training photos: the mean absolute difference of decoded blended features and
@@ -102,8 +133,7 @@ pub fn distil(
         } else {
             let (view, maps) = &targets[view];
             let target = target(&sample, view, maps, dimensions, inputs.device);
-            let features = select(&field.features.val(), &sample.visible);
-            let decoded = field.decoder.forward(sample.pixels.blend(features)?);
+            let decoded = field.at(&sample.visible, &sample.pixels)?;
             let loss = (decoded - constant(target, device)).abs().mean();
             let gradient = parameter_gradients(&field, &mut loss.backward());
             let value = finite_loss(loss.inner(), &gradient)?;

@@ -20,6 +20,7 @@ pub use self::class_recall::ClassRecall;
 pub use self::decoder_model::{DecodedParts, DecoderModel, DecoderPlan, dropped_channels};
 pub use self::per_gaussian::{Logits, PerGaussian};
 pub use self::plan::Plan;
+pub(super) use self::sampling::stratified_sample;
 pub use self::sampling::view_at;
 pub(super) use self::view_cache::ViewCache;
 pub use self::view_input::{DecoderInput, Encoded};

@@ -14,7 +14,11 @@ pub fn view_at(seed: u64, iteration: usize, views: usize) -> usize {
 /// A stratified sample of the numbers below `count`: one of each run of `1 / share` of them, ascending. Where `1 / share` is
 /// no whole number, runs of two lengths alternate so that the share is exact. They start at a random offset then, so that
 /// each number is as likely.
-pub(super) fn stratified_sample(count: usize, share: f64, rng: &mut impl Rng) -> Vec<u32> {
+pub(in crate::pipeline) fn stratified_sample(
+    count: usize,
+    share: f64,
+    rng: &mut impl Rng,
+) -> Vec<u32> {
     let run = (1.0 / share.clamp(0.0, 1.0)).max(1.0);
     // One divided by 1/49 is not quite 49.
     let whole = (run - run.round()).abs() < 1e-9 * run;

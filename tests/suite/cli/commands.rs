@@ -52,7 +52,7 @@ pub fn utf8(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-fn read_npy(path: &Path) -> (Vec<u64>, Vec<f32>) {
+pub fn read_npy(path: &Path) -> (Vec<u64>, Vec<f32>) {
     let file =
         npyz::NpyFile::new(std::io::BufReader::new(std::fs::File::open(path).unwrap())).unwrap();
     (file.shape().to_vec(), file.into_vec().unwrap())

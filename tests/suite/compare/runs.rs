@@ -390,3 +390,63 @@ fn the_tables_show_the_figures_of_the_cells() {
         assert!(svg.contains("ours, count"), "{name}");
     }
 }
+
+#[test]
+fn feature_fields_are_scored_and_cells_without_scores_are_read() {
+    let (keep, ..) = folder();
+    let distilled = "\n[[rows]]\nname = \"distilled\"\nvariant = \"distilled\"\n";
+    let path = write_plan(keep.path(), &(PLAN.to_owned() + distilled));
+    let (plan, out) = (
+        Plan::read(&path, None).expect("a plan"),
+        keep.path().join("out"),
+    );
+    let options = Options {
+        only: "/0".into(),
+        ..options(&out)
+    };
+    let done = compare(&plan, &options, &mut Notes::default()).expect("three cells");
+    let field = |row: &str| {
+        let cell = done.cells.iter().find(|cell| cell.id.row == row);
+        cell.expect("a cell").figures.field
+    };
+    assert_eq!(field("vote"), None, "it reads no features");
+    let [lifted, learned] = ["ours, count", "distilled"].map(|row| field(row).expect("scores"));
+    for scores in [lifted, learned] {
+        assert!(
+            scores.calinski_harabasz.is_some_and(|ch| ch > 0.0),
+            "{scores:?}"
+        );
+        assert!(
+            scores.davies_bouldin.is_some_and(|db| db > 0.0),
+            "{scores:?}"
+        );
+        assert!(scores.seconds > 0.0, "{scores:?}");
+    }
+    let figures = done.cells.iter().find(|cell| cell.id.row == "distilled");
+    let figures = figures.expect("a cell").figures;
+    assert_eq!(lifted.learnable_bytes, 0);
+    assert!((1..figures.learnable_bytes).contains(&learned.learnable_bytes));
+    assert!(
+        figures
+            .training_seconds
+            .is_some_and(|all| all > learned.seconds)
+    );
+
+    // Cells as they were before fields were scored.
+    for row in ["ours, count", "distilled", "vote"] {
+        let cell = out.join(format!("cells/plates/swapped/{row}/0.json"));
+        let mut json = read_json(&cell);
+        let figures = json["figures"].as_object_mut().expect("figures");
+        figures.remove("field").expect("written by this program");
+        std::fs::write(&cell, json.to_string()).expect("written");
+    }
+    let mut notes = Notes::default();
+    let read = compare(&plan, &options, &mut notes).expect("three cells");
+    assert!(notes.begun.is_empty(), "{:?}", notes.begun);
+    assert_eq!(scores(&read.cells), scores(&done.cells));
+    assert!(read.cells.iter().all(|cell| cell.figures.field.is_none()));
+    let tables = [&done.cells, &read.cells].map(|cells| Tables::new(&plan, cells, "a command"));
+    let [new, old] = tables.map(|tables| tables.markdown());
+    assert!(new.contains("| CH | DB | features, s |"), "{new}");
+    assert!(!old.contains("| CH |"), "{old}");
+}

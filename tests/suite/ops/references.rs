@@ -117,13 +117,9 @@ fn stage_two(config: &Config) -> StageTwo {
     let kept = lifted.kept.iter();
     let labels = kept.map(|&i| labels[i as usize]).collect();
     let inputs = Inputs {
-        scene: &scene,
-        gaussians: &gaussians,
         lifted: Some(lifted),
-        semantics: None,
-        config,
         settings,
-        device: &device,
+        ..Inputs::new(&scene, &gaussians, config, &device)
     };
     let plan = Plan::new(&config.segmentation, LabelLoss::Ce, 0);
     let encodings = encode(&inputs, &config.spatial).expect("encoded");

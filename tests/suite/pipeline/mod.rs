@@ -3,6 +3,7 @@
 pub mod checkpoint;
 #[cfg(feature = "wgpu")]
 pub mod device_stage_two;
+pub mod feature_field;
 pub mod given;
 #[cfg(unix)]
 pub mod interrupt;

@@ -460,13 +460,8 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
         };
         let (scene, gaussians, settings) = (&scene, &gaussians, Settings::default());
         let inputs = Inputs {
-            scene,
-            gaussians,
-            lifted: None,
-            semantics: None,
-            config: &config,
             settings,
-            device: &device,
+            ..Inputs::new(scene, gaussians, &config, &device)
         };
         let variant = Variant::NoImageFeatures;
         let input = encode(&inputs, &config.spatial).expect("encoded");

@@ -1,0 +1,135 @@
+//! The columns of the tables.
+
+use super::statistics::best;
+use super::{Figures, Statistic};
+
+/// A column of the tables.
+pub(super) struct Column {
+    /// In JSON.
+    pub key: &'static str,
+    /// In Markdown.
+    pub title: &'static str,
+    /// Of one, in the unit of the title.
+    pub unit: f64,
+    decimals: usize,
+    best: Best,
+    /// What it shows of a cell.
+    pub of: fn(&Figures) -> Option<f64>,
+}
+
+/// Which figure of a column is the best, set in bold.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Best {
+    Highest,
+    Lowest,
+    /// Costs are not compared.
+    None,
+}
+
+impl Column {
+    const fn score(
+        key: &'static str,
+        title: &'static str,
+        of: fn(&Figures) -> Option<f64>,
+    ) -> Self {
+        Self {
+            best: Best::Highest,
+            ..Self::cost(key, title, (100.0, 1), of)
+        }
+    }
+
+    /// An index of clusters, in no unit.
+    const fn index(
+        key: &'static str,
+        title: &'static str,
+        best: Best,
+        decimals: usize,
+        of: fn(&Figures) -> Option<f64>,
+    ) -> Self {
+        Self {
+            best,
+            ..Self::cost(key, title, (1.0, decimals), of)
+        }
+    }
+
+    const fn cost(
+        key: &'static str,
+        title: &'static str,
+        (unit, decimals): (f64, usize),
+        of: fn(&Figures) -> Option<f64>,
+    ) -> Self {
+        Self {
+            key,
+            title,
+            unit,
+            decimals,
+            best: Best::None,
+            of,
+        }
+    }
+
+    /// The row that is the best beyond the spread, see [`best`].
+    pub fn best(&self, rows: &[Option<Statistic>], all: usize) -> Option<usize> {
+        match self.best {
+            Best::Highest => best(rows, all),
+            Best::Lowest => {
+                let negative = |row: &Option<Statistic>| {
+                    row.map(|row| Statistic {
+                        mean: -row.mean,
+                        ..row
+                    })
+                };
+                best(&rows.iter().map(negative).collect::<Vec<_>>(), all)
+            }
+            Best::None => None,
+        }
+    }
+
+    /// `52.3 ± 0.4`. A cost that is the same under all seeds has no spread.
+    pub fn shown(&self, statistic: &Statistic) -> String {
+        let number = |value: f64| format!("{:.*}", self.decimals, self.unit * value);
+        let mean = number(statistic.mean);
+        match statistic.spread {
+            Some(spread) if self.best != Best::None || number(spread) != number(0.0) => {
+                format!("{mean} ± {}", number(spread))
+            }
+            _ => mean,
+        }
+    }
+}
+
+pub(super) const MIOU: Column = Column::score("miou", "mIoU, %", |f| f.miou);
+pub(super) const FRAMES: Column = Column::cost("frames_per_second", "frames/s", (1.0, 1), |f| {
+    f.frames_per_second
+});
+pub(super) const SECONDS: Column = Column::cost("seconds", "seconds", (1.0, 0), Figures::seconds);
+
+/// Those of every table.
+pub(super) static COLUMNS: [Column; 8] = [
+    MIOU,
+    Column::score("miou_per_view", "mIoU per view, %", |f| f.miou_per_view),
+    Column::score("accuracy", "accuracy, %", |f| f.accuracy),
+    Column::score("boundary_iou", "boundary IoU, %", |f| f.boundary_iou),
+    FRAMES,
+    Column::cost("learnable_bytes", "learnable, MB", (1e-6, 2), |f| {
+        Some(f.learnable_bytes as f64)
+    }),
+    SECONDS,
+    Column::cost("psnr", "PSNR, dB", (1.0, 2), |f| f.psnr),
+];
+
+/// Those of feature fields, in tables that have some.
+pub(super) static FIELD_COLUMNS: [Column; 4] = [
+    Column::index("calinski_harabasz", "CH", Best::Highest, 1, |f| {
+        f.field?.calinski_harabasz
+    }),
+    Column::index("davies_bouldin", "DB", Best::Lowest, 2, |f| {
+        f.field?.davies_bouldin
+    }),
+    Column::cost("field_seconds", "features, s", (1.0, 0), |f| {
+        Some(f.field?.seconds)
+    }),
+    Column::cost("field_bytes", "features, MB", (1e-6, 2), |f| {
+        Some(f.field?.learnable_bytes as f64)
+    }),
+];

@@ -1,0 +1,64 @@
+//! What training and scoring of a variant gives.
+
+use super::evaluate::{FieldScores, HeldOutScores};
+use crate::config::Variant;
+use crate::metrics::{Agreement, Compactness, LabelScores};
+use crate::objects::Identities;
+use crate::progress::CurvePoint;
+
+/// One variant, trained and scored.
+#[derive(Clone, Debug)]
+pub struct VariantOutcome {
+    /// Which.
+    pub row: Variant,
+    /// What the Gaussians store; none for the raw labels themselves, and where training was stopped before its end.
+    pub identities: Option<Identities>,
+    /// Held-out scores.
+    pub scores: HeldOutScores,
+    /// Held-out scores with void predictions left out; raw labels only.
+    pub void_left_out: Option<LabelScores>,
+    /// How compact the identities are.
+    pub compactness: Option<Compactness>,
+    /// How far the raw labels agree about the Gaussians; of the vote.
+    pub agreement: Option<Agreement>,
+    /// Scores of the feature field that it reads in all scales, where these were asked for.
+    pub field: Option<FieldScores>,
+    /// Training curve; empty where nothing was trained.
+    pub curve: Vec<CurvePoint>,
+    /// Bytes of everything learned.
+    pub learnable_bytes: usize,
+    /// Learning rate, where there is one.
+    pub rate: Option<f64>,
+    /// Share of the vote in the identities of a decoder.
+    pub vote_share: Option<f64>,
+    /// Seconds of training.
+    pub seconds: f64,
+    /// The share of them of earlier parts of a resumed run.
+    pub earlier_seconds: f64,
+}
+
+impl VariantOutcome {
+    /// A variant without identities or training.
+    pub(super) fn new(row: Variant, scores: HeldOutScores) -> Self {
+        Self {
+            row,
+            identities: None,
+            scores,
+            void_left_out: None,
+            compactness: None,
+            agreement: None,
+            field: None,
+            curve: Vec::new(),
+            learnable_bytes: 0,
+            rate: None,
+            vote_share: None,
+            seconds: 0.0,
+            earlier_seconds: 0.0,
+        }
+    }
+
+    /// The variant's name in settings and reports.
+    pub fn name(&self) -> &'static str {
+        self.row.key()
+    }
+}
