@@ -5,10 +5,22 @@
 //! the paper where it states a choice; `docs/settings.md` names the rest.
 //!
 //! ```text
-//! photos -> reconstruct -> (associate) -> lift -> encode -> decode -> identities -> label maps and objects
+//!  data::load               photos, cameras, label maps                    data::Scene
+//!      |
+//!  reconstruct              stage one: Gaussians from photos               splat::Gaussians
+//!      |
+//! (associate)               segments of single views become objects        data::Scene with one id for each object
+//!      |
+//!  lift                     2D features onto Gaussians, Eq. 5              LiftedFeatures, pruned Gaussians
+//!      |
+//!  encode                   RandLA-Net features of the centres, Eq. 6      pipeline::Encodings, then DecoderInput
+//!      |
+//!  train_decoder            decoder (Eq. 7) under the CoSeg loss (Eq. 10)  objects::Identities, [N, classes]
+//!      |
+//!  evaluate, report, viewer label maps of held-out views, scores, pages    metrics.json, report.html, viewer.html, scene.ply
 //! ```
 //!
-//! [`pipeline::run`] calls these steps in order. `docs/architecture.md` has the pipeline with its types.
+//! [`pipeline::run`] calls these steps in order. `docs/architecture.md` says where each equation of the paper is computed.
 //!
 //! | paper | module |
 //! |---|---|

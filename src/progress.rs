@@ -84,7 +84,7 @@ impl<'p> Viewing<'p> {
     }
 
     /// Reports `more` views, and asks whether to continue.
-    pub fn looked(&mut self, more: usize) -> ControlFlow<()> {
+    pub fn advance(&mut self, more: usize) -> ControlFlow<()> {
         if more > 0 {
             self.done += more;
             self.progress.event(&Event::Viewed { done: self.done });

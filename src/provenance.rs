@@ -36,7 +36,7 @@ enum Data {
     Labels,
     ImageFeatures,
     PointEncoder,
-    /// What scores are of.
+    /// Labels of the held-out views, which scores compare with.
     HeldOut,
 }
 

@@ -121,7 +121,7 @@ pub fn open_gpu() -> Result<Device> {
         None => Ok(device),
         Some(lacks) => Err(Error::Device {
             device: BackendName::Wgpu.to_string(),
-            reason: format!("its adapter is no match for the kernels: {lacks}"),
+            reason: format!("its adapter lacks what the kernels need: {lacks}"),
             help: "choose another adapter or backend".into(),
         }),
     }
@@ -350,7 +350,7 @@ fn unsuited(name: BackendName, device: &Device) -> Option<String> {
         .map(|adapter| format!("the only adapter is {adapter}, a software one"));
     let lacks = || {
         Some(format!(
-            "its adapter is no match for the kernels: {}",
+            "its adapter lacks what the kernels need: {}",
             shortfall(device)?
         ))
     };

@@ -1,8 +1,6 @@
 //! A labelled PLY scene with the names of its labels: what commands about objects work on.
 
-use super::scene_file::{
-    CLASSES, classes_beside, copy_cameras, has_extension, read_scene, scene_path,
-};
+use super::scene_file::{CLASSES, classes_beside, copy_cameras, read_scene, scene_path};
 use clap::Args;
 use coseg::data::{Classes, LoadOptions, atomic, check_output_file};
 use coseg::error::{Error, Result, bail, ensure, invalid};

@@ -56,7 +56,8 @@ impl RunFolder {
     }
 
     /// Starts or resumes the run with `command` and the settings `config`. A new run gets both files at once, so that it can
-    /// be resumed however it ends. An earlier run may still refuse these settings: it keeps its own until the end.
+    /// be resumed however it ends. A resumed run keeps its earlier settings file until it
+    /// succeeds: it may still refuse these.
     ///
     /// # Errors
     /// [`coseg::Error::Io`] naming the file; [`coseg::Error::Argument`] for settings that TOML cannot hold.

@@ -44,7 +44,7 @@ pub fn report_panics() {
             .location()
             .map_or(String::new(), |l| format!(" at {}:{}", l.file(), l.line()));
         note(&format!(
-            "error: coseg {} met a fault of its own{place}: {}\n\
+            "error: coseg {} has an internal error{place}: {}\n\
              This is a bug. Please report it with the command line. Checkpoints and results written before are intact.",
             env!("CARGO_PKG_VERSION"),
             text.unwrap_or("no message"),

@@ -1,4 +1,4 @@
-//! A look at gradients on their way to the optimiser: whether all are finite, read together with the loss.
+//! Checks that all gradients are finite, in one readback with the loss.
 
 use super::sum_all;
 use crate::backend::device::read;

@@ -39,8 +39,8 @@ pub fn associate(
     let (clock, settings) = (Instant::now(), Settings::from(&config.raster));
     let steps = Association::steps(scene, &config.association);
     let mut viewing = Viewing::begin(progress, "association", steps);
-    let looked = &mut |views| viewing.looked(views);
-    let found = objects::associate(gaussians, scene, &config.association, &settings, looked)?;
+    let advance = &mut |views| viewing.advance(views);
+    let found = objects::associate(gaussians, scene, &config.association, &settings, advance)?;
     let Some(found) = found else {
         return Ok(None);
     };

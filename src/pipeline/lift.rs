@@ -50,8 +50,8 @@ impl LiftedFeatures {
         let views = scene.split(Split::Train).count();
         let mut viewing = Viewing::begin(progress, "features", views);
         let (features, seed) = (&config.features, config.seed);
-        let looked = &mut || viewing.looked(1);
-        let reduction = Reduction::fit(scene, features, seed, device, looked)?;
+        let advance = &mut || viewing.advance(1);
+        let reduction = Reduction::fit(scene, features, seed, device, advance)?;
         let ControlFlow::Continue(mut reduction) = reduction else {
             return Ok(None);
         };
@@ -70,7 +70,7 @@ impl LiftedFeatures {
             &config.unprojection,
             settings,
             device,
-            &mut || viewing.looked(1),
+            &mut || viewing.advance(1),
         )?;
         let ControlFlow::Continue(lifted) = lifted else {
             return Ok(None);

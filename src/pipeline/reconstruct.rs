@@ -16,9 +16,9 @@ use std::time::Instant;
 /// Checkpoint of stage one.
 const BUILDING: &str = "building.safetensors";
 /// Provenance of Gaussians that were taken as they are.
-const GIVEN: &str = "given.safetensors";
+const INITIAL: &str = "initial.safetensors";
 /// Kind of the second file.
-const GIVEN_KIND: &str = "given Gaussians";
+const INITIAL_KIND: &str = "initial Gaussians";
 
 /// Result of stage one.
 pub(crate) struct Reconstruction {
@@ -32,7 +32,7 @@ pub(crate) struct Reconstruction {
     pub earlier: f64,
     /// Whether the stage came to its end; otherwise `progress` stopped it.
     pub complete: bool,
-    /// Whether this part of the run did any of it.
+    /// Whether this part of the run trained or took them.
     new: bool,
 }
 
@@ -57,8 +57,8 @@ impl RunFiles {
         self.checkpoints.join(BUILDING)
     }
 
-    fn given(&self) -> PathBuf {
-        self.checkpoints.join(GIVEN)
+    fn initial(&self) -> PathBuf {
+        self.checkpoints.join(INITIAL)
     }
 }
 
@@ -103,20 +103,20 @@ fn take(
     config: &Config,
     files: &RunFiles,
 ) -> Result<Reconstruction> {
-    let (built, given) = (files.building(), files.given());
+    let (built, initial) = (files.building(), files.initial());
     let provenance = Provenance::initial_scene(config, scene, &gaussians);
     if built.is_file() {
         let stored = TrainerState::load(&built)?.provenance;
         provenance.check(&stored, false, &built)?;
     }
-    let new = !given.is_file();
+    let new = !initial.is_file();
     if new {
-        let mut checkpoint = Checkpoint::new(GIVEN_KIND);
+        let mut checkpoint = Checkpoint::new(INITIAL_KIND);
         checkpoint.set("provenance", &provenance)?;
-        checkpoint.save(&given)?;
+        checkpoint.save(&initial)?;
     } else {
-        let stored = Checkpoint::load(&given, GIVEN_KIND)?.get("provenance")?;
-        provenance.check(&stored, false, &given)?;
+        let stored = Checkpoint::load(&initial, INITIAL_KIND)?.get("provenance")?;
+        provenance.check(&stored, false, &initial)?;
     }
     Ok(Reconstruction {
         gaussians: gaussians.select(&gaussians.spatial_order()),
@@ -137,10 +137,10 @@ fn build(
     device: &Device,
     progress: &mut dyn Progress,
 ) -> Result<Reconstruction> {
-    let (checkpoint, given) = (files.building(), files.given());
-    if given.is_file() {
-        let stored = Checkpoint::load(&given, GIVEN_KIND)?.get("provenance")?;
-        Provenance::stage_one(config, scene).check(&stored, false, &given)?;
+    let (checkpoint, taken) = (files.building(), files.initial());
+    if taken.is_file() {
+        let stored = Checkpoint::load(&taken, INITIAL_KIND)?.get("provenance")?;
+        Provenance::stage_one(config, scene).check(&stored, false, &taken)?;
     }
     let state = match initial {
         _ if checkpoint.is_file() => Some(TrainerState::load(&checkpoint)?),

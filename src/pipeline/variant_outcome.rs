@@ -9,7 +9,7 @@ use crate::progress::CurvePoint;
 /// One variant, trained and scored.
 #[derive(Clone, Debug)]
 pub struct VariantOutcome {
-    /// Which.
+    /// The variant.
     pub row: Variant,
     /// What the Gaussians store; none for the raw labels themselves, and where training was stopped before its end.
     pub identities: Option<Identities>,

@@ -53,7 +53,7 @@ pub fn train_variants(
     let mut rows: Vec<VariantOutcome> = Vec::new();
     let mut stopped = false;
     for &variant in variants {
-        // Where nothing is left there is nothing to stop.
+        // The first variant always runs.
         stopped = !rows.is_empty() && progress.stop();
         if stopped {
             break;
@@ -241,9 +241,10 @@ impl<'a> StageTwo<'a> {
         if let Some(scores) = self.lifted.get() {
             return Ok(*scores);
         }
-        let scores = match self.inputs.scores_fields {
-            true => FieldScores::of_lifted(self.inputs)?,
-            false => None,
+        let scores = if self.inputs.scores_fields {
+            FieldScores::of_lifted(self.inputs)?
+        } else {
+            None
         };
         Ok(*self.lifted.get_or_init(|| scores))
     }

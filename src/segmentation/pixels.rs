@@ -171,7 +171,7 @@ impl FrozenGaussians {
         min_coverage: f32,
     ) -> Result<(Vec<u32>, Vec<u32>, PixelWeights)> {
         let (splats, camera) = (view.splats(), view.camera());
-        // Next to nothing is blended: the transmittance is what is asked for.
+        // One channel of zeros: only the transmittance is used.
         let nothing = Tensor::<2>::zeros([splats.len(), 1], &splats.device());
         let transmittance = read("transmittance", view.blend(nothing)?.1)?;
         let mut pixels = wanted;

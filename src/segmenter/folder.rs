@@ -146,7 +146,7 @@ struct Work<'a> {
     network: &'a Network,
     mapping: &'a Mapping,
     best: usize,
-    /// What labels follow from, the photo aside.
+    /// Everything that labels follow from, except the photo.
     recipe: String,
     index: Mutex<Index>,
 }
@@ -178,7 +178,7 @@ impl Work<'_> {
                     Err(error) if result.is_ok() => result = Err(error),
                     Err(_) => {}
                 }
-                if result.is_err() || viewing.looked(1) == ControlFlow::Break(()) {
+                if result.is_err() || viewing.advance(1) == ControlFlow::Break(()) {
                     stop.store(true, Ordering::Relaxed);
                 }
             }

@@ -30,11 +30,13 @@ impl Gaussians {
         } else {
             0.0
         };
-        let code = |p: &[f32; 3]| match finite(&p) {
-            true => (0..3)
+        let code = |p: &[f32; 3]| {
+            if !finite(&p) {
+                return u64::MAX;
+            }
+            (0..3)
                 .map(|a| spread(((f64::from(p[a]) - f64::from(low[a])) * cells) as u64) << a)
-                .sum(),
-            false => u64::MAX,
+                .sum()
         };
         let codes: Vec<u64> = self.means.iter().map(code).collect();
         let mut order: Vec<u32> = (0..self.len() as u32).collect();

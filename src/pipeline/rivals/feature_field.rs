@@ -88,7 +88,7 @@ pub fn distil(
 ) -> Result<Option<Distilled>> {
     let clock = Instant::now();
     let config = inputs.config;
-    let mut looked = || {
+    let mut advance = || {
         if progress.stop() {
             ControlFlow::Break(())
         } else {
@@ -96,7 +96,7 @@ pub fn distil(
         }
     };
     let (features, seed) = (&config.features, config.seed);
-    let reduction = Reduction::fit(inputs.scene, features, seed, inputs.device, &mut looked)?;
+    let reduction = Reduction::fit(inputs.scene, features, seed, inputs.device, &mut advance)?;
     let ControlFlow::Continue(mut reduction) = reduction else {
         return Ok(None);
     };

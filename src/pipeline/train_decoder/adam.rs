@@ -85,7 +85,7 @@ impl Adam {
         named
     }
 
-    /// Takes back what [`Adam::state`] gave, on `device`. `None` when a name is missing.
+    /// Restores the state of [`Adam::state`] on `device`. `None` when a name is missing.
     pub fn restore(
         &mut self,
         state: &dyn Fn(&str) -> Option<Vec<f32>>,

@@ -209,7 +209,7 @@ impl SplatView {
             #[cfg(feature = "cube")]
             ProjectedView::Gpu(_) => Err(crate::error::Error::Device {
                 device: "the GPU of this view".into(),
-                reason: "it blends anew and has no stored weights".into(),
+                reason: "views on a GPU store no blending weights".into(),
                 help: "use `blend`".into(),
             }),
         }

@@ -118,9 +118,12 @@ pub fn adc<'a>(
     let (means, log_scales) = rows
         .iter()
         .enumerate()
-        .map(|(k, &i)| match k < copies {
-            true => (old.means[i], old.log_scales[i]),
-            false => child(&old, i, rng),
+        .map(|(k, &i)| {
+            if k < copies {
+                (old.means[i], old.log_scales[i])
+            } else {
+                child(&old, i, rng)
+            }
         })
         .unzip();
     Ok(Densification {

@@ -55,9 +55,12 @@ impl Densification {
 
     /// Moments of the new rows; `old` is `[N, width]` row-major.
     pub fn moments(&self, old: &[f32], width: usize) -> Vec<f32> {
-        let row = |(&row, &is_new): (&u32, &bool)| match is_new {
-            true => vec![0.0; width],
-            false => old[row as usize * width..][..width].to_vec(),
+        let row = |(&row, &is_new): (&u32, &bool)| {
+            if is_new {
+                vec![0.0; width]
+            } else {
+                old[row as usize * width..][..width].to_vec()
+            }
         };
         self.rows.iter().zip(&self.is_new).flat_map(row).collect()
     }

@@ -91,7 +91,7 @@ impl Unprojected {
 }
 
 /// Lifts `features` of `views` (the training views, in this order) onto `gaussians`, of the pixels that the views' masks use. The
-/// sums are made on `device`. The features of a view are dropped before the next ones are requested. Calls `looked` after each
+/// sums are made on `device`. The features of a view are dropped before the next ones are requested. Calls `advance` after each
 /// view, and stops where that breaks.
 ///
 /// # Errors
@@ -104,7 +104,7 @@ pub fn unproject<'a, F: Borrow<ViewFeatures>, B>(
     config: &UnprojectionConfig,
     settings: &Settings,
     device: &Device,
-    looked: &mut dyn FnMut() -> ControlFlow<B>,
+    advance: &mut dyn FnMut() -> ControlFlow<B>,
 ) -> Result<ControlFlow<B, Unprojected>> {
     let views: Vec<&View> = views.collect();
     let mut lifted: Option<LiftedViews<'_>> = None;
@@ -128,7 +128,7 @@ pub fn unproject<'a, F: Borrow<ViewFeatures>, B>(
                 config.resolution,
                 settings,
             )?;
-        if let ControlFlow::Break(reason) = looked() {
+        if let ControlFlow::Break(reason) = advance() {
             return Ok(ControlFlow::Break(reason));
         }
     }

@@ -41,12 +41,12 @@ pub fn level_up(cameras: &[Camera]) -> DVec3 {
         spread +=
             DMat3::from_cols(right * right.x, right * right.y, right * right.z) * count.recip();
     }
-    let roll = match spread.is_finite() {
-        true => Matrix3::from_column_slice(&spread.to_cols_array())
-            .symmetric_eigenvalues()
-            .min(),
-        false => f64::NAN,
-    };
+    if !spread.is_finite() {
+        return own;
+    }
+    let roll = Matrix3::from_column_slice(&spread.to_cols_array())
+        .symmetric_eigenvalues()
+        .min();
     if roll.is_nan() || roll > LARGEST_ROLL {
         return own;
     }

@@ -76,7 +76,7 @@ fn a_model_that_is_not_called_0_is_found_and_damage_is_told_of() {
         "colmap"
     );
     assert!(notices(dir).iter().all(|n| !n.contains("could not join")));
-    // A part of a model is not preferred, whatever it claims; without a whole one it is what is told of.
+    // A part of a model is not preferred, whatever it claims; without a whole model, the part is reported.
     fs::create_dir_all(dir.join("sparse/0")).expect("folder");
     binary(&dir.join("sparse/0"), &pinhole());
     fs::remove_file(dir.join("sparse/0/cameras.bin")).expect("remove");

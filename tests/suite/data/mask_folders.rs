@@ -1,4 +1,4 @@
-//! Folders of masks: which one is looked into, how files in it are named, when none is, and what is told of them.
+//! Folders of masks: which one is looked into, how files in it are named, when none is, and what is reported.
 
 use crate::cli::commands::{succeeds, utf8};
 use crate::data::blender;
@@ -148,7 +148,7 @@ fn points_of_depth_images_are_not_of_what_is_left_out() {
         .map(|i| whole.positions[i])
         .collect();
     assert_eq!(rest.positions, right);
-    // A mask that cannot be read is told of once.
+    // A mask that cannot be read is reported once.
     fs::write(folder.path().join("people/3.png"), b"\x89PNG\r\n\x1a\n").unwrap();
     let problems = check(folder.path(), &named("people")).problems;
     assert_eq!(problems.len(), 1, "{problems:?}");

@@ -274,7 +274,7 @@ fn masks_of_colmap_projects_are_found_by_name() {
         checked.problems.is_empty() && checked.notices.iter().any(|n| n == told),
         "{checked:?}"
     );
-    // Another folder, which has to be there; one of other names is told of.
+    // Another folder, which has to exist. One with other names is reported.
     let named = |name: &str| LoadOptions {
         masks: Some(name.into()),
         ..LoadOptions::default()

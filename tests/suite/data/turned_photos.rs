@@ -1,4 +1,4 @@
-//! Photos whose EXIF data ask programs to turn them: label maps of those that were turned do not fit, and are told of as that.
+//! Photos whose EXIF data ask programs to turn them: label maps of the turned photos do not fit, and the error says so.
 
 use crate::support::plates::{HEIGHT, WIDTH, scene};
 use coseg::data::check;

@@ -420,7 +420,7 @@ fn bad_input_is_an_error() {
             (8, "label 5 2")
         ]
     );
-    // Ids below are taken where none is left above, and too many pieces are told of.
+    // Lower ids are taken where no higher one is left. Too many pieces are reported.
     let found = separated(&parts, &[65_535; 6]);
     assert_eq!(found.labels, [vec![65_535; 3], vec![3; 3]].concat());
     let lone: Vec<_> = (0..66_000)

@@ -4,7 +4,7 @@ pub mod checkpoint;
 #[cfg(feature = "wgpu")]
 pub mod device_stage_two;
 pub mod feature_field;
-pub mod given;
+pub mod initial_scene;
 #[cfg(unix)]
 pub mod interrupt;
 pub mod provenance;

@@ -226,21 +226,21 @@ fn other_data_is_told_by_the_setting_that_made_it_so() {
         edit(&mut config);
         config
     };
-    let given = "given.safetensors";
+    let initial = "initial.safetensors";
     refused_by(
         &with(&|c| c.data.stride = 2),
         &out,
-        ["data.stride", "2", "1", given],
+        ["data.stride", "2", "1", initial],
     );
     refused_by(
         &with(&|c| c.data.max_frames = 2),
         &out,
-        ["data.max_frames", "2", "0", given],
+        ["data.max_frames", "2", "0", initial],
     );
     refused_by(
         &with(&|c| c.data.max_side = 40),
         &out,
-        ["data.max_side", "40", "1600", given],
+        ["data.max_side", "40", "1600", initial],
     );
     for name in ["same", "other"] {
         fs::create_dir(dir.join(name)).expect("folder");

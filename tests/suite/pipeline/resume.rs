@@ -1,4 +1,4 @@
-//! A run that was stopped and gone on with is the run that was not; a checkpoint of another run is refused.
+//! A resumed run equals an uninterrupted one; a checkpoint of another run is refused.
 
 use coseg::config::{
     BuildingConfig, Config, Encode, LabelLoss, LabelSource, SegmentationConfig, Variant,

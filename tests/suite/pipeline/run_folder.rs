@@ -1,4 +1,4 @@
-//! A run folder that is gone on with.
+//! A run folder that is resumed.
 
 use crate::cli::commands::{fails, read_json, short_run, succeeds, utf8};
 use crate::support::plates::scene;

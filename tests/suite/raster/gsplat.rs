@@ -111,9 +111,10 @@ fn compare(what: &str, got: &[(String, Vec<f64>)]) -> Vec<(String, f64)> {
     let errors = got.iter().map(|(name, got)| {
         let want = read(name).0;
         assert_eq!(got.len(), want.len(), "{name}");
-        let scale = match name.starts_with("d_") {
-            true => (want.iter().map(|v| v * v).sum::<f64>() / want.len() as f64).sqrt(),
-            false => want.iter().fold(0.0, |m: f64, v| m.max(v.abs())),
+        let scale = if name.starts_with("d_") {
+            (want.iter().map(|v| v * v).sum::<f64>() / want.len() as f64).sqrt()
+        } else {
+            want.iter().fold(0.0, |m: f64, v| m.max(v.abs()))
         };
         assert!(scale > 0.0, "{name}: nothing to compare");
         assert!(got.iter().all(|v| v.is_finite()), "{name}");

@@ -436,9 +436,10 @@ fn noise_is_that_of_the_formula() {
             .flat_map(|i| {
                 let [w, x, y, z] = g.rotations[i].map(f64::from);
                 let raw = DQuat::from_xyzw(x, y, z, w);
-                let rotation = match raw.length_squared() < 1e-12 {
-                    true => DQuat::IDENTITY,
-                    false => raw.normalize(),
+                let rotation = if raw.length_squared() < 1e-12 {
+                    DQuat::IDENTITY
+                } else {
+                    raw.normalize()
                 };
                 let eta = DVec3::from_slice(&[0, 1, 2].map(|k| f64::from(drawn[3 * i + k])));
                 let variance = DVec3::from(g.log_scales[i].map(|s| (2.0 * f64::from(s)).exp()));
