@@ -1,6 +1,6 @@
 //! `coseg data`: checks or describes a scene folder, or suggests photos to label.
 
-use super::scene_file::{read_scene, scene_path};
+use super::scene_file::{has_extension, read_scene, scene_path};
 use super::{Settings, fault_list, terminal};
 use clap::{Args, Subcommand};
 use coseg::data::{self, Info, LoadOptions, atomic};
@@ -8,7 +8,7 @@ use coseg::error::{Result, ensure};
 use coseg::pipeline::suggest;
 use coseg::report::pictures;
 use coseg::report::sheet::contact_sheet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Pictures on a contact sheet, at most, and pixels across each.
 const SHEET: (usize, u32) = (25, 200);
@@ -134,11 +134,26 @@ impl CheckArgs {
 }
 
 impl InfoArgs {
+    /// Refuses a sheet that would take the place of a file of the scene. Not every file in its folder is known, depth maps for
+    /// instance, so none of them is replaced.
+    fn check_sheet(&self, path: &Path, options: &LoadOptions) -> Result<()> {
+        data::check_output_file("--sheet", path, (&self.dir, options))?;
+        ensure!(has_extension(path, "png"), argument "--sheet"; found "{}", path.display();
+            expected "a .png file"; help "end the name in .png");
+        let is_in_scene = || match (path.canonicalize(), self.dir.canonicalize()) {
+            (Ok(path), Ok(dir)) => path.starts_with(dir),
+            _ => false,
+        };
+        ensure!(!is_in_scene(), argument "--sheet"; found "{}, a file in the folder of the scene", path.display();
+            expected "a new file, or one in another folder"; help "name another file");
+        Ok(())
+    }
+
     fn run(self) -> Result<()> {
         let config = self.settings.load(Some(&self.dir), None)?;
         let options = LoadOptions::for_training(&config);
         if let Some(path) = &self.sheet {
-            data::check_output_file("--sheet", path, "png", (&self.dir, &options))?;
+            self.check_sheet(path, &options)?;
         }
         let info = data::info(&self.dir, &options)?;
         if let Some(path) = &self.sheet {

@@ -39,25 +39,20 @@ pub fn check_outputs(
     Ok(())
 }
 
-/// Refuses to write `file` where it is a photo, a label map, a mask, the cloud, the class table or, by its extension, any other file
-/// of the scene in folder `dir`: one that is there has to end in `extension`, which no camera file does.
+/// Refuses to write `file` where it is a photo, a label map, a mask, the cloud or the class table of the scene in folder `dir`.
 ///
 /// # Errors
 /// [`crate::Error::Argument`].
 pub fn check_output_file(
     option: &str,
     file: &Path,
-    extension: &str,
     (dir, options): (&Path, &LoadOptions),
 ) -> Result<()> {
     let place = absolute(file);
-    let ends = place
-        .extension()
-        .is_some_and(|end| end.eq_ignore_ascii_case(extension));
-    ensure!(ends, argument "{option}"; found "{}", file.display(); expected "a .{extension} file";
-        help "end the name in .{extension}");
-    let own = files_read(dir, options);
-    ensure!(own.iter().all(|file| absolute(file) != place),
+    let own = files_read(dir, options)
+        .into_iter()
+        .chain([dir.join("classes.json")]);
+    ensure!(own.map(|file| absolute(&file)).all(|file| file != place),
         argument "{option}"; found "{}, a file of the scene", file.display();
         expected "another file"; help "name a new file");
     Ok(())

@@ -273,7 +273,15 @@ fn no_command_writes_into_a_scene() {
             assert!(snapshot(&dir) == before, "{line:?}");
         }
     }
-    for file in ["images/v0.png", "transforms.json", "classes.json"] {
+    let depth = dir.join("depth.png");
+    std::fs::write(&depth, "not read").expect("write");
+    let before = snapshot(&dir);
+    for file in [
+        "images/v0.png",
+        "transforms.json",
+        "classes.json",
+        "depth.png",
+    ] {
         let file = utf8(&dir.join(file)).to_owned();
         assert!(fails(&["data", "info", &data, "--sheet", &file], 1).contains("--sheet"));
         assert!(snapshot(&dir) == before, "{file}");
