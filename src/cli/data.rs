@@ -134,18 +134,18 @@ impl CheckArgs {
 }
 
 impl InfoArgs {
-    /// Refuses a sheet that would take the place of a file of the scene. Not every file in its folder is known, depth maps for
-    /// instance, so none of them is replaced.
+    /// Refuses a sheet that would take the place of a file of the scene. Not every file in its subfolders is known, depth maps for
+    /// instance, so none of them is replaced. An earlier sheet in the folder itself may be.
     fn check_sheet(&self, path: &Path, options: &LoadOptions) -> Result<()> {
         data::check_output_file("--sheet", path, (&self.dir, options))?;
         ensure!(has_extension(path, "png"), argument "--sheet"; found "{}", path.display();
             expected "a .png file"; help "end the name in .png");
-        let is_in_scene = || match (path.canonicalize(), self.dir.canonicalize()) {
-            (Ok(path), Ok(dir)) => path.starts_with(dir),
+        let is_in_subfolder = match (path.canonicalize(), self.dir.canonicalize()) {
+            (Ok(path), Ok(dir)) => path.starts_with(&dir) && path.parent() != Some(&dir),
             _ => false,
         };
-        ensure!(!is_in_scene(), argument "--sheet"; found "{}, a file in the folder of the scene", path.display();
-            expected "a new file, or one in another folder"; help "name another file");
+        ensure!(!is_in_subfolder, argument "--sheet"; found "{}, a file within the scene", path.display();
+            expected "a new file, or one outside the scene's subfolders"; help "name another file");
         Ok(())
     }
 

@@ -273,14 +273,14 @@ fn no_command_writes_into_a_scene() {
             assert!(snapshot(&dir) == before, "{line:?}");
         }
     }
-    let depth = dir.join("depth.png");
-    std::fs::write(&depth, "not read").expect("write");
+    std::fs::create_dir(dir.join("depth")).expect("folder");
+    std::fs::write(dir.join("depth/v0.png"), "not read").expect("write");
     let before = snapshot(&dir);
     for file in [
         "images/v0.png",
         "transforms.json",
         "classes.json",
-        "depth.png",
+        "depth/v0.png",
     ] {
         let file = utf8(&dir.join(file)).to_owned();
         assert!(fails(&["data", "info", &data, "--sheet", &file], 1).contains("--sheet"));
