@@ -56,8 +56,7 @@ impl RunFolder {
     }
 
     /// Starts or resumes the run with `command` and the settings `config`. A new run gets both files at once, so that it can
-    /// be resumed however it ends. A resumed run keeps its earlier settings file until it
-    /// succeeds: it may still refuse these.
+    /// be resumed however it ends. A resumed run keeps its earlier settings file until it succeeds: it may still refuse these.
     ///
     /// # Errors
     /// [`coseg::Error::Io`] naming the file; [`coseg::Error::Argument`] for settings that TOML cannot hold.

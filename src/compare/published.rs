@@ -32,30 +32,18 @@ pub struct Published {
     pub seconds: Option<f64>,
 }
 
-/// Headings of the figures.
-const HEADINGS: [&str; 8] = [
-    "mIoU, %",
-    "accuracy, %",
-    "frames/s",
-    "learnable, MB",
-    "PSNR, dB",
-    "CH",
-    "DB",
-    "seconds",
-];
-
 impl Published {
-    /// The figures, in the order of the headings.
-    fn figures(&self) -> [Option<f64>; HEADINGS.len()] {
+    /// The figures with their headings.
+    fn figures(&self) -> [(&'static str, Option<f64>); 8] {
         [
-            self.miou,
-            self.accuracy,
-            self.frames_per_second,
-            self.learnable_mb,
-            self.psnr,
-            self.calinski_harabasz,
-            self.davies_bouldin,
-            self.seconds,
+            ("mIoU, %", self.miou),
+            ("accuracy, %", self.accuracy),
+            ("frames/s", self.frames_per_second),
+            ("learnable, MB", self.learnable_mb),
+            ("PSNR, dB", self.psnr),
+            ("CH", self.calinski_harabasz),
+            ("DB", self.davies_bouldin),
+            ("seconds", self.seconds),
         ]
     }
 
@@ -71,7 +59,8 @@ impl Published {
             ensure!(is_plain, path, "published, number {number}, {key}"; found "{text:?}";
                 expected "a line of text without |"; help "say what is printed where");
         }
-        let mut figures = self.figures().into_iter().flatten().peekable();
+        let figures = self.figures().into_iter();
+        let mut figures = figures.filter_map(|(_, figure)| figure).peekable();
         ensure!(figures.peek().is_some(), path, "published, number {number}"; found "no figure";
             expected "one or more of those of docs/compare.md"; help "give what is printed, or leave out the row");
         let wrong = figures.find(|figure| !(figure.is_finite() && *figure >= 0.0));
@@ -86,25 +75,28 @@ pub(super) fn table(rows: &[Published]) -> String {
     if rows.is_empty() {
         return String::new();
     }
-    let has = |column: &usize| rows.iter().any(|row| row.figures()[*column].is_some());
-    let columns: Vec<usize> = (0..HEADINGS.len()).filter(has).collect();
-    let headings: Vec<&str> = columns.iter().map(|&column| HEADINGS[column]).collect();
+    let figures: Vec<_> = rows.iter().map(Published::figures).collect();
+    let is_given = |column: &usize| figures.iter().any(|row| row[*column].1.is_some());
+    let columns: Vec<usize> = (0..figures[0].len()).filter(is_given).collect();
+    let headings: Vec<&str> = columns.iter().map(|&column| figures[0][column].0).collect();
     let mut text = format!(
         "\n## Published\n\nThese figures are as printed by their sources. They were measured on other data, by other programs and on \
          other machines, and are not comparable with those above.\n\n| | data | {} | source |\n|---|---|{}---|\n",
         headings.join(" | "),
         "---:|".repeat(columns.len())
     );
-    for row in rows {
+    for (row, figures) in rows.iter().zip(&figures) {
         let shown = |&column: &usize| {
-            let figure = row.figures()[column];
+            let figure = figures[column].1;
             figure.map_or("–".to_owned(), |figure| figure.to_string())
         };
-        let figures: Vec<String> = columns.iter().map(shown).collect();
-        let figures = figures.join(" | ");
+        let shown: Vec<String> = columns.iter().map(shown).collect();
         text += &format!(
-            "| {} | {} | {figures} | {} |\n",
-            row.name, row.data, row.source
+            "| {} | {} | {} | {} |\n",
+            row.name,
+            row.data,
+            shown.join(" | "),
+            row.source
         );
     }
     text

@@ -8,7 +8,7 @@ use crate::config::Config;
 use crate::data::{self, Classes, Scene, Split, View};
 use crate::error::{Error, Result, bail, ensure};
 use crate::metrics::ClassIou;
-use crate::pipeline::{self, VariantOutcome, load_scene};
+use crate::pipeline::{self, Scored, VariantOutcome, load_scene};
 use crate::progress::Progress;
 use crate::provenance::Provenance;
 use crate::random::{Purpose, stream};
@@ -275,7 +275,14 @@ impl<'a> Comparison<'a> {
         config.segmentation.rows = Some(jobs.iter().map(|job| job.row.variant).collect());
         let folder = self.options.out.join("runs").join(name).join(labels);
         let folder = folder.join(format!("{} {seed}", first.row.name));
-        let outcome = pipeline::run_on(scene.clone(), &config, true, &folder, self.device, watch)?;
+        let outcome = pipeline::run_on(
+            scene.clone(),
+            &config,
+            Scored::LabelsAndFeatures,
+            &folder,
+            self.device,
+            watch,
+        )?;
         if outcome.stopped {
             return Ok(false);
         }

@@ -92,9 +92,7 @@ impl LiftedFeatures {
             seconds: [extraction, clock.elapsed().as_secs_f64()],
         }))
     }
-}
 
-impl LiftedFeatures {
     /// Colours of the kept Gaussians by their features.
     ///
     /// # Errors

@@ -28,7 +28,7 @@ pub use self::encode::{Encodings, Inputs, encode};
 pub use self::evaluate::{FieldScores, HeldOut, HeldOutScores, Pictures, score_images};
 pub use self::initial_scene::compare_with_photos;
 pub use self::lift::{LiftedFeatures, Pruned};
-pub use self::run::{Outcome, Seconds, load_scene, run, run_on};
+pub use self::run::{Outcome, Scored, Seconds, load_scene, run, run_on};
 pub use self::suggest::{Suggestion, suggest};
 pub use self::variant_outcome::VariantOutcome;
 pub use self::variant_training::decoder_training;

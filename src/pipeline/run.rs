@@ -138,20 +138,28 @@ pub fn run(
     let start = Instant::now();
     let scene = load(config, LoadOptions::for_training)?;
     let loading = start.elapsed().as_secs_f64();
-    let mut outcome = run_on(scene, config, false, out, device, progress)?;
+    let mut outcome = run_on(scene, config, Scored::Labels, out, device, progress)?;
     outcome.seconds.total += loading;
     Ok(outcome)
 }
 
-/// As [`run`], on a scene that was loaded before. Scores feature fields too where `scores_fields` says so, see
-/// [`FieldScores`](super::FieldScores).
+/// What is scored on held-out views, besides photos.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scored {
+    /// Label maps.
+    Labels,
+    /// Label maps, and image features rendered from the Gaussians, see [`FieldScores`](super::FieldScores).
+    LabelsAndFeatures,
+}
+
+/// As [`run`], on a scene that was loaded before. Scores what `scored` says.
 ///
 /// # Errors
 /// Those of both stages, and of writing. Files written before stay.
 pub fn run_on(
     scene: Scene,
     config: &Config,
-    scores_fields: bool,
+    scored: Scored,
     out: &Path,
     device: &Device,
     progress: &mut dyn Progress,
@@ -171,7 +179,7 @@ pub fn run_on(
     // A run that is stopped ends without delay.
     let finished = complete && {
         outcome.test = score_images(&outcome.gaussians, &outcome.scene, config, device)?;
-        outcome.associate(progress)? && outcome.segment(scores_fields, &files, device, progress)?
+        outcome.associate(progress)? && outcome.segment(scored, &files, device, progress)?
     };
     outcome.stopped = !finished;
     outcome.seconds.total += start.elapsed().as_secs_f64();
@@ -200,7 +208,7 @@ impl Outcome {
     /// Stage two: lifts features, trains the variants and scores them. False where `progress` stopped it.
     fn segment(
         &mut self,
-        scores_fields: bool,
+        scored: Scored,
         files: &RunFiles,
         device: &Device,
         progress: &mut dyn Progress,
@@ -234,7 +242,7 @@ impl Outcome {
         let inputs = Inputs {
             lifted: lifted.features,
             semantics: self.semantics.as_ref(),
-            scores_fields,
+            scores_fields: scored == Scored::LabelsAndFeatures,
             ..Inputs::new(&self.scene, &self.gaussians, config, device)
         };
         let trained = train_variants(&inputs, &files.checkpoints, progress)?;
