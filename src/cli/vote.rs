@@ -6,7 +6,7 @@ use clap::Args;
 use coseg::config::Association;
 use coseg::data::Split;
 use coseg::error::{Result, bail, ensure};
-use coseg::objects::{pooled_vote, vote, weighted_vote};
+use coseg::objects::{pooled_vote, refined_vote, vote};
 use coseg::pipeline::{HeldOut, Inputs};
 use coseg::raster::Settings;
 use coseg::splat::ply;
@@ -49,9 +49,9 @@ impl VoteArgs {
         let views = || scene.split(Split::Train);
         let votes = vote(gaussians, views(), &scene.classes, &settings, &device)?;
         let identities = if self.pooled {
-            let weighted = || weighted_vote(gaussians, views(), &scene.classes, &settings, &device);
+            let refined = || refined_vote(gaussians, views(), &scene.classes, &settings, &device);
             let exponent = config.segmentation.prior_exponent;
-            pooled_vote(gaussians, &votes, weighted, exponent)?.identities
+            pooled_vote(gaussians, &votes, refined, exponent)?.identities
         } else {
             votes.identities()
         };

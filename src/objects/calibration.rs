@@ -38,10 +38,9 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// Fits the calibration to `votes`, with `exponent` instead of the usual one where it is given.
-    pub fn fit(votes: &PooledVotes, exponent: Option<f64>) -> Self {
+    /// Fits the calibration to `votes`, with class frequencies to the power of `exponent`.
+    pub fn fit(votes: &PooledVotes, exponent: f64) -> Self {
         let prior = prior(votes);
-        let exponent = exponent.unwrap_or(EXPONENT);
         let factor = |prior: &f64| prior.max(LEAST).powf(-exponent);
         let factors: Vec<f64> = prior.iter().map(factor).collect();
         let mut divided = votes.clone();
@@ -235,13 +234,21 @@ impl LabelErrors {
         }
     }
 
-    /// The share of the correction that such labels get, 0 to 1. Labels with few errors get none: what contradicts the winner there
-    /// is mostly blur at edges.
-    pub fn strength(&self) -> f64 {
-        let rise =
-            |value: f64, [low, high]: [f64; 2]| ((value - low) / (high - low)).clamp(0.0, 1.0);
-        rise(self.preference, PREFERENCES) * rise(self.share, ERROR_SHARES)
+    /// How far votes of such labels are pooled, 0 to 1. Labels with few errors are not: what contradicts the winner there is mostly
+    /// blur at edges.
+    pub fn pooling(&self) -> f64 {
+        rise(self.share, ERROR_SHARES)
     }
+
+    /// The exponent of class frequencies that pooled votes of such labels are divided by.
+    pub fn exponent(&self) -> f64 {
+        EXPONENT * rise(self.preference, PREFERENCES)
+    }
+}
+
+/// 0 up to `low`, 1 from `high` on, linear between them.
+fn rise(value: f64, [low, high]: [f64; 2]) -> f64 {
+    ((value - low) / (high - low)).clamp(0.0, 1.0)
 }
 
 #[cfg(test)]
@@ -297,7 +304,7 @@ mod tests {
         let (votes, truth) = votes(|_, _| 0.06);
         let errors = LabelErrors::of(votes.rows().map(|row| row.0), COUNTS.len());
         assert!(errors.preference < 0.2, "{errors:?}");
-        assert_eq!(errors.strength(), 0.0);
+        assert_eq!((errors.pooling(), errors.exponent()), (1.0, 0.0));
         assert_eq!(right(&votes.shares, &truth), truth.len());
     }
 
@@ -307,7 +314,7 @@ mod tests {
         let (votes, truth) = votes(|_, c| if c == 0 { 0.01 } else { 0.0 });
         let errors = LabelErrors::of(votes.rows().map(|row| row.0), COUNTS.len());
         assert!(errors.share < 0.02 && errors.preference > 0.5, "{errors:?}");
-        assert_eq!(errors.strength(), 0.0);
+        assert_eq!(errors.pooling(), 0.0);
         assert_eq!(right(&votes.shares, &truth), truth.len());
     }
 
@@ -316,8 +323,8 @@ mod tests {
         // All are taken for the frequent class, often by most of their labels.
         let (votes, truth) = votes(|_, c| if c == 0 { 1.0 } else { 0.01 });
         let errors = LabelErrors::of(votes.rows().map(|row| row.0), COUNTS.len());
-        assert_eq!(errors.strength(), 1.0, "{errors:?}");
-        let calibration = Calibration::fit(&votes, None);
+        assert_eq!((errors.pooling(), errors.exponent()), (1.0, EXPONENT));
+        let calibration = Calibration::fit(&votes, EXPONENT);
         let voted = right(&votes.shares, &truth);
         let calibrated = right(&applied(&calibration, &votes), &truth);
         assert!(
@@ -332,7 +339,7 @@ mod tests {
         let (mut votes, _) = votes(|_, c| 0.1 * c as f64);
         votes.shares[..COUNTS.len()].fill(0.0);
         votes.sizes[0] = 0.0;
-        let calibration = Calibration::fit(&votes, Some(0.25));
+        let calibration = Calibration::fit(&votes, 0.25);
         let rows = applied(&calibration, &votes);
         let sums: Vec<f64> = rows
             .chunks_exact(COUNTS.len())
@@ -346,7 +353,7 @@ mod tests {
             classes: 3,
         };
         let mut row = [1.0, 0.0, 0.0];
-        Calibration::fit(&none, None).apply(&mut row);
+        Calibration::fit(&none, EXPONENT).apply(&mut row);
         assert!(row.iter().all(|p| !p.is_nan()), "{row:?}");
     }
 
@@ -360,7 +367,7 @@ mod tests {
             normalise(row);
         }
         let votes = PooledVotes { shares, ..votes };
-        let rows = applied(&Calibration::fit(&votes, Some(0.0)), &votes);
+        let rows = applied(&Calibration::fit(&votes, 0.0), &votes);
         let rare = rows.chunks_exact(COUNTS.len()).map(|row| row[4]);
         assert!(rare.into_iter().all(|p| p == 0.0));
     }

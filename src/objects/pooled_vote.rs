@@ -78,72 +78,73 @@ impl PooledVotes {
 pub struct PooledVote {
     /// Class probabilities of each Gaussian; zeros where nothing was voted on it and its superpoints.
     pub identities: Identities,
-    /// 1 where the votes are pooled and calibrated, 0 where they stay as they are, see [`LabelErrors::strength`].
-    pub strength: f64,
+    /// 1 where the votes are pooled, 0 where they stay as they are, see [`LabelErrors::pooling`].
+    pub pooling: f64,
 }
 
-/// Pools votes over superpoints and calibrates them, as far as the errors of the labels prefer frequent classes: a network makes
-/// such errors. Other labels keep the plain `votes` of each Gaussian by itself: these average their errors away. `weighted` are
-/// the votes that are pooled ([`weighted_vote`](super::weighted_vote)); they are asked for only where they are needed. `exponent`
-/// is used for labels of any kind.
+/// Pools votes over superpoints and calibrates them. Labels with few errors keep the plain `votes` of each Gaussian by itself, and
+/// the class frequencies are divided out as far as errors prefer frequent classes: a network makes such errors. `refined` are the
+/// votes that are pooled ([`refined_vote`](super::refined_vote)); they are asked for only where they are needed. With `exponent`,
+/// labels of any kind are pooled, and divided by the class frequencies to this power.
 ///
 /// # Errors
-/// [`crate::Error::NonFinite`] when a centre is not finite; those of `weighted`.
+/// [`crate::Error::NonFinite`] when a centre is not finite; those of `refined`.
 ///
 /// # Panics
 /// If votes are of another number of Gaussians or classes.
 pub fn pooled_vote(
     gaussians: &Gaussians,
     votes: &Votes,
-    weighted: impl FnOnce() -> Result<Votes>,
+    refined: impl FnOnce() -> Result<Votes>,
     exponent: Option<f64>,
 ) -> Result<PooledVote> {
     let classes = votes.classes;
     let graph = SurfaceGraph::new(gaussians, NEIGHBOURS)?;
     let errors = errors_inside(votes, &graph);
-    let strength = exponent.map_or_else(|| errors.strength(), |_| 1.0);
-    let weighted = if strength > 0.0 {
-        weighted()?
+    let pooling = exponent.map_or_else(|| errors.pooling(), |_| 1.0);
+    let exponent = exponent.unwrap_or_else(|| errors.exponent());
+    let refined = if pooling > 0.0 {
+        refined()?
     } else {
         votes.clone()
     };
     let superpoints = SCALES.map(|scale| graph.superpoints(scale, LEAST));
     let pooled = superpoints
         .each_ref()
-        .map(|s| PooledVotes::new(&weighted, s));
+        .map(|s| PooledVotes::new(&refined, s));
     let calibration = Calibration::fit(&pooled[FITTED], exponent);
     tracing::info!(
-        "{} superpoints; {:.4} of the labels contradict their surface and prefer frequent classes by {:.2}; corrected by {strength:.2}",
+        "{} superpoints; {:.4} of the labels contradict their surface and prefer frequent classes by {:.2}; pooled by {pooling:.2}, exponent {exponent:.2}",
         superpoints[FITTED].count,
         errors.share,
         errors.preference
     );
     let mut scores = vec![0.0; votes.table.len()];
-    let tables = [votes, &weighted].map(|votes| votes.table.par_chunks_exact(classes.max(1)));
-    let [plain, weighted] = tables;
+    let tables = [votes, &refined].map(|votes| votes.table.par_chunks_exact(classes.max(1)));
+    let [plain, refined] = tables;
     let rows = scores
         .par_chunks_exact_mut(classes.max(1))
-        .zip(plain.zip(weighted));
+        .zip(plain.zip(refined));
     rows.enumerate()
-        .for_each(|(gaussian, (scores, (plain, weighted)))| {
+        .for_each(|(gaussian, (scores, (plain, refined)))| {
             let mut own = vec![0.0; classes];
             let voted = add_shares(&mut own, plain);
             let mut shares = vec![0.0; classes];
-            add_shares(&mut shares, weighted);
+            add_shares(&mut shares, refined);
             for (pooled, superpoints) in pooled.iter().zip(&superpoints) {
                 let row = pooled.row(superpoints.of[gaussian]);
                 shares.iter_mut().zip(row).for_each(|(s, p)| *s += p);
             }
             calibration.apply(&mut shares);
-            let strength = if voted { strength } else { 1.0 };
+            let pooling = if voted { pooling } else { 1.0 };
             for ((score, p), own) in scores.iter_mut().zip(shares).zip(own) {
-                *score = (strength * p + (1.0 - strength) * own) as f32;
+                *score = (pooling * p + (1.0 - pooling) * own) as f32;
             }
         });
     let identities = Identities { scores, classes };
     Ok(PooledVote {
         identities,
-        strength,
+        pooling,
     })
 }
 

@@ -2,7 +2,7 @@
 
 use crate::backend::device::{read, upload};
 use crate::error::Result;
-use crate::ops::{SparseMatrix, sparse_apply};
+use crate::ops::{SparseMatrix, select, sparse_apply};
 use crate::raster::{Settings, SplatTensors, SplatView};
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
@@ -230,6 +230,8 @@ pub struct LabelledPixels {
     pub weights: PixelWeights,
     /// Class index of each pixel, or [`UNLABELLED`].
     pub labels: Arc<Vec<u16>>,
+    /// Class probabilities to train on instead of `labels`, `[P, C]` without autodiff. All pixels have labels then.
+    pub distributions: Option<Tensor<2>>,
 }
 
 impl LabelledPixels {
@@ -238,6 +240,7 @@ impl LabelledPixels {
         Self {
             weights,
             labels: Arc::new(labels),
+            distributions: None,
         }
     }
 
@@ -267,7 +270,11 @@ impl LabelledPixels {
     #[must_use]
     pub fn at(&self, places: &[u32]) -> Self {
         let label = |&place: &u32| self.labels[place as usize];
-        Self::new(self.weights.at(places), places.iter().map(label).collect())
+        let distributions = self.distributions.as_ref();
+        Self {
+            distributions: distributions.map(|rows| select(rows, places)),
+            ..Self::new(self.weights.at(places), places.iter().map(label).collect())
+        }
     }
 
     /// Blends `values` `[V, C]` at the pixels: `[P, C]`, with gradient to `values`.

@@ -1,9 +1,9 @@
 //! The training views of stage two: their labelled pixels, with blending weights over the Gaussians that they show.
 
 use super::sampling::stratified_sample;
-use crate::backend::device::read;
+use crate::backend::device::{read, upload};
 use crate::config::{Blend, SegmentationConfig};
-use crate::data::{Classes, LabelRuns, View};
+use crate::data::{Classes, LabelRuns, LabelScores, View};
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::select;
@@ -52,6 +52,7 @@ impl ViewSample {
 /// All training views of a scene with raw labels.
 pub struct TrainingViews<'a> {
     gaussians: FrozenGaussians,
+    device: Device,
     views: Vec<&'a View>,
     /// Class index of each label id, [`UNLABELLED`](crate::segmentation::pixels::UNLABELLED) for the others. Absent where labels do
     /// not count.
@@ -65,6 +66,9 @@ pub struct TrainingViews<'a> {
     budget: usize,
     /// What replaces the raw labels.
     replaced: Option<ReplacedLabels>,
+    classes: Classes,
+    /// Class probabilities of raw labels, of the views that were used already and have them.
+    scores: Vec<Option<LabelScores>>,
 }
 
 /// Labels of the pixels by what identities say.
@@ -88,6 +92,7 @@ impl<'a> TrainingViews<'a> {
         let views = views.filter(|view| view.raw.is_some());
         Self {
             lookup: Some(classes.lookup()),
+            classes: classes.clone(),
             ..Self::of_all_pixels(gaussians, views, settings, config, device)
         }
     }
@@ -105,8 +110,11 @@ impl<'a> TrainingViews<'a> {
         let over_coverage = config.blend == Blend::Probabilities;
         Self {
             gaussians: FrozenGaussians::new(gaussians, settings, over_coverage, device),
+            device: device.clone(),
             lookup: None,
             min_coverage: config.min_coverage as f32,
+            classes: Classes::default(),
+            scores: vec![None; views.len()],
             used: vec![None; views.len()],
             weights: vec![None; views.len()],
             budget: config.weight_cache_mb << 20,
@@ -115,7 +123,7 @@ impl<'a> TrainingViews<'a> {
         }
     }
 
-    /// Pixels keep their raw labels from now on.
+    /// Pixels keep their raw labels from now on, or the class probabilities that came with them.
     pub fn use_raw_labels(&mut self) {
         self.replaced = None;
     }
@@ -162,11 +170,8 @@ impl<'a> TrainingViews<'a> {
                 Some(weights) => weights,
                 None => self.weights_of(index, &visible, &view.numbers)?,
             };
-            return Ok(ViewSample {
-                visible,
-                pixels: LabelledPixels { weights, labels },
-                numbers: view.numbers,
-            });
+            let pixels = LabelledPixels::new(weights, labels.to_vec());
+            return self.with_scores(index, visible, pixels, view.numbers);
         }
         let drawn = stratified_sample(labels.len(), share, rng);
         let numbers = drawn.iter().map(|&i| view.numbers[i as usize]).collect();
@@ -176,9 +181,36 @@ impl<'a> TrainingViews<'a> {
             None => self.weights_of(index, &visible, &numbers)?,
         };
         let labels = drawn.iter().map(|&i| labels[i as usize]).collect();
+        let pixels = LabelledPixels::new(weights, labels);
+        self.with_scores(index, visible, pixels, numbers)
+    }
+
+    /// A sample of `pixels`, `numbers` of view `index`, with the class probabilities that came with the raw labels, where they are
+    /// trained on and there are any.
+    fn with_scores(
+        &mut self,
+        index: usize,
+        visible: Arc<Vec<u32>>,
+        mut pixels: LabelledPixels,
+        numbers: Arc<Vec<u32>>,
+    ) -> Result<ViewSample> {
+        let view = self.views[index];
+        if let (None, Some(_), Some(file)) = (&self.replaced, &self.lookup, &view.scores) {
+            let scores = match self.scores[index].take() {
+                Some(scores) => scores,
+                None => file.read(&self.classes)?,
+            };
+            let rows = probabilities(&scores, &pixels.labels, &numbers, self.classes.len());
+            pixels.distributions = Some(upload(
+                rows,
+                [numbers.len(), self.classes.len()],
+                &self.device,
+            ));
+            self.scores[index] = Some(scores);
+        }
         Ok(ViewSample {
             visible,
-            pixels: LabelledPixels::new(weights, labels),
+            pixels,
             numbers,
         })
     }
@@ -239,6 +271,7 @@ impl<'a> TrainingViews<'a> {
         let pixels = LabelledPixels {
             weights: weights.clone(),
             labels: view.labels.clone(),
+            distributions: None,
         };
         let labels = Arc::new(largest_blended(&replaced.scores, &view.visible, &pixels)?);
         if let Some(replaced) = &mut self.replaced {
@@ -246,6 +279,32 @@ impl<'a> TrainingViews<'a> {
         }
         Ok((labels, Some(weights)))
     }
+}
+
+/// `scores` of the pixels `numbers`, `[P, classes]`; 1 for their label where nothing is scored.
+fn probabilities(
+    scores: &LabelScores,
+    labels: &[u16],
+    numbers: &[u32],
+    classes: usize,
+) -> Vec<f32> {
+    let [width, _] = scores.size();
+    let mut rows = vec![0.0; numbers.len() * classes];
+    let mut found = Vec::new();
+    for (row, (&number, &label)) in rows
+        .chunks_exact_mut(classes)
+        .zip(numbers.iter().zip(labels))
+    {
+        let pixel = number as usize;
+        scores.at(pixel % width, pixel / width, &mut found);
+        if found.is_empty() {
+            found.push((label, 1.0));
+        }
+        for &(class, p) in &found {
+            row[usize::from(class)] = p;
+        }
+    }
+    rows
 }
 
 /// The class of the largest blended score of each of `pixels`, its own label where all are zero. `visible` are the Gaussians that
