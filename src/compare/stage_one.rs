@@ -16,9 +16,9 @@ use std::path::{Path, PathBuf};
 
 /// The Gaussians of a scene.
 pub(super) struct SharedGaussians {
-    /// In the folder of the comparison.
+    /// The PLY in the folder of the comparison.
     pub file: PathBuf,
-    /// As in the file.
+    /// The Gaussians of that file.
     pub gaussians: Gaussians,
 }
 
@@ -90,7 +90,7 @@ struct Record {
     gaussians: usize,
     psnr: Option<f64>,
     ssim: Option<f64>,
-    /// Of stage one.
+    /// Seconds of stage one.
     seconds: f64,
     provenance: Provenance,
 }

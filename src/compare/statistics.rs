@@ -14,7 +14,7 @@ pub struct Statistic {
 }
 
 impl Statistic {
-    /// Of `values` by scene and seed; `None` where there are none.
+    /// The statistic of `values` by scene and seed; `None` without values.
     pub fn of(values: &[Vec<Option<f64>>]) -> Option<Self> {
         let scenes: Vec<f64> = values
             .iter()

@@ -29,7 +29,7 @@ struct Line<'a> {
 }
 
 impl<'a> Tables<'a> {
-    /// Of the finished `cells` of `plan`, for files that `command` writes.
+    /// The tables of the finished `cells` of `plan`, for files that `command` writes.
     pub fn new(plan: &'a Plan, cells: &'a [Cell], command: &'a str) -> Self {
         let key = |cell: &'a Cell| {
             let id = &cell.id;

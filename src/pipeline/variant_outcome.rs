@@ -10,7 +10,7 @@ use crate::progress::CurvePoint;
 #[derive(Clone, Debug)]
 pub struct VariantOutcome {
     /// The variant.
-    pub row: Variant,
+    pub variant: Variant,
     /// What the Gaussians store; none for the raw labels themselves, and where training was stopped before its end.
     pub identities: Option<Identities>,
     /// Held-out scores.
@@ -39,9 +39,9 @@ pub struct VariantOutcome {
 
 impl VariantOutcome {
     /// A variant without identities or training.
-    pub(super) fn new(row: Variant, scores: HeldOutScores) -> Self {
+    pub(super) fn new(variant: Variant, scores: HeldOutScores) -> Self {
         Self {
-            row,
+            variant,
             identities: None,
             scores,
             void_left_out: None,
@@ -59,6 +59,6 @@ impl VariantOutcome {
 
     /// The variant's name in settings and reports.
     pub fn name(&self) -> &'static str {
-        self.row.key()
+        self.variant.key()
     }
 }

@@ -377,7 +377,7 @@ fn without_truth_only_what_is_wanted_is_trained() {
         crate::pipeline::resume::whole(config, &folder.path().join(out))
             .rows
             .iter()
-            .map(|row| row.row)
+            .map(|row| row.variant)
             .collect()
     };
     assert_eq!(rows(&config, "scored"), Variant::COMPARED);
@@ -412,7 +412,11 @@ fn a_truth_that_no_row_is_scored_by_is_none() {
             "{notes}"
         );
         (
-            outcome.rows.iter().map(|row| row.row).collect::<Vec<_>>(),
+            outcome
+                .rows
+                .iter()
+                .map(|row| row.variant)
+                .collect::<Vec<_>>(),
             scored,
         )
     };
