@@ -72,9 +72,9 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
     Ok(scene)
 }
 
-/// The cameras of the scene in folder `dir`, in whatever layout, in the order of its views: pinholes as [`load`] makes
-/// them of distorted photos, in world units; subtract a scene's origin before rendering. `split` keeps only those
-/// frames. Photos may be missing where their sizes are known without them.
+/// The cameras of the scene in folder `dir`, in any layout, in the order of its views. They are pinholes, as [`load`] makes them of
+/// distorted photos, in world units. Subtract a scene's origin before rendering. `split` keeps only those frames. Photos may be
+/// missing where their sizes are known without them.
 ///
 /// # Errors
 /// As [`load`]; also when no frame is left.

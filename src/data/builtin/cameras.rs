@@ -135,7 +135,8 @@ fn good_place(room: &Room, eye: DVec3, target: DVec3) -> DVec3 {
         if best.0 >= 1.0 {
             break;
         }
-        let (r, a) = (0.06 * f64::from(step).sqrt(), f64::from(step) * 2.399_963);
+        let r = 0.06 * f64::from(step).sqrt();
+        let a = f64::from(step) * 2.399_963;
         let at = eye + DVec3::new(r * a.cos(), r * a.sin(), 0.1 * f64::from(step % 3));
         let good = goodness(room, at, target);
         if good > best.0 {

@@ -285,7 +285,8 @@ fn corrupt_segments(
         } = segment;
         let share = pixels.len() as f64 / map.ids.len() as f64;
         let hard = objects.difficulty.get(&id).copied().unwrap_or(1.0);
-        let (small, tiny) = (share < 0.02, share < 0.006);
+        let small = share < 0.02;
+        let tiny = share < 0.006;
         let mut paint = |part: &[usize], c: u16| part.iter().for_each(|&i| out.ids[i] = c);
         // Always the same number of draws, so that one outcome does not shift the next segment's.
         let [swap, merge, drop, split, fate] = [(); 5].map(|()| rng.random::<f64>());

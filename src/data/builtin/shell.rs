@@ -59,7 +59,8 @@ impl Decorator<'_> {
         };
         let special = self.builder.matt(special);
         let wainscot = self.rng.random_bool(0.5);
-        let (panel, groove) = (rgb(0xe4dfd2), rgb(0xb5aea0));
+        let panel = rgb(0xe4dfd2);
+        let groove = rgb(0xb5aea0);
         let panelling = self
             .builder
             .matt(Pattern::Panels(panel, groove, panel, [6, 1]));
@@ -118,13 +119,15 @@ impl Decorator<'_> {
     }
 
     fn build_window(&mut self, k: usize, s: f64, [w, low, high]: [f64; 3], color: DVec3) {
-        let (white, metal) = (self.style.white, self.style.metal);
+        let white = self.style.white;
+        let metal = self.style.metal;
         let view = Pattern::Scenery(yaw(k) + 0.25 * s);
         let view = self.builder.add_material(view, 0.95, 0.0);
         let cloth = self.builder.matt(Pattern::Folds(color, 0.11));
         let at = self.plan.on_wall(k, s, 0.0, 0.0);
         let mut o = self.builder.object(class::WINDOW, at, yaw(k));
-        let (middle, height) = ((low + high) / 2.0, high - low);
+        let middle = (low + high) / 2.0;
+        let height = high - low;
         o.cuboid([0.0, 0.004, middle], [w, 0.008, height], view);
         o.translucent();
         let light = Light::Pane {

@@ -117,10 +117,8 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
     }
     let mut sizes: Vec<_> = sizes.into_iter().map(|((w, h), n)| (w, h, n)).collect();
     sizes.sort_by_key(|&(.., n)| Reverse(n));
-    let (left_out, pixels) = (
-        frames.iter().map(|f| f.left_out),
-        frames.iter().map(|f| f.pixels),
-    );
+    let left_out = frames.iter().map(|f| f.left_out);
+    let pixels = frames.iter().map(|f| f.pixels);
     let count = |of: fn(&&Frame) -> bool| listing.frames.iter().filter(of).count();
     Ok(Info {
         name: scene_name(dir),

@@ -42,7 +42,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let mut notices: Vec<String> = of_scene.into_iter().flatten().collect();
     notices.extend(cameras(&listing));
     notices.extend(without_raw(&listing));
-    notices.extend(drawn_in_vain(&listing));
+    notices.extend(held_out_drawn_labels(&listing));
     listing.notices.extend(notices);
     Ok(listing)
 }
@@ -83,7 +83,8 @@ fn without_mask(listing: &Listing, folder: Option<&str>) -> Option<String> {
         .iter()
         .filter(|frame| frame.mask.is_none())
         .collect();
-    let (count, all) = (without.len(), listing.frames.len());
+    let count = without.len();
+    let all = listing.frames.len();
     if count == 0 {
         return None;
     }
@@ -100,7 +101,9 @@ fn without_mask(listing: &Listing, folder: Option<&str>) -> Option<String> {
 
 /// Masks that leave out most of their views. `masked` has, for each view with a mask, its pixels and the pixels left out.
 pub(crate) fn inverted_masks(masked: impl Iterator<Item = [usize; 2]>) -> Option<String> {
-    let (mut views, mut all, mut left_out) = (0, 0, 0);
+    let mut views = 0;
+    let mut all = 0;
+    let mut left_out = 0;
     for [pixels, out] in masked {
         views += 1;
         all += pixels;
@@ -180,7 +183,8 @@ fn equal_poses(posed: &[&Frame]) -> Option<String> {
         }
     }
     (!pairs.is_empty()).then(|| {
-        let (count, all) = (pairs.len(), posed.len());
+        let count = pairs.len();
+        let all = posed.len();
         format!(
             "{count} of {all} frames have exactly the pose of an earlier one: {}",
             first_names(&pairs)
@@ -232,7 +236,8 @@ fn without_raw(listing: &Listing) -> Option<String> {
         .filter(|frame| frame.split == Split::Train);
     let (labelled, without): (Vec<&Frame>, Vec<&Frame>) =
         train.partition(|frame| frame.raw.is_some());
-    let (count, all) = (without.len(), without.len() + labelled.len());
+    let count = without.len();
+    let all = without.len() + labelled.len();
     (!without.is_empty() && !labelled.is_empty()).then(|| {
         format!(
             "{count} of {all} training frames have no raw labels: {}; {} have some",
@@ -242,8 +247,8 @@ fn without_raw(listing: &Listing) -> Option<String> {
     })
 }
 
-/// Held-out photos whose labels somebody drew.
-fn drawn_in_vain(listing: &Listing) -> Option<String> {
+/// Held-out photos with labels drawn by hand: no training view learns from them.
+fn held_out_drawn_labels(listing: &Listing) -> Option<String> {
     let is_drawn = |frame: &&Frame| frame.split == Split::Test && frame.raw.is_some();
     let drawn: Vec<&Frame> = listing.frames.iter().filter(is_drawn).collect();
     (listing.raw.are_drawn() && !drawn.is_empty()).then(|| {
@@ -265,7 +270,8 @@ pub(crate) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Opti
         .filter(|(_, void)| *void)
         .map(|(name, _)| *name)
         .collect();
-    let (count, all) = (void.len(), train.len());
+    let count = void.len();
+    let all = train.len();
     (count > 0).then(|| {
         let names = first_names(&void);
         let notice = format!(

@@ -29,13 +29,13 @@ const FLAT: f64 = 0.02;
 /// Correlation from which two blocks are alike.
 const ALIKE: f64 = 0.8;
 
-/// A convention is reported when the share of blocks that it finds again is above the first number, and the second number
-/// times the share of the layout's convention, and when the next photo shows at least the third share of the blocks.
+/// A convention is reported when the share of blocks that it finds again is above the first number and above the second number
+/// times the share of the layout's convention. The next photo must also show at least the third share of the blocks.
 ///
-/// Measured on two captures of objects and three of rooms: the right convention finds 0.47 to 0.82 of the blocks, a wrong
-/// one 0.07 to 0.56, at most 0.69 of the right share. With every 2nd, 4th and 12th photo the right one finds 0.08 to 0.78,
-/// and a wrong one never more than the first bound: sparse captures give no answer, nor does a video of hardly moving
-/// frames, which are alike in every convention.
+/// Measured on two captures of objects and three of rooms: the right convention finds 0.47 to 0.82 of the blocks, a wrong one 0.07
+/// to 0.56, at most 0.69 of the right share. With every 2nd, 4th and 12th photo the right one finds 0.08 to 0.78, and a wrong one
+/// never more than the first bound: sparse captures give no answer. Neither does a video whose camera hardly moves: its frames are
+/// alike in every convention.
 const FOUND: f64 = 0.45;
 const TIMES: f64 = 1.4;
 const SHOWN: f64 = 0.25;
@@ -135,7 +135,7 @@ impl Blocks {
         self.alike as f64 / self.shown.max(1) as f64
     }
 
-    /// Of all pairs, when poses that were read as `as_read` are read in another convention.
+    /// The blocks of all pairs, with poses that were read as `as_read` reread as `other`.
     fn count(pairs: &[[SmallPhoto; 2]], as_read: Convention, other: Convention) -> Self {
         let of_pair = |[from, to]: &[SmallPhoto; 2]| {
             let [camera, next] = [from, to].map(|photo| other.reread(as_read, &photo.camera));
@@ -211,7 +211,7 @@ fn variance(values: &[f64]) -> f64 {
     covariance(values, values)
 }
 
-/// Of two blocks; near 0 where one of them is flat.
+/// Correlation of two blocks; near 0 where a block is flat.
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
     covariance(a, b) / (variance(a) * variance(b) + 1e-8).sqrt()
 }

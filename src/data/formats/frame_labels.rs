@@ -55,7 +55,7 @@ impl<'a> FrameLabels<'a> {
             map.translate(path, ids)?;
         }
         let classes = &self.listing.classes;
-        map.settle_ids(path, classes, self.known, "")?;
+        map.check_ids(path, classes, self.known, "")?;
         Ok(Some(self.in_view(path, map, classes.ignore)))
     }
 

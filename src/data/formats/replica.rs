@@ -114,7 +114,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         let field = format!("line {}", line + 1);
         let camera = sequence::pose(row, &path, &field)
             .and_then(|pose| sequence::camera(&pose, &intrinsics, &path, &field));
-        let Some(camera) = problems.keep(camera) else {
+        let Some(camera) = problems.ok(camera) else {
             continue;
         };
         let frame = sequence::frame(image, split, camera, &folders, instances.get(number));
@@ -159,7 +159,7 @@ struct CameraParams {
     scale: f64,
 }
 
-/// As NICE-SLAM publishes it.
+/// The depth scale that NICE-SLAM publishes.
 fn scale() -> f64 {
     6553.5
 }

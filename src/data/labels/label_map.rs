@@ -22,7 +22,7 @@ impl LabelMap {
 
     /// Refuses ids other than those of `classes`, whose lookup `known` is, and the ignored one. [`USUALLY_IGNORED`] becomes
     /// the ignored id where no class has it. `or` is added to the help.
-    pub(crate) fn settle_ids(
+    pub(crate) fn check_ids(
         &mut self,
         path: &Path,
         classes: &Classes,

@@ -13,9 +13,9 @@ pub struct LabelRuns {
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Ids {
-    /// Id and length of each run; longer ones are several.
+    /// Id and length of each run. Runs of more than 65,535 pixels are stored as several.
     Runs(Box<[(u16, u16)]>),
-    /// Of maps whose runs would be larger.
+    /// The ids themselves, where runs would take more memory.
     Plain(Box<[u16]>),
 }
 

@@ -1,8 +1,8 @@
 //! Lens distortion (Brown-Conrady, as in OpenCV and COLMAP) and its removal from photos and label maps.
 //!
-//! The pinhole that a distorted photo becomes has its size and principal point, and the focal lengths times one factor:
-//! the smallest, hence the widest view, at which every pixel lies within the photo. So no pixel is made up, and none
-//! has to be masked; with barrel distortion the corners of the photo, with cushion distortion its rims are lost.
+//! A distorted photo becomes a pinhole of its size and principal point, with the focal lengths times one factor. The factor is the
+//! smallest at which every pixel lies within the photo, which gives the widest view. So no pixel is made up, and none has to be
+//! masked; with barrel distortion the corners of the photo, with cushion distortion its rims are lost.
 
 use crate::data::LabelMap;
 use crate::data::bilinear::{among, beside};

@@ -76,7 +76,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             continue;
         }
         let camera = image.camera(&model.images, &model.cameras, &cameras);
-        let Some((camera, lens)) = problems.keep(camera) else {
+        let Some((camera, lens)) = problems.ok(camera) else {
             continue;
         };
         let photo = Path::new(&image.name);

@@ -30,8 +30,9 @@ impl NamedFolder {
         }
     }
 
-    /// Possible files of a frame, the likeliest first: the path that the frame gives, then the path of its photo,
-    /// both below the folder and without leading folders as long as no two frames share one file; then the view's name.
+    /// Possible files of a frame, the likeliest first. The path that the frame gives comes first, then the path of its photo. Both
+    /// are tried below the folder, whole and without leading folders, as long as no two frames share a file. The view's name comes
+    /// last.
     fn files(&self, frame: &Frame, name: &str) -> Vec<PathBuf> {
         let mut files = Vec::new();
         for path in self.given_endings(frame) {

@@ -107,7 +107,8 @@ impl Panoptic {
         let mut names = Vec::with_capacity(file.categories.len());
         let mut indices = HashMap::new();
         for (i, category) in file.categories.iter().enumerate() {
-            let (field, id) = (format!("categories[{i}].id"), category.id);
+            let field = format!("categories[{i}].id");
+            let id = category.id;
             let own = u16::try_from(id.saturating_add(shift)).map_err(
                 |_| invalid!(&path, "{field}"; found "{id}"; expected "0 to 65534"; help "{AGAIN}"),
             )?;
@@ -181,7 +182,8 @@ impl Panoptic {
         let (width, height) = file.size;
         let mut ids = Vec::with_capacity(width * height);
         // Neighbours are mostly of one segment.
-        let (mut last, mut last_number) = (0, 0);
+        let mut last = 0;
+        let mut last_number = 0;
         for (i, pixel) in image.pixels().enumerate() {
             let [r, g, b] = pixel.0.map(u32::from);
             let id = r + 256 * g + 65_536 * b;

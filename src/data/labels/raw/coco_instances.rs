@@ -258,7 +258,8 @@ fn unpacked(text: &str) -> Option<Vec<u64>> {
     let mut counts: Vec<i64> = Vec::new();
     let mut characters = text.bytes();
     while let Some(mut byte) = characters.next() {
-        let (mut value, mut shift) = (0_i64, 0);
+        let mut value = 0_i64;
+        let mut shift = 0;
         loop {
             let bits = i64::from(byte.checked_sub(48).filter(|bits| *bits < 64)?);
             value |= (bits & 31) << shift;

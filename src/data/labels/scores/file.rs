@@ -196,7 +196,8 @@ fn inflate(path: &Path, limits: &Limits) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     loop {
         bytes.reserve(CHUNK);
-        let (read, written) = (decoder.total_in(), decoder.total_out());
+        let read = decoder.total_in();
+        let written = decoder.total_out();
         let rest = &file[read as usize..];
         let status = decoder.decompress_vec(rest, &mut bytes, FlushDecompress::None);
         let status = status.map_err(|e| damaged(e.to_string()))?;

@@ -114,9 +114,9 @@ pub struct LabelScores {
 }
 
 impl LabelScores {
-    /// The probabilities of the classes at the centre of the pixel in column `x`, row `y` of the view: (class index,
-    /// probability) of the classes that the four cells around it name, most probable first, of sum 1. They are bilinear on
-    /// the grid, then renormalised. Empty where no class of the scene is known. `found` is emptied first.
+    /// Class probabilities at the centre of the pixel in column `x`, row `y` of the view, as (class index, probability). They are
+    /// those of the classes in the four cells around it, the most probable first, and sum to 1. They are bilinear on the grid, then
+    /// renormalised. Empty where no class of the scene is known. `found` is emptied first.
     pub fn at(&self, x: usize, y: usize, found: &mut Vec<(u16, f32)>) {
         found.clear();
         let shares = self.placement.shares(x as f64 + 0.5, y as f64 + 0.5);
