@@ -100,7 +100,8 @@ fn stage_two(
     config.unprojection.attendance = 0.0;
     let mut clock = Clock::new();
     let scores = ImageScores::default();
-    let (scene, device) = (&bench.scene, &bench.device);
+    let scene = &bench.scene;
+    let device = &bench.device;
     let Some(lifted) = lift(gaussians, scene, scores, &config, device, &mut clock)? else {
         return Ok(());
     };

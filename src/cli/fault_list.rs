@@ -52,7 +52,8 @@ fn kind(fault: &Error) -> Kind {
             name: key, help, ..
         } => (PathBuf::new(), key.as_str(), help.as_str()),
         other => {
-            let (none, text) = (PathBuf::new(), other.to_string());
+            let none = PathBuf::new();
+            let text = other.to_string();
             return (discriminant(other), none, text, String::new());
         }
     };

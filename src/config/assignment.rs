@@ -63,7 +63,7 @@ fn value_of(text: &str) -> Value {
     value.unwrap_or_else(|| text.trim().into())
 }
 
-/// `config` as a table. Every config that was read has such a form.
+/// `config` as a table. Every config that was read can be written as one.
 pub(super) fn table_of(config: &Config) -> Table {
     Table::try_from(config).unwrap_or_default()
 }
@@ -94,7 +94,7 @@ impl Assignment<'_> {
         Err(self.refused(&refusal))
     }
 
-    /// The error for a value of which serde says `message`.
+    /// The error for a value that serde refuses with `message`.
     fn refused(&self, message: &str) -> Error {
         let mut quoted = message.split('`').skip(1).step_by(2);
         if message.contains("unknown field") {

@@ -102,8 +102,8 @@ pub struct UnprojectionConfig {
     /// `attendance_pixels` too.
     #[default(1e-5)]
     pub attendance: f64,
-    /// Gaussians counted on this many pixels of all training views together stay, however many pixels there are: of hundreds of
-    /// large photos a share alone would prune what only a dozen of them show. 0 is no such limit, as in the paper.
+    /// Gaussians counted on this many pixels of all training views together are never pruned. In hundreds of large photos, the
+    /// share alone would prune what only a dozen photos show. 0 means no such limit, as in the paper.
     #[default(40.0)]
     pub attendance_pixels: f64,
 }

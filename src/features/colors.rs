@@ -23,8 +23,8 @@ pub struct FeatureColors {
 }
 
 impl FeatureColors {
-    /// Of the features of all scales, each `[N, dimensions]`. A component runs from 0 at its 2nd percentile to 1 at its 98th; one
-    /// without variance is 0.5.
+    /// Colours of the features of all scales, each `[N, dimensions]`. A component is 0 at its 2nd percentile and 1 at its 98th. A
+    /// component without variance is 0.5.
     ///
     /// # Errors
     /// [`crate::Error::NonFinite`] for features that are not finite.

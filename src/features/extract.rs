@@ -67,7 +67,8 @@ impl<'a> Reduction<'a> {
         let mut kept_bytes = 0;
         let mut moments: Option<[Moments; SCALES]> = None;
         // Imported maps do not depend on photos: their own digest identifies them.
-        let (key, mut imported) = (extractor.cache_key.clone(), Sha256::new());
+        let key = extractor.cache_key.clone();
+        let mut imported = Sha256::new();
         let quota = PCA_CELLS.div_ceil(train.len().max(1));
         for batch in train.chunks(BATCH) {
             let look = |view: &&View| {

@@ -88,7 +88,8 @@ impl Extractor {
                 (name, Some(key), Source::MobileNetV2(Box::new(net)))
             }
             FeatureSource::Dino => {
-                let (path, norm) = (weights("DINO")?, config.final_norm);
+                let path = weights("DINO")?;
+                let norm = config.final_norm;
                 let net = dino::Vit::load(path, &device)?.with_final_norm(norm);
                 let name = format!("dino {}", path.display());
                 let key = format!("{} {} norm {norm}", dino::VERSION, file_digest(path)?);

@@ -1,7 +1,7 @@
 //! Principal components of feature vectors: centred, signs fixed, deterministic.
 //!
-//! Mean and scatter are accumulated in f64, block by block, and merged in a fixed order by the pairwise update of Chan,
-//! Golub and LeVeque (1979), so the result does not depend on the number of threads and large means do not cancel.
+//! Mean and scatter are accumulated in f64, block by block. The blocks are merged in a fixed order by the pairwise update of Chan,
+//! Golub and LeVeque (1979). So the result does not depend on the number of threads, and large means do not cancel.
 
 use super::FeatureMap;
 use crate::error::{Error, Result, ensure};

@@ -241,7 +241,8 @@ impl PlyFile {
             .metadata()
             .map_err(unreadable)?
             .len();
-        let (mut expected, mut rows) = (u128::from(start), 0);
+        let mut expected = u128::from(start);
+        let mut rows = 0;
         for element in self.header.elements.values() {
             let sizes = element
                 .properties

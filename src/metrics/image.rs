@@ -35,7 +35,9 @@ impl ImageScores {
     /// As [`crate::data::Photo::pixels`]; [`crate::Error::Argument`] for a mask of another size than the photo.
     pub fn of_view(image: &[f32], view: &View) -> Result<Self> {
         view.check_mask()?;
-        let (photo, width, height) = (view.rgb()?, view.image.width(), view.image.height());
+        let photo = view.rgb()?;
+        let width = view.image.width();
+        let height = view.image.height();
         let Some(mask) = &view.mask else {
             return Ok(Self::of(image, &photo, width, height));
         };

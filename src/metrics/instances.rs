@@ -110,8 +110,8 @@ struct ClassMatches {
 
 /// Counts segments towards [`Quality`], image by image.
 ///
-/// As in panopticapi: segments of one class match above an IoU of 0.5; pixels without truth (id 0) are taken out of
-/// unions, and a predicted segment without a match that lies on them by more than half is no false positive.
+/// As in panopticapi, segments of one class match above an IoU of 0.5. Pixels without truth (id 0) do not count in unions. An
+/// unmatched prediction is no false positive if more than half of it lies on such pixels.
 #[derive(Clone, Debug, Default)]
 pub struct PanopticQuality(BTreeMap<u16, ClassMatches>);
 
@@ -192,7 +192,8 @@ impl PanopticQuality {
 pub fn instance_scores(
     views: impl IntoIterator<Item = (impl AsRef<[u16]>, impl AsRef<[u16]>)>,
 ) -> InstanceScores {
-    let (mut pooled, mut per_view) = (Pairs::default(), PanopticQuality::default());
+    let mut pooled = Pairs::default();
+    let mut per_view = PanopticQuality::default();
     let one: &dyn Fn(u16) -> u16 = &|_| 0;
     for (truth, prediction) in views {
         let mut pairs = Pairs::default();

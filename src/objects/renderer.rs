@@ -37,7 +37,8 @@ pub struct RenderOptions {
 
 impl RenderOptions {
     fn check(&self) -> Result<()> {
-        let ([r, g, b], least) = (self.background, self.min_coverage);
+        let [r, g, b] = self.background;
+        let least = self.min_coverage;
         ensure!([r, g, b, least].iter().all(|value| value.is_finite()),
             argument "render options"; found "background {r}, {g}, {b}, min_coverage {least}";
             expected "finite numbers"; help "pass a colour and a share");

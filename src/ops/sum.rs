@@ -16,7 +16,8 @@ pub fn sum_all<const D: usize>(x: Tensor<D>) -> Tensor<1> {
         x.reshape([1, length]).sum_dim(1).reshape([1])
     };
     let x = x.reshape([count]);
-    let (stretches, rest) = (count / STRETCH, count % STRETCH);
+    let stretches = count / STRETCH;
+    let rest = count % STRETCH;
     if stretches == 0 {
         return sum_row(x);
     }

@@ -10,8 +10,8 @@ use std::path::Path;
 
 /// Training photos that the Gaussians are compared with.
 const PHOTOS: usize = 8;
-/// PSNR in dB below which Gaussians do not show the photos. Those of the built-in room have 31 in place; moved by a tenth of its
-/// size, turned by ten degrees, mirrored, of half the size or with other axes they have 7 to 14.
+/// PSNR in dB below which Gaussians do not show the photos. Those of the built-in room have 31 in place. Moved by a tenth of its
+/// size, turned by ten degrees, mirrored, halved in size or with other axes, they have 7 to 14.
 const MISPLACED: f64 = 15.0;
 
 /// The Gaussians of the PLY at `path`, relative to the origin of `scene`; warns where they do not show its photos. The run will

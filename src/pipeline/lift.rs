@@ -49,7 +49,8 @@ impl LiftedFeatures {
         let clock = Instant::now();
         let views = scene.split(Split::Train).count();
         let mut viewing = Viewing::begin(progress, "features", views);
-        let (features, seed) = (&config.features, config.seed);
+        let features = &config.features;
+        let seed = config.seed;
         let advance = &mut || viewing.advance(1);
         let reduction = Reduction::fit(scene, features, seed, device, advance)?;
         let ControlFlow::Continue(mut reduction) = reduction else {
@@ -61,7 +62,8 @@ impl LiftedFeatures {
         }
         let extraction = clock.elapsed().as_secs_f64();
         let clock = Instant::now();
-        let (name, content) = (reduction.name.clone(), reduction.content.clone());
+        let name = reduction.name.clone();
+        let content = reduction.content.clone();
         let mut viewing = Viewing::begin(progress, "unprojection", views);
         let lifted = unproject(
             gaussians,

@@ -26,10 +26,10 @@ pub struct Suggestion {
     pub together: f64,
 }
 
-/// Names up to `count` training photos of `scene`: each is the one that adds most to those before it (greedy maximum coverage,
-/// which reaches 63 % of the best choice at least). Fewer where the others add nothing.
+/// Names up to `count` training photos of `scene`. Each photo adds most to those before it (greedy maximum coverage, which reaches at
+/// least 63 % of the best choice). There are fewer where the others add nothing.
 ///
-/// What is covered are `gaussians`, relative to the origin of the scene. Without them, an opaque Gaussian stands at each initial
+/// The photos cover `gaussians`, relative to the origin of the scene. Without them, an opaque Gaussian stands at each initial
 /// point, or at points that photos agree on where the scene has none. A photo shows a Gaussian where the sum of alpha' T reaches
 /// a quarter of a pixel, in pictures of 240 pixels across. A Gaussian counts by this sum over all training photos, so that a share
 /// of the scene is a share of the pixels of all photos.
@@ -87,8 +87,8 @@ fn weights(gaussians: &Gaussians, view: &View, settings: &Settings) -> Result<Ve
     Ok(Projected::<f32>::new(&gaussians.splats(), &camera, settings)?.weight_sums())
 }
 
-/// Up to `count` sets of `shown`, each the one that adds most of `worth`: its index, and the share that it adds. Of equal sets it
-/// is the first one.
+/// Up to `count` sets of `shown`: index, and the share of `worth` that the set adds. Each set adds most to those before it; among
+/// equal sets the first is taken.
 fn greedy(shown: &[Vec<u32>], mut worth: Vec<f64>, count: usize) -> Vec<(usize, f64)> {
     let all: f64 = worth.iter().sum();
     let mut chosen = Vec::new();

@@ -100,7 +100,8 @@ pub fn decoder_training<'a>(
     views: usize,
 ) -> Training<DecoderModel<'a>> {
     let config: &SegmentationConfig = &inputs.config.segmentation;
-    let (seed, classes) = (inputs.config.seed, inputs.scene.classes.len());
+    let seed = inputs.config.seed;
+    let classes = inputs.scene.classes.len();
     let device = inputs.device.clone().autodiff();
     let pyramid = &input.scene().pyramid;
     let decoder = DecoderConfig::for_pyramid(pyramid, classes)

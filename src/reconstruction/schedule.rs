@@ -95,7 +95,8 @@ impl Schedule {
     /// Index among the training views at `step`: each epoch is a shuffle of all views.
     pub fn view(&self, seed: u64, step: usize) -> usize {
         let views = self.views.max(1);
-        let (epoch, place) = ((step.max(1) - 1) / views, (step.max(1) - 1) % views);
+        let epoch = (step.max(1) - 1) / views;
+        let place = (step.max(1) - 1) % views;
         let mut order: Vec<usize> = (0..self.views).collect();
         order.shuffle(&mut stream(seed, Purpose::ViewOrder, epoch as u64));
         order.get(place).copied().unwrap_or(0)

@@ -190,7 +190,8 @@ pub fn metres_per_unit(config: &SpatialConfig, camera_extent: f64) -> Result<f64
     if scale.is_finite() && scale > 0.0 {
         return Ok(scale);
     }
-    let (found, expected) = (config.scale.to_string(), "a finite number above 0, or 0");
+    let found = config.scale.to_string();
+    let expected = "a finite number above 0, or 0";
     Err(invalid!(setting "spatial.scale"; found "{found}"; expected "{expected}"; help "{help}"))
 }
 
@@ -276,7 +277,8 @@ fn add_random_mlp(weights: &mut WeightFile, name: &str, shape: [usize; 2], rng: 
         ("running_var", 1.0),
     ];
     for (part, value) in statistics {
-        let (shape, values) = (vec![shape[1]], vec![value; shape[1]]);
+        let values = vec![value; shape[1]];
+        let shape = vec![shape[1]];
         weights.insert(
             &format!("{name}.bn.bn.{part}"),
             HostTensor { shape, values },
@@ -293,6 +295,7 @@ fn add_random_matrix(
 ) {
     let bound = (6.0 / input.max(1) as f64).sqrt() as f32;
     let draw = |_| bound * rng.random_range(-1.0f32..1.0);
-    let (shape, values) = (vec![output, input], (0..input * output).map(draw).collect());
+    let shape = vec![output, input];
+    let values = (0..input * output).map(draw).collect();
     weights.insert(name, HostTensor { shape, values });
 }

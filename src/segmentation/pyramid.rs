@@ -33,8 +33,8 @@ impl Default for Switches {
 pub struct Level {
     /// Scene index of each point, `[N_n]`.
     pub points: Arc<Vec<u32>>,
-    /// Features side by side, `[N_n, D + S_n]`: unprojected image features of those very points, f_d,n, then spatial
-    /// features before their sampling, f_s,n; either is left out where it is off.
+    /// Features side by side, `[N_n, D + S_n]`: the unprojected image features f_d,n of the points, then their spatial features
+    /// f_s,n. A part that is switched off is left out.
     pub features: Tensor<2>,
     /// Interpolation onto these points from the next coarser set, `[N_n, N_(n+1)]`.
     pub upsample: Arc<SparseMatrix>,
@@ -202,7 +202,7 @@ impl Dependencies {
 /// fewer steps. The paper says nothing of it; `standardise = false` leaves the features as they are.
 #[derive(Clone, Debug)]
 pub struct Standardisation {
-    /// Of each level, then of the set below them.
+    /// One for each level, then one for the set below them.
     channels: Vec<ChannelScale>,
 }
 

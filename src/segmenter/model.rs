@@ -43,10 +43,9 @@ impl fmt::Debug for Network {
 impl Network {
     /// Reads the ONNX file and prepares the network for the input of `contract`.
     ///
-    /// # Errors
-    /// [`Error::Io`]; [`Error::Input`] naming tensor or operator: a file that is cut off or no ONNX, weights that lie in other
-    /// files or do not fill their shapes, operators that are not implemented, inputs and outputs of other names, types
-    /// or shapes than the contract says; [`Error::Limit`] for tensors of more than 4 GB.
+    /// # Errors [`Error::Io`]; [`Error::Input`] naming tensor or operator, where the file is cut off or no ONNX, weights lie in
+    /// other files or do not fill their shapes, an operator is not implemented, or inputs and outputs differ from the contract in
+    /// name, type or shape; [`Error::Limit`] for tensors of more than 4 GB.
     pub fn load(file: &Path, contract: Contract) -> Result<Self> {
         Self::open(file, contract, None)
     }

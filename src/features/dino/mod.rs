@@ -148,7 +148,8 @@ impl Vit {
     /// Patches times the embedding, plus position embeddings.
     fn embed(&self, images: Tensor<4>) -> Tensor<3> {
         let [batch, _, height, width] = images.dims();
-        let (p, d) = (self.patch, self.width());
+        let p = self.patch;
+        let d = self.width();
         let (rows, columns) = (height.div_ceil(p), width.div_ceil(p));
         let padding = (0, columns * p - width, 0, rows * p - height);
         let pixels = images

@@ -69,7 +69,8 @@ impl FieldScores {
         channels: usize,
         features: impl Fn(&[u32], &LabelledPixels) -> Result<Tensor<2>>,
     ) -> Result<Self> {
-        let (mut rows, mut classes) = (Vec::new(), Vec::new());
+        let mut rows = Vec::new();
+        let mut classes = Vec::new();
         let config = &inputs.config.segmentation;
         let over_coverage = config.blend == Blend::Probabilities;
         let frozen = FrozenGaussians::new(

@@ -95,7 +95,8 @@ pub fn distil(
             ControlFlow::Continue(())
         }
     };
-    let (features, seed) = (&config.features, config.seed);
+    let features = &config.features;
+    let seed = config.seed;
     let reduction = Reduction::fit(inputs.scene, features, seed, inputs.device, &mut advance)?;
     let ControlFlow::Continue(mut reduction) = reduction else {
         return Ok(None);
@@ -110,7 +111,8 @@ pub fn distil(
         &config.segmentation,
         inputs.device,
     );
-    let (count, dimensions) = (inputs.gaussians.len(), config.features.dimensions);
+    let count = inputs.gaussians.len();
+    let dimensions = config.features.dimensions;
     let mut rng = first_parameters(inputs);
     let features = uniform(count * CHANNELS, FIRST_FEATURE, &mut rng);
     let mut field = FeatureField {

@@ -51,7 +51,8 @@ impl Grouping {
     /// # Errors
     /// [`crate::Error::NonFinite`] naming a centre.
     pub fn new(inputs: &Inputs, device: &Device) -> Result<Self> {
-        let (count, classes) = (inputs.gaussians.len(), inputs.scene.classes.len());
+        let count = inputs.gaussians.len();
+        let classes = inputs.scene.classes.len();
         let mut rng = first_parameters(inputs);
         let codes = uniform(count * CODE, FIRST_CODE, &mut rng);
         Ok(Self {

@@ -21,8 +21,8 @@ const SEGMENTS_FROM: f64 = 0.6;
 /// Keeps the logarithm of a blended probability finite.
 const LEAST_PROBABILITY: f64 = 1e-8;
 
-/// Class probabilities of each Gaussian, blended, under cross-entropy weighted by the segmenter's confidence, and under consistency
-/// within 2D segments: every pixel of a segment learns the class that the segment has in the mean.
+/// Each Gaussian has class probabilities, which are blended. The loss is cross-entropy weighted by the segmenter's confidence, plus
+/// consistency within 2D segments: every pixel of a segment learns the segment's mean class.
 ///
 /// Confidence is the largest probability of a pixel in the scores of its labels, and 1 where labels have no scores. Differences from
 /// the original: Gaussians instead of a field; hard labels instead of probabilities averaged over test-time augmentation; segments
@@ -137,7 +137,8 @@ impl IdentityModel for PanopticLifting<'_> {
     }
 
     fn loss(&mut self, _coseg: &CoSegLoss, rendered: Rendered) -> Result<Tensor<1>> {
-        let (view, names) = (self.views[rendered.view], self.names);
+        let view = self.views[rendered.view];
+        let names = self.names;
         let labels = self.labels.get(rendered.view, || {
             let segments = Segments::of(view, names)?;
             let bytes = 8 * segments.numbers.len();
@@ -145,7 +146,8 @@ impl IdentityModel for PanopticLifting<'_> {
         })?;
         let sample = rendered.sample;
         let p = rendered.scores.probabilities(&sample.pixels)?;
-        let (count, classes) = (sample.pixels.len(), names.len());
+        let count = sample.pixels.len();
+        let classes = names.len();
         let numbers = || sample.numbers.iter().map(|&pixel| pixel as usize);
         let confidence: Vec<f32> = numbers().map(|pixel| labels.confidence[pixel]).collect();
         let confidence = TensorData::new(confidence, [count, 1]);

@@ -66,10 +66,10 @@ pub(super) fn stored_scores(scores: Tensor<2>, blend: Blend) -> Tensor<2> {
     }
 }
 
-/// How a view was decoded in parts: its scores are leaves of the loss's graph, and wait for their gradient.
+/// A view that was decoded in parts. Its scores are leaves of the loss's graph and wait for their gradient.
 pub struct DecodedParts {
     input: Arc<ViewInput>,
-    /// Of the channels of each prediction.
+    /// Factors of the channels, for each prediction.
     factors: Vec<ChannelFactors>,
 }
 
@@ -140,7 +140,9 @@ impl<'a> DecoderModel<'a> {
     }
 
     fn view_input(&mut self, view: usize, visible: &[u32]) -> Result<Arc<ViewInput>> {
-        let (encoded, means, plan) = (self.input.view(view), self.means, &self.plan);
+        let encoded = self.input.view(view);
+        let means = self.means;
+        let plan = &self.plan;
         self.views.get(view, || {
             let input = ViewInput::new(encoded, visible, means, plan)?;
             let bytes = input.bytes();

@@ -1,7 +1,7 @@
 //! Stage two: identities are learned from raw labels while the geometry is frozen.
 //!
-//! [`Training::step`] is one iteration: labelled pixels of a view, the scores of the Gaussians that it shows (Eq. 7), these
-//! blended into the pixels (Eq. 3), the CoSeg loss (Eq. 8 to 10), a step of Adam. [`Training::run`] repeats it.
+//! [`Training::step`] is one iteration. It draws labelled pixels of a view, decodes the scores of the visible Gaussians (Eq. 7),
+//! blends them into the pixels (Eq. 3), takes the CoSeg loss (Eq. 8 to 10), and makes a step of Adam. [`Training::run`] repeats it.
 
 mod adam;
 mod checkpoint;
@@ -180,7 +180,8 @@ impl<M: IdentityModel> Training<M> {
         let loss = self.step_on(view, views, plan);
         let loss = loss.map_err(|error| match error {
             Error::NonFinite { tensor, row, .. } => {
-                let (name, iteration) = (views.name(view), self.iteration);
+                let name = views.name(view);
+                let iteration = self.iteration;
                 let context = format!(", view {name}, segmentation iteration {iteration}");
                 Error::NonFinite {
                     tensor,

@@ -34,7 +34,8 @@ pub struct SplatGradients<E> {
 
 /// The first six of a row of sums as [`Moments`]: the kernels' u and v are [`UNIT`] times those of [`Splat2`].
 fn moments<E: Real>(m: &[E]) -> Moments {
-    let (first, second) = (UNIT.recip(), (UNIT * UNIT).recip());
+    let first = UNIT.recip();
+    let second = (UNIT * UNIT).recip();
     Moments {
         one: m[0].wide(),
         u: first * m[1].wide(),

@@ -163,7 +163,8 @@ mod tests {
         let pixels = 50 * 41;
         let values = draw(400 * 12);
         let (image, transmittance) = blend(gpu, &view.prepared, &values, 12);
-        let (d_image, d_transmittance) = (draw(pixels * 12), draw(pixels));
+        let d_image = draw(pixels * 12);
+        let d_transmittance = draw(pixels);
         let gradients = PixelGradients {
             image: &image,
             d_image: &d_image,

@@ -171,7 +171,7 @@ impl GaussianLabels {
     }
 }
 
-/// 1 where the one value of a row of `[rows, 1]` is the value of the column, `[rows, values]`.
+/// `[rows, values]`: 1 where `of_rows`, `[rows, 1]`, equals the value of the column, else 0.
 fn one_hot(of_rows: &Tensor<2>, values: Vec<f32>) -> Tensor<2> {
     let rows = of_rows.dims()[0];
     let columns = values.len();
@@ -193,7 +193,7 @@ pub(crate) struct Largest {
 }
 
 impl Largest {
-    /// Of `image`, `[H, W, C]`, whose first channel has the number `first`; ties go to the lower one.
+    /// The largest channels of `image`, `[H, W, C]`. Its first channel has the number `first`. Ties go to the lower number.
     pub fn of(image: Tensor<3>, first: f64) -> Self {
         let (value, index) = image.max_dim_with_indices(2);
         Self {

@@ -21,9 +21,10 @@ const AT_ONCE: usize = 16;
 
 /// `count` points in the frusta of `views`, coloured as the pixel they were drawn at.
 ///
-/// Each lies on the ray of a random pixel of a random view. Of 24 depths, log-spaced with a random offset from a quarter
-/// of to four times the focus distance, it takes the one at which the better half of the other views that see the point
-/// show the most similar colour (mean absolute difference). Masked pixels are neither drawn nor compared. The focus distance is the median depth of the point nearest to all optical axes, or ten baselines where the axes are parallel.
+/// Each point lies on the ray of a random pixel of a random view. 24 depths are tried, log-spaced with a random offset, from a
+/// quarter of the focus distance to four times it. At the chosen depth, the better half of the other views that see the point show
+/// the most similar colour (mean absolute difference). Masked pixels are neither drawn nor compared. The focus distance is the median
+/// depth of the point nearest to all optical axes, or ten baselines where the axes are parallel.
 ///
 /// Empty without a view that has unmasked pixels. Each photo is decoded twice at most.
 ///

@@ -25,7 +25,8 @@ pub fn level_up(cameras: &[Camera]) -> DVec3 {
     // The rows of the rotation are the axes of the camera in the world.
     let mean_of = |axis: usize| cameras.iter().map(|c| c.rotation.row(axis)).sum::<DVec3>() / count;
     // Image rows run down.
-    let (up, forward) = (-mean_of(1), mean_of(2));
+    let up = -mean_of(1);
+    let forward = mean_of(2);
     if up.length() < ALONG_ONE_LINE[0] && forward.length() > ALONG_ONE_LINE[1] {
         return -forward.normalize();
     }

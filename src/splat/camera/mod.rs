@@ -92,7 +92,8 @@ impl Camera {
     /// [`crate::Error::Argument`] naming the field.
     pub fn check(&self) -> Result<()> {
         const HELP: &str = "pass a usable camera";
-        let (rotation, center) = (&self.rotation, self.center);
+        let rotation = &self.rotation;
+        let center = self.center;
         ensure!(rotation.is_finite() && center.is_finite(),
             argument "camera.pose"; found "{rotation} {center}"; expected "finite numbers"; help "{HELP}");
         let focals = [self.fx, self.fy];

@@ -147,7 +147,8 @@ pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
         .iter()
         .map(|camera| camera.center / count)
         .sum::<DVec3>();
-    let (mut normal, mut right) = (DMat3::ZERO, DVec3::ZERO);
+    let mut normal = DMat3::ZERO;
+    let mut right = DVec3::ZERO;
     for camera in cameras {
         let d = forward(camera).try_normalize()?;
         let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
