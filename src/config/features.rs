@@ -41,10 +41,6 @@ pub struct FeatureConfig {
     /// Folder of cached maps, keyed by content; absent means no cache.
     #[serde(deserialize_with = "super::optional_path")]
     pub cache_dir: Option<PathBuf>,
-    /// Whether the four blocks of a DINO ViT take its final layer normalisation. No key sets it; tests change it.
-    #[serde(skip)]
-    #[default(true)]
-    pub final_norm: bool,
 }
 
 impl FeatureConfig {

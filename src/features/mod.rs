@@ -89,10 +89,9 @@ impl Extractor {
             }
             FeatureSource::Dino => {
                 let path = weights("DINO")?;
-                let norm = config.final_norm;
-                let net = dino::Vit::load(path, &device)?.with_final_norm(norm);
+                let net = dino::Vit::load(path, &device)?;
                 let name = format!("dino {}", path.display());
-                let key = format!("{} {} norm {norm}", dino::VERSION, file_digest(path)?);
+                let key = format!("{} {} norm true", dino::VERSION, file_digest(path)?);
                 (name, Some(key), Source::Dino(Box::new(net)))
             }
             FeatureSource::Segmenter(tensor) => {
