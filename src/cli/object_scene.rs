@@ -24,7 +24,7 @@ pub struct ObjectSceneArgs {
 }
 
 /// Objects that an error lists at most.
-const LISTED: usize = 20;
+const MAX_LISTED: usize = 20;
 
 /// A labelled scene.
 pub struct ObjectScene {
@@ -136,10 +136,13 @@ impl ObjectScene {
             return Ok(found);
         }
         let listed = |o: &Object| format!("{} {}", o.id, self.name(o.id).unwrap_or_default());
-        let listed = self.objects.iter().take(LISTED).map(listed);
+        let listed = self.objects.iter().take(MAX_LISTED).map(listed);
         let mut listed: Vec<String> = listed.map(|name| name.trim_end().to_owned()).collect();
-        if self.objects.len() > LISTED {
-            listed.push(format!("or one of {} more", self.objects.len() - LISTED));
+        if self.objects.len() > MAX_LISTED {
+            listed.push(format!(
+                "or one of {} more",
+                self.objects.len() - MAX_LISTED
+            ));
         }
         Err(invalid!(argument "{flag}"; found "{what}";
             expected "an id or a name of the scene: {}", listed.join(", ");

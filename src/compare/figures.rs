@@ -67,7 +67,7 @@ impl Figures {
 }
 
 /// Frames of colour and labels in a second, as `coseg render` makes them: 1 over the median time of the held-out views, after one
-/// for practice. `None` for a variant without identities.
+/// unmeasured view. `None` for a variant without identities.
 fn frames_per_second(
     row: &VariantOutcome,
     outcome: &Outcome,

@@ -105,8 +105,8 @@ pub struct BuildingConfig {
     /// that colour become opaque. Photos with transparent pixels keep `raster.background`.
     #[default(true)]
     pub random_background: bool,
-    /// No more Gaussians than this; larger initial clouds are thinned to it. 0 means no limit, which `strategy = "mcmc"`
-    /// does not take: it grows to the limit.
+    /// Largest number of Gaussians. Larger initial clouds are thinned to it. 0 means no limit; `strategy = "mcmc"` refuses 0,
+    /// because it grows to the limit.
     pub max_gaussians: usize,
     /// Points when the scene has no initial cloud.
     #[default(20_000)]

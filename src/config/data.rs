@@ -141,8 +141,8 @@ pub enum RawFormat {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LabelsBy {
-    /// A person where they are shapes (LabelMe, COCO instances), or where at most a quarter of the training photos have labels
-    /// and none has scores; else a network.
+    /// A person, where the labels are shapes (LabelMe, COCO instances) or where at most a quarter of the training photos have
+    /// labels and none has scores. Else a network.
     #[default]
     Auto,
     /// A network, whose errors training has to withstand.

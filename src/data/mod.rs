@@ -18,7 +18,7 @@ pub use self::formats::layout::locate;
 pub use self::labels::label_runs::LabelRuns;
 pub use self::labels::map_geometry::MapGeometry;
 pub use self::labels::palette::class_color;
-pub use self::labels::scores::{LabelScores, ScoreGrid, ScoreMap, ViewScores};
+pub use self::labels::scores::{LabelProbabilities, ScoreGrid, ScoreMap, ViewScores};
 pub use self::options::LoadOptions;
 pub use self::outputs::{check_output_file, check_outputs};
 pub use self::photos::photo::Photo;
@@ -36,10 +36,10 @@ use std::path::Path;
 
 /// Loads the scene in folder `dir`, in the layout that the options name or that the folder has.
 ///
-/// The origin is the mean of all camera centres, subtracted in f64 from cameras and points. Lens distortion is taken out of
-/// photos and label maps. Photos are decoded in parallel, and kept decoded up to [`LoadOptions::decoded_mb`]; the others are
-/// decoded again at each use, from files that must not change. Warnings say what is left out, and what loads but is seldom
-/// intended, such as poses in another convention.
+/// The origin is the mean of all camera centres, subtracted in f64 from cameras and points. Lens distortion is taken out of photos
+/// and label maps. Photos are decoded in parallel and kept in memory up to [`LoadOptions::decoded_mb`]. The others are decoded
+/// again at each use; their files must not change. Warnings say what is left out, and what loads but is seldom intended, such as
+/// poses in another convention.
 ///
 /// # Errors
 /// [`crate::Error::Missing`], [`crate::Error::Input`], [`crate::Error::Io`] or [`crate::Error::Limit`] naming file and

@@ -39,7 +39,8 @@ pub fn check_outputs(
     Ok(())
 }
 
-/// Refuses to write `file` where it is a photo, a label map, a mask, the cloud or the class table of the scene in folder `dir`.
+/// Refuses to write `file` where it is an input of the scene in folder `dir`: a photo, a label map, a mask, the cloud or the class
+/// table.
 ///
 /// # Errors
 /// [`crate::Error::Argument`].

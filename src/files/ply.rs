@@ -1,7 +1,7 @@
 //! Scalar columns of a PLY element, read and written in blocks of rows, for point clouds and Gaussian scenes.
 //!
-//! The format itself is `ply-rs-bw`'s. Its rows are addressed by property name; here every wanted property is renamed
-//! once, in a private copy of the element definition, to its column number, so that no row compares names.
+//! The format itself is `ply-rs-bw`'s. Its rows are addressed by property name. Here every wanted property is renamed once to its
+//! column number, in a private copy of the element definition. So no row compares names.
 
 use super::{Limits, kind};
 use crate::error::{Error, Result, bail, invalid};

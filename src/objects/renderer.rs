@@ -69,8 +69,9 @@ impl Default for RenderOptions {
 
 /// A scene that is rendered view after view. It is sent to a GPU once.
 ///
-/// Beside the memory of a [`SplatView`], a GPU holds channels of 32-bit floats: for every pixel three and one a label, and for
-/// every Gaussian one a label. Where either exceeds a quarter of its largest allocation, or 1 GiB, labels are blended in blocks.
+/// Beside the memory of a [`SplatView`], a GPU holds channels of 32-bit floats: for every pixel three and one for each label, and
+/// for every Gaussian one for each label. Where either exceeds a quarter of its largest allocation, or 1 GiB, labels are blended in
+/// blocks.
 #[derive(Debug)]
 pub struct Renderer {
     options: RenderOptions,

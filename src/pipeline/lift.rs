@@ -15,7 +15,7 @@ use std::ops::ControlFlow;
 use std::time::Instant;
 
 /// A larger share of pruned Gaussians is warned of; trained scenes lose a thousandth.
-const MANY_PRUNED: f64 = 0.05;
+const MAX_PRUNED_SHARE: f64 = 0.05;
 
 /// Image features lifted onto the Gaussians that enough pixels show.
 pub struct LiftedFeatures {
@@ -189,7 +189,7 @@ pub(crate) fn lift(
     } else {
         (gaussians.clone(), test)
     };
-    if removed as f64 > MANY_PRUNED * before as f64 {
+    if removed as f64 > MAX_PRUNED_SHARE * before as f64 {
         tracing::warn!(
             "attendance pruning removed {removed} of {before} Gaussians, because few pixels see them; a smaller \
              unprojection.attendance than {} keeps more",

@@ -263,8 +263,8 @@ impl Outcome {
     }
 }
 
-/// `config` with everything that follows from the scene: who made the labels, and with them the loss; the variants to train, where
-/// it names none.
+/// `config` with everything that follows from the scene: who made the labels, the loss for such labels, and the variants to train
+/// where it names none.
 fn resolved(config: &Config, scene: &Scene) -> Config {
     let mut config = config.clone();
     if has_raw_labels(scene) {

@@ -9,9 +9,9 @@ use crate::splat::Gaussians;
 use serde::Serialize;
 
 /// Longer side of the pictures in which Gaussians are counted, in pixels.
-const SIDE: usize = 240;
+const PICTURE_SIDE: usize = 240;
 /// Blending weight, summed over these pixels, from which on a photo shows a Gaussian.
-const SHOWN: f32 = 0.25;
+const MIN_SHOWN_WEIGHT: f32 = 0.25;
 /// Opacity of Gaussians at points: those in front hide those behind.
 const OPACITY: f32 = 0.95;
 
@@ -59,7 +59,9 @@ pub fn suggest(
     let mut shown: Vec<Vec<u32>> = Vec::with_capacity(views.len());
     for view in &views {
         let weights = weights(gaussians, view, &settings)?;
-        let of_view = (0..).zip(&weights).filter(|(_, weight)| **weight >= SHOWN);
+        let of_view = (0..)
+            .zip(&weights)
+            .filter(|(_, weight)| **weight >= MIN_SHOWN_WEIGHT);
         shown.push(of_view.map(|(gaussian, _)| gaussian).collect());
         for (worth, weight) in worth.iter_mut().zip(weights) {
             *worth += f64::from(weight);
@@ -81,7 +83,7 @@ pub fn suggest(
 /// The blending weights of each Gaussian, summed over a small picture of the view.
 fn weights(gaussians: &Gaussians, view: &View, settings: &Settings) -> Result<Vec<f32>> {
     let camera = &view.camera;
-    let scale = SIDE as f64 / camera.width.max(camera.height).max(SIDE) as f64;
+    let scale = PICTURE_SIDE as f64 / camera.width.max(camera.height).max(PICTURE_SIDE) as f64;
     let side = |pixels: usize| ((pixels as f64 * scale).round() as usize).max(1);
     let camera = camera.resized(side(camera.width), side(camera.height));
     Ok(Projected::<f32>::new(&gaussians.splats(), &camera, settings)?.weight_sums())

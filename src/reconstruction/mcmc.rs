@@ -122,8 +122,8 @@ pub fn relocate<'a>(
     }
 }
 
-/// `scale sigmoid(-k (o - t)) Sigma eta` for a Gaussian of opacity `o` and covariance `Sigma`, with a standard normal `eta`: noise
-/// along the axes of the Gaussian, and only where it is nearly transparent.
+/// `scale sigmoid(-k (o - t)) Sigma eta` for a Gaussian of opacity `o` and covariance `Sigma`, with a standard normal `eta`. The
+/// noise lies along the axes of the Gaussian, and only nearly transparent Gaussians get any.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PositionNoise {
     /// One over world units: the noise is a length, `Sigma` the square of one.

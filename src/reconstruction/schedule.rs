@@ -113,7 +113,7 @@ impl Schedule {
 }
 
 /// Cameras that reach less than this share of the distance of what they see count as standing at one place.
-const ONE_PLACE: f64 = 1e-6;
+const MIN_SPREAD: f64 = 1e-6;
 
 /// Mean position of the cameras, world units; the origin without any.
 pub fn center(views: &[&View]) -> DVec3 {
@@ -137,7 +137,7 @@ pub fn extent(views: &[&View], points: &Points) -> f64 {
         1.0
     };
     // Poses of one tripod differ by the rounding of the program that wrote them.
-    if reach > ONE_PLACE * surroundings {
+    if reach > MIN_SPREAD * surroundings {
         1.1 * reach
     } else {
         surroundings

@@ -173,8 +173,8 @@ impl<'a> Trainer<'a> {
         })
     }
 
-    /// One iteration. After an error nothing has changed, with one exception: when a GPU fails in densification or in a reset, only
-    /// the last checkpoint is good.
+    /// One iteration. After an error nothing has changed, with one exception. When a GPU fails in densification or in a reset, only
+    /// the last checkpoint can be used.
     ///
     /// # Errors
     /// [`Error::NonFinite`] naming tensor, row, view and iteration when the loss or a gradient is not finite; [`Error::Limit`]

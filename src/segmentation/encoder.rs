@@ -74,7 +74,7 @@ impl Cloud<'_> {
 
 /// A point set of an [`Encoding`].
 #[derive(Clone, Debug)]
-pub struct Level {
+pub struct EncodedLevel {
     /// `[N_n]` rows of the encoded cloud; level 1 holds them all, in order.
     pub indices: Vec<u32>,
     /// `f_s,n` before its sampling, `[N_n, S_n]`; without autodiff.
@@ -85,9 +85,9 @@ pub struct Level {
 #[derive(Clone, Debug)]
 pub struct Encoding {
     /// Levels 1 to 4, `N / 4^(n-1)` points.
-    pub levels: Vec<Level>,
+    pub levels: Vec<EncodedLevel>,
     /// The last sampled set and its features `f_e`.
-    pub coarsest: Level,
+    pub coarsest: EncodedLevel,
     /// For n = 1 to 4, interpolation onto level n from level n + 1 (from the coarsest set for n = 4).
     pub upsample: Vec<Arc<SparseMatrix>>,
 }
@@ -116,7 +116,7 @@ pub fn encode(
         check_features(n, f)?;
     }
     let upsample = hierarchy.upsampling()?;
-    let level = |(indices, features)| Level { indices, features };
+    let level = |(indices, features)| EncodedLevel { indices, features };
     let indices = hierarchy.levels.into_iter().map(|level| level.indices);
     Ok(Encoding {
         levels: indices.zip(features).map(level).collect(),
@@ -174,8 +174,8 @@ fn check_features(level: usize, features: &Tensor<2>) -> Result<()> {
     }
 }
 
-/// Metres per world unit: the setting, or, where it is 0, what makes the cameras' extent (the largest distance of a
-/// camera from their mean, world units) two metres.
+/// Metres per world unit: the setting. Where it is 0, the cameras' extent (the largest distance of a camera from their mean, world
+/// units) is taken for two metres.
 ///
 /// # Errors
 /// [`Error::Config`] for a negative or non-finite setting, and for 0 without a usable extent.

@@ -7,7 +7,7 @@ use std::num::NonZero;
 
 /// Two squared distances closer than this share of the larger are looked at again in our own arithmetic, because the
 /// tree may round them differently.
-const TIE: f64 = 1e-12;
+const TIE_TOLERANCE: f64 = 1e-12;
 
 /// Rows of `k` neighbours.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -203,8 +203,8 @@ impl PointIndex {
         };
         let cut = (near.len() > k && k > 0).then(|| (near[k - 1].distance, near[k].distance));
         match cut {
-            Some((inside, outside)) if outside <= inside * (1.0 + TIE) => {
-                let radius = inside * (1.0 + TIE);
+            Some((inside, outside)) if outside <= inside * (1.0 + TIE_TOLERANCE) => {
+                let radius = inside * (1.0 + TIE_TOLERANCE);
                 for hit in tree
                     .query(query)
                     .within::<SquaredEuclidean<f64>>(radius)

@@ -214,7 +214,7 @@ struct ChannelScale {
 }
 
 /// Spreads below this share of the channel's root mean square count as none.
-const FLAT: f32 = 1e-5;
+const MIN_SPREAD: f32 = 1e-5;
 
 impl ChannelScale {
     fn of(features: &Tensor<2>) -> Self {
@@ -232,7 +232,7 @@ impl ChannelScale {
             .powi_scalar(2)
             .mean_dim(0)
             .sqrt();
-        let varies = spread.clone().greater(square.sqrt() * FLAT).float();
+        let varies = spread.clone().greater(square.sqrt() * MIN_SPREAD).float();
         let factor = varies / spread.clamp_min(f32::MIN_POSITIVE);
         Self { mean, factor }
     }

@@ -24,7 +24,7 @@ const SHIPPED: [(&str, &str); 3] = [
     ),
 ];
 /// Longest side of an input, pixels.
-const LONGEST: usize = 8192;
+const MAX_INPUT_SIDE: usize = 8192;
 
 /// How a network reads photos and what its output means. `configs/segmenters/` has examples.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -55,7 +55,7 @@ pub struct Input {
     pub resize: Resize,
     /// Where a photo lies that does not fill the input.
     #[serde(default)]
-    pub place: Placement,
+    pub place: Anchor,
     /// Red, green and blue, 0 to 255, of pixels beside the photo.
     #[serde(default)]
     pub pad: [f32; 3],
@@ -114,7 +114,7 @@ pub enum Resize {
 /// Where a photo lies that does not fill the input.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Placement {
+pub enum Anchor {
     /// In the upper left corner.
     #[default]
     TopLeft,
@@ -213,7 +213,7 @@ impl Contract {
         let input = &self.input;
         let output = &self.output;
         let names = &self.classes.names;
-        let in_range = |side: &usize| (1..=LONGEST).contains(side);
+        let in_range = |side: &usize| (1..=MAX_INPUT_SIDE).contains(side);
         ensure!(input.size.iter().all(in_range), file, "input.size"; found "{:?}", input.size;
             expected "sides of 1 to 8192 pixels"; help "{HELP}");
         let numbers = [input.pad, input.mean, input.std];
@@ -279,8 +279,8 @@ impl Contract {
             }
         };
         let at = match self.input.place {
-            Placement::TopLeft => [0, 0],
-            Placement::Center => [0, 1].map(|a| (room[a] - size[a]) / 2),
+            Anchor::TopLeft => [0, 0],
+            Anchor::Center => [0, 1].map(|a| (room[a] - size[a]) / 2),
         };
         PhotoArea { photo, at, size }
     }

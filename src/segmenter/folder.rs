@@ -19,7 +19,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc;
 
 /// Bytes of memory that photos in work take at most, the network's weights aside.
-const MEMORY: usize = 700 << 20;
+const MAX_PHOTO_BYTES: usize = 700 << 20;
 /// Bytes for each pixel of a photo: decoded, its label map, and both while they are encoded.
 const PIXEL_BYTES: usize = 12;
 /// Changes with the arithmetic: labels of another version are made again.
@@ -200,7 +200,7 @@ impl Work<'_> {
         let pixels = |frame: &Frame| frame.camera.width * frame.camera.height;
         let largest = self.listing.frames.iter().map(pixels).max().unwrap_or(0);
         let bytes = self.network.working_bytes() + PIXEL_BYTES * largest;
-        (MEMORY / bytes.max(1)).clamp(1, rayon::current_num_threads())
+        (MAX_PHOTO_BYTES / bytes.max(1)).clamp(1, rayon::current_num_threads())
     }
 
     /// Labels a photo; true where its labels were there already.

@@ -9,9 +9,9 @@ use crate::error::Result;
 use image::RgbImage;
 
 /// Cells of scores on the longer side, at most: outputs that are finer are averaged over blocks.
-const MOST_CELLS: usize = 192;
+const MAX_CELLS: usize = 192;
 /// Probability of the listed classes below which a place is unlabelled: none of them would be stored.
-const NIL: f32 = 0.5 / 255.0;
+const MIN_PROBABILITY: f32 = 0.5 / 255.0;
 
 /// The output of a network for a photo, cut to the cells that the photo needs.
 #[derive(Clone, Debug)]
@@ -198,7 +198,8 @@ impl Mapped<'_> {
                         best
                     }
                 });
-                let is_known = across.of(listed[across.first], listed[across.second]) >= NIL;
+                let is_known =
+                    across.of(listed[across.first], listed[across.second]) >= MIN_PROBABILITY;
                 let id = best
                     .filter(|_| is_known)
                     .map_or(self.mapping.classes.ignore, |best| self.mapping.ids[best]);
@@ -222,7 +223,7 @@ impl Mapped<'_> {
 
     /// The `best` most probable classes of each cell, or block of cells.
     fn scores(&self, best: usize) -> ScoreMap {
-        let block = self.width.max(self.height).div_ceil(MOST_CELLS);
+        let block = self.width.max(self.height).div_ceil(MAX_CELLS);
         let [width, height] = [self.width, self.height].map(|n| n.div_ceil(block));
         let classes = best.clamp(1, self.mapping.ids.len());
         let mut ids = vec![0; classes * width * height];
@@ -276,7 +277,7 @@ impl Mapped<'_> {
             for x in column * block..((column + 1) * block).min(self.width) {
                 cells += 1.0;
                 let cell = y * self.width + x;
-                if self.listed[cell] < NIL {
+                if self.listed[cell] < MIN_PROBABILITY {
                     continue;
                 }
                 let values = &self.values[cell * sums.len()..][..sums.len()];

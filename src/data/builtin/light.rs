@@ -8,9 +8,9 @@ use rayon::prelude::*;
 use std::f64::consts::PI;
 
 /// Reach of ambient occlusion, metres.
-const REACH: f64 = 1.5;
+const OCCLUSION_REACH: f64 = 1.5;
 /// Distance of shadow rays from their surface, metres.
-const LIFT: f64 = 2e-3;
+const SHADOW_OFFSET: f64 = 2e-3;
 
 /// Solids and lights: all that light depends on.
 #[derive(Clone, Debug)]
@@ -22,10 +22,10 @@ pub(super) struct Lit<'a> {
 }
 
 impl Lit<'_> {
-    /// Light arriving at room point `p` with unit normal `n` (linear, white is about 1), and the share of open
-    /// directions, which is 0 for points buried in furniture.
+    /// Light that arrives at room point `p` with unit normal `n` (linear, white is about 1), and the share of open directions.
+    /// Points inside furniture have no open direction.
     pub fn arriving(&self, p: DVec3, n: DVec3) -> (DVec3, f64) {
-        let o = p + n * LIFT;
+        let o = p + n * SHADOW_OFFSET;
         let (open, ambient) = self.ambient(o, n);
         if open <= 0.02 {
             return (DVec3::ZERO, 0.0);
@@ -48,9 +48,9 @@ impl Lit<'_> {
             let angle = i as f64 * 2.399_963_229_728_653;
             let r = r2.sqrt();
             let d = t * (r * angle.cos()) + b * (r * angle.sin()) + n * (1.0 - r2).sqrt();
-            let hit = self.solids.first_opaque(o, d, REACH);
+            let hit = self.solids.first_opaque(o, d, OCCLUSION_REACH);
             open += hit.map_or(1.0, |hit| if hit.t > 0.02 { 1.0 } else { 0.0 });
-            sum += hit.map_or(1.0, |hit| 0.18 + 0.82 * (hit.t / REACH).powf(0.6));
+            sum += hit.map_or(1.0, |hit| 0.18 + 0.82 * (hit.t / OCCLUSION_REACH).powf(0.6));
         }
         (open / count as f64, sum / count as f64)
     }

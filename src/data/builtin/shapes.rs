@@ -70,7 +70,7 @@ pub(super) struct Solid {
 }
 
 /// Distance from a surface, metres, at which a ray has reached it.
-const REACHED: f64 = 1e-11;
+const HIT_DISTANCE: f64 = 1e-11;
 /// More steps than any ray needs that is not a tangent.
 const STEPS: usize = 50;
 
@@ -93,7 +93,7 @@ impl Solid {
         let mut t = near;
         for _ in 0..STEPS {
             let (level, gradient) = self.shape.level(o + d * t, self.half);
-            if level < REACHED {
+            if level < HIT_DISTANCE {
                 return (t > near).then(|| (t, gradient.normalize_or_zero()));
             }
             let slope = gradient.dot(d);

@@ -15,11 +15,11 @@ use std::collections::HashMap;
 use std::path::Path;
 
 /// Cameras that are nearer to each other than this, in world units, count as being at one place.
-const ONE_PLACE: f64 = 1e-6;
+const MIN_CAMERA_DISTANCE: f64 = 1e-6;
 /// Range of the fields of view, in degrees, of lenses without fisheye projection.
-const FIELD_OF_VIEW: [f64; 2] = [5.0, 170.0];
+const USUAL_FIELDS_OF_VIEW: [f64; 2] = [5.0, 170.0];
 /// Range of the distance from the farthest camera to the mean of all, in metres, for captures of a room.
-const EXTENT: [f64; 2] = [1.0, 4.0];
+const USUAL_EXTENTS: [f64; 2] = [1.0, 4.0];
 
 /// Focal length, principal point and length of one side of a photo.
 type Side = fn(&Camera) -> [f64; 3];
@@ -57,7 +57,7 @@ fn frame_names(frames: &[&Frame]) -> String {
 fn unit(listing: &Listing, unit_is_metre: bool) -> Option<String> {
     let labelled = listing.frames.iter().any(|frame| frame.raw.is_some());
     let (_, extent) = listing.spread();
-    let [low, high] = EXTENT;
+    let [low, high] = USUAL_EXTENTS;
     let applies = listing.layout == Layout::Colmap && unit_is_metre && labelled;
     (applies && !(low..=high).contains(&extent)).then(|| {
         format!(
@@ -125,7 +125,7 @@ pub(crate) fn cameras(listing: &Listing) -> Vec<String> {
     let size = centers().fold(DVec3::NEG_INFINITY, DVec3::max)
         - centers().fold(DVec3::INFINITY, DVec3::min);
     let mut notices = Vec::new();
-    if posed.len() > 1 && size.max_element() < ONE_PLACE {
+    if posed.len() > 1 && size.max_element() < MIN_CAMERA_DISTANCE {
         notices.push(format!(
             "all {} cameras stand at one place: depth can only be learned from photos of different places",
             posed.len()
@@ -212,7 +212,7 @@ fn unusual_field_of_view(posed: &[&Frame], side: Side, field: &str) -> Option<St
         let [focal, _, length] = side(&frame.camera);
         2.0 * (0.5 * length / focal).atan().to_degrees()
     };
-    let [low, high] = FIELD_OF_VIEW;
+    let [low, high] = USUAL_FIELDS_OF_VIEW;
     let unusual: Vec<&Frame> = posed
         .iter()
         .filter(|frame| !(low..=high).contains(&angle(frame)))

@@ -10,7 +10,7 @@ use crate::files::names;
 use std::path::Path;
 
 /// Largest number of inner folders that are searched for a layout.
-const MOST_FOLDERS: usize = 256;
+const MAX_FOLDERS: usize = 256;
 
 impl Layout {
     /// The name that settings have for it.
@@ -111,7 +111,7 @@ fn nothing(dir: &Path, options: &LoadOptions) -> Error {
     let others = transforms::alternatives(dir);
     let inner = names(dir, |_, path| path.is_dir())
         .into_iter()
-        .take(MOST_FOLDERS)
+        .take(MAX_FOLDERS)
         .find_map(|name| {
             let (layout, _) = markers(&dir.join(&name), &LoadOptions::default())
                 .into_iter()

@@ -11,7 +11,7 @@ use crate::error::{Error, Result, bail, ensure, invalid};
 use std::path::{Path, PathBuf};
 
 /// The folder of masks of a COLMAP project.
-const USUAL: &str = "masks";
+const COLMAP_MASKS: &str = "masks";
 
 /// Where the masks of a scene folder lie.
 pub(crate) enum Masks {
@@ -36,8 +36,12 @@ pub(crate) fn folder_name<'a>(folder: Folder<'a>) -> Option<&'a str> {
     let name = match options.masks.as_deref() {
         Some(NO_MASKS) => None,
         Some(name) => Some(name),
-        None if layout != Layout::Colmap || taken.any(|name| is_folder(dir, name, USUAL)) => None,
-        None => Some(USUAL),
+        None if layout != Layout::Colmap
+            || taken.any(|name| is_folder(dir, name, COLMAP_MASKS)) =>
+        {
+            None
+        }
+        None => Some(COLMAP_MASKS),
     };
     name.filter(|name| dir.join(name).is_dir())
 }

@@ -2,8 +2,8 @@
 //! NICE-SLAM (`results/frame%06d.jpg`, `traj.txt`, `cam_params.json` beside or above the scene; no labels) and
 //! Semantic-NeRF (`rgb/rgb_N.png`, `semantic_class/semantic_class_N.png`, `traj_w_c.txt`).
 //!
-//! In both, row N of the trajectory is the camera-to-world pose of photo N in OpenCV axes, and pixel centres are at
-//! whole numbers: half a pixel is added to the principal point.
+//! In both, row N of the trajectory is the camera-to-world pose of photo N in OpenCV axes. Pixel centres are at whole numbers
+//! there, so half a pixel is added to the principal point.
 
 use super::camera_checks::FOCAL;
 use super::frame::Frame;

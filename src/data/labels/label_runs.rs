@@ -2,8 +2,8 @@
 
 use crate::data::LabelMap;
 
-/// A label map as runs of equal ids, `[H, W]` row-major: neighbouring pixels mostly agree, and runs decode much faster than
-/// an image file. Never larger than the map.
+/// A label map as runs of equal ids, `[H, W]` row-major. Neighbouring pixels mostly agree, and runs decode much faster than an
+/// image file. Never larger than the map.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LabelRuns {
     width: usize,

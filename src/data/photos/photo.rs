@@ -108,8 +108,8 @@ impl Photo {
         }
     }
 
-    /// Adds to `hash` what the pixels follow from, without decoding any: the file as it was when the scene was loaded and what
-    /// becomes of its pixels, or the pixels where they lie in no file.
+    /// Adds to `hash` what determines the pixels, without decoding them: the file as it was when the scene was loaded, and how its
+    /// pixels are processed. Photos that lie in no file add their pixels.
     pub(crate) fn identify(&self, hash: &mut Sha256) {
         match &self.source {
             Source::Pixels(pixels) => {

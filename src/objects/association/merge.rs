@@ -44,8 +44,8 @@ pub(super) fn totals(groups: &Groups) -> Vec<Total> {
 /// the most that a view shows of each group.
 ///
 /// Two groups are merged where they share Gaussians and more than the share `min_agreement` of the views say that they are one
-/// ([`evidence`]). So a segmenter that sees a part in few views does not keep it apart, and one that joins two objects in few
-/// views, however large they are there, does not merge them.
+/// ([`evidence`]). So a part that the segmenter separates in few views does not stay apart, and two objects that it joins in few
+/// views are not merged, however large they are there.
 pub(super) fn pairs(
     groups: &Groups,
     visible: &[Vec<Visible>],

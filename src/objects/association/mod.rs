@@ -133,7 +133,7 @@ pub fn associate(
     settings: &Settings,
     progress: &mut dyn FnMut(usize) -> ControlFlow<()>,
 ) -> Result<Option<Association>> {
-    let inputs = Inputs {
+    let inputs = AssociationInputs {
         gaussians,
         scene,
         config,
@@ -151,14 +151,14 @@ pub fn associate(
 }
 
 /// The inputs of an association.
-struct Inputs<'a> {
+struct AssociationInputs<'a> {
     gaussians: &'a Gaussians,
     scene: &'a Scene,
     config: &'a AssociationConfig,
     settings: &'a Settings,
 }
 
-impl Inputs<'_> {
+impl AssociationInputs<'_> {
     fn associate(&self, progress: &mut Progress) -> Result<Association, End> {
         let mut views = Vec::new();
         for view in self.scene.split(Split::Train) {

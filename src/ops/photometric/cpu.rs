@@ -258,7 +258,8 @@ fn sum_wide_body<E: Real, const FMA: bool>(values: &[E]) -> f64 {
 }
 
 wide_kernel! {
-    /// SSIM of a row and its scaled derivatives; `sums` are windowed x, x^2, x y, `photo` windowed mean and variance.
+    /// SSIM of a row and its scaled derivatives. `sums` are the windowed x, x^2 and x y; `photo` has the windowed mean and
+    /// variance.
     fn ssim_row(sums: [&[E]; 3], photo: [&[E]; 2], scale: E, out: [&mut [E]; 3], map: &mut [E]) => ssim_row_body
 }
 

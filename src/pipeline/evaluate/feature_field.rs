@@ -15,9 +15,9 @@ use burn::tensor::Tensor;
 use serde::{Deserialize, Serialize};
 
 /// Share of the pixels that are scored.
-const SHARE: f64 = 1.0 / 16.0;
+const SCORED_SHARE: f64 = 1.0 / 16.0;
 /// Most features that are scored, 200 MB of them: fewer pixels are drawn where these would be more.
-const MOST_FEATURES: f64 = 5e7;
+const MAX_FEATURES: f64 = 5e7;
 
 /// How well a feature field separates the true classes, and what it took.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -112,7 +112,7 @@ fn drawn_pixels<'a>(
         .collect();
     let size = |view: &&View| view.camera.width * view.camera.height;
     let all: usize = views.iter().map(size).sum();
-    let share = SHARE.min(MOST_FEATURES / (all * channels).max(1) as f64);
+    let share = SCORED_SHARE.min(MAX_FEATURES / (all * channels).max(1) as f64);
     let lookup = inputs.scene.classes.lookup();
     (0..).zip(views).filter_map(move |(number, view)| {
         let ids = view.truth.as_ref()?.map().ids;

@@ -2,7 +2,7 @@
 
 use super::super::encode::Inputs;
 use super::super::train_decoder::{
-    Decoded, IdentityModel, Logits, PerGaussian, Rendered, ViewCache,
+    DecodedScores, IdentityModel, Logits, PerGaussian, Rendered, ViewCache,
 };
 use crate::backend::device::read;
 use crate::config::Blend;
@@ -19,7 +19,7 @@ const LAMBDA_SEGMENT: f64 = 1.2;
 /// Share of the iterations before segment consistency begins.
 const SEGMENTS_FROM: f64 = 0.6;
 /// Keeps the logarithm of a blended probability finite.
-const LEAST_PROBABILITY: f64 = 1e-8;
+const MIN_PROBABILITY: f64 = 1e-8;
 
 /// Each Gaussian has class probabilities, which are blended. The loss is cross-entropy weighted by the segmenter's confidence, plus
 /// consistency within 2D segments: every pixel of a segment learns the segment's mean class.
@@ -132,7 +132,7 @@ impl IdentityModel for PanopticLifting<'_> {
         self.classes.set_module(module);
     }
 
-    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<Decoded> {
+    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<DecodedScores> {
         self.classes.decode(view, visible, iteration)
     }
 
@@ -153,7 +153,7 @@ impl IdentityModel for PanopticLifting<'_> {
         let confidence = TensorData::new(confidence, [count, 1]);
         let plain = p.device().inner();
         let confidence = constant(Tensor::from_data(confidence, &plain), &p.device());
-        let log_p = (p.clone() + LEAST_PROBABILITY).log();
+        let log_p = (p.clone() + MIN_PROBABILITY).log();
         let loss = weighted_cross_entropy(&log_p, &sample.pixels.labels, confidence.clone());
         if rendered.iteration < self.segments_from {
             return Ok(loss);

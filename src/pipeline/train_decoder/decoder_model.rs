@@ -10,7 +10,7 @@
 use super::adam::{parameter_gradients, values};
 use super::view_cache::ViewCache;
 use super::view_input::{DecoderInput, Encoded, Part, REGULARISED, ViewInput};
-use super::{Decoded, IdentityModel};
+use super::{DecodedScores, IdentityModel};
 use crate::config::{Blend, SegmentationConfig};
 use crate::error::Result;
 use crate::objects::Identities;
@@ -226,7 +226,7 @@ impl IdentityModel for DecoderModel<'_> {
         self.decoder = decoder;
     }
 
-    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<Decoded> {
+    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<DecodedScores> {
         let input = self.view_input(view, visible)?;
         let pyramid = &self.input.view(view).pyramid;
         let factors = self.channel_factors(pyramid, iteration);
@@ -238,7 +238,7 @@ impl IdentityModel for DecoderModel<'_> {
                     (scores, decoded.fused)
                 });
                 let (scores, fused): (Vec<_>, Vec<_>) = decoded.unzip();
-                Ok(Decoded {
+                Ok(DecodedScores {
                     scores,
                     regularisation: input.regularisation(&fused[0], &self.plan, iteration),
                     parts: None,
@@ -259,7 +259,7 @@ impl IdentityModel for DecoderModel<'_> {
                     let fused = self.decoder.fuse(&coarse, REGULARISED.start);
                     input.regularisation(&fused, &self.plan, iteration)
                 });
-                Ok(Decoded {
+                Ok(DecodedScores {
                     scores,
                     regularisation,
                     parts: Some(DecodedParts { input, factors }),
@@ -268,7 +268,12 @@ impl IdentityModel for DecoderModel<'_> {
         }
     }
 
-    fn gradient(&self, view: usize, decoded: &Decoded, gradients: &mut Gradients) -> Tensor<1> {
+    fn gradient(
+        &self,
+        view: usize,
+        decoded: &DecodedScores,
+        gradients: &mut Gradients,
+    ) -> Tensor<1> {
         let decoder = &self.decoder;
         let mut sum = parameter_gradients(decoder, gradients);
         let Some(DecodedParts { input, factors }) = &decoded.parts else {

@@ -37,8 +37,8 @@ struct View {
 }
 
 wide_kernel! {
-    /// Projects the Gaussians from `first` on, one for each of `radii`, which is zero and stays so where
-    /// one is culled; the visible ones are appended in order.
+    /// Projects the Gaussians from `first` on, one for each of `radii`. `radii` are zero before; those of culled Gaussians stay
+    /// zero. The visible Gaussians are appended in order.
     pub(super) fn project(
         splats: &Splats<'_, E>, first: usize, viewpoint: &Viewpoint, settings: &Settings,
         radii: &mut [u32], visible: &mut Vec<Visible>,

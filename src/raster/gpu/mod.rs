@@ -40,7 +40,7 @@ use burn::tensor::DType;
 use burn_cubecl::tensor::CubeTensor;
 
 /// Sums of absolute screen-space gradients exist for up to this many channels.
-pub(super) const ABSOLUTE_CHANNELS: usize = backward::ALWAYS_TOGETHER;
+pub(super) const ABSOLUTE_CHANNELS: usize = backward::COMMON_BLOCK_CHANNELS;
 
 /// Whether the device of `tensor` can run the kernels.
 pub(super) fn covers(tensor: &CubeTensor) -> bool {

@@ -83,8 +83,8 @@ pub(super) fn pixel(tile: usize, unit: u32, width: u32, height: u32) -> Pixel {
 
 /// alpha' of the `at`-th Gaussian of a batch at (x, y) before the cap; 0 where it is surely below the cut-off.
 ///
-/// Multiply-adds are spelled out, here and in [`take`]: compilers may or may not contract products and sums, and the
-/// forward and the backward pass have to stop at the same Gaussian.
+/// Multiply-adds are written out, here and in [`take`], because compilers may or may not contract products and sums. The forward
+/// and the backward pass have to stop at the same Gaussian.
 #[cube]
 pub(super) fn alpha_at(batch: &Shared<[Four]>, at: usize, x: f32, y: f32, rule: &Rule) -> f32 {
     let first = batch[at * SPLAT_FOURS];

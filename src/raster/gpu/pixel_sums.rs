@@ -17,7 +17,7 @@ pub(super) struct PixelGradients<'a> {
     /// `[H, W]`.
     pub transmittance: &'a CubeTensor,
     pub d_transmittance: Option<&'a CubeTensor>,
-    /// Whether to add sums of absolute values, for at most [`super::backward::ALWAYS_TOGETHER`] channels.
+    /// Whether to add sums of absolute values, for at most [`super::backward::COMMON_BLOCK_CHANNELS`] channels.
     pub absolute: bool,
 }
 

@@ -13,7 +13,7 @@ use std::sync::OnceLock;
 
 /// Bytes of one channel a label for all Gaussians, and labels that are blended together all the same.
 const BLOCK_BYTES: usize = 1 << 30;
-const FEWEST: usize = 8;
+const MIN_CHANNELS: usize = 8;
 
 /// The labels of a scene's Gaussians.
 #[derive(Clone, Debug)]
@@ -56,7 +56,7 @@ impl GaussianLabels {
             .channel_blocks(others + labels)
             .next()
             .map_or(labels, |block| block.len() - others);
-        let of_gaussians = view.splats().channels_within(BLOCK_BYTES).max(FEWEST);
+        let of_gaussians = view.splats().channels_within(BLOCK_BYTES).max(MIN_CHANNELS);
         let together = of_image.min(of_gaussians).max(1);
         (0..labels)
             .step_by(together)

@@ -22,7 +22,7 @@ const DEVICE_BLOCK_SHARE: usize = 4;
 /// On a device the channels of a block are a multiple of this.
 const DEVICE_STEP: usize = 32;
 /// Channels that are always blended together, however large the image: each pass evaluates all pairs anew.
-const LEAST_CHANNELS: usize = 12;
+const MIN_CHANNELS: usize = 12;
 
 /// What [`SplatView::blend_adjoint`] returns.
 #[derive(Clone, Debug)]
@@ -101,9 +101,9 @@ impl SplatView {
     pub fn channel_blocks(&self, channels: usize) -> impl Iterator<Item = Range<usize>> + use<> {
         let plane = (self.camera().width * self.camera().height * size_of::<f32>()).max(1);
         let together = match largest_allocation(&self.device()) {
-            None => (BLOCK_BYTES / plane).max(LEAST_CHANNELS),
+            None => (BLOCK_BYTES / plane).max(MIN_CHANNELS),
             Some(most) => match (most / DEVICE_BLOCK_SHARE).min(DEVICE_BLOCK_BYTES) / plane {
-                few if few < DEVICE_STEP => few.max(LEAST_CHANNELS),
+                few if few < DEVICE_STEP => few.max(MIN_CHANNELS),
                 many => many / DEVICE_STEP * DEVICE_STEP,
             },
         };

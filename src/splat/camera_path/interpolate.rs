@@ -8,7 +8,7 @@ use glam::{DMat3, DQuat, DVec3, DVec4};
 /// Parts of each segment whose lengths are summed.
 const PARTS: usize = 32;
 /// A key repeats the key before it when their distance is below this share of [`spread`].
-const SAME: f64 = 1e-9;
+const MIN_DISTANCE: f64 = 1e-9;
 
 /// A smooth path through cameras, the keys, in their order.
 ///
@@ -52,7 +52,7 @@ impl CameraPath {
             .map(|camera| Key::new(&camera.with_size(width, height)))
             .collect::<Vec<_>>();
         let per_radian = spread(&keys);
-        keys.dedup_by(|key, before| distance(before, key, per_radian) <= SAME * per_radian);
+        keys.dedup_by(|key, before| distance(before, key, per_radian) <= MIN_DISTANCE * per_radian);
         // Again, so that repeated keys have no more weight than the others.
         let per_radian = spread(&keys);
 

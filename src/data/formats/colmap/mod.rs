@@ -25,7 +25,7 @@ use std::path::{Component, Path};
 pub(crate) use self::model::marker;
 
 /// What to do with a file that is damaged.
-const AGAIN: &str = "copy the model again, or write it again with `colmap model_converter`";
+const DAMAGED_HELP: &str = "copy the model again, or write it again with `colmap model_converter`";
 
 /// Refuses a folder without a whole model or without the folder of photos.
 pub(crate) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {

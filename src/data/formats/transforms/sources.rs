@@ -135,7 +135,7 @@ impl Sources {
         kept
     }
 
-    /// The name of each frame: the stem of its photo, or, where photos of several files have the same stems, its path with
+    /// The name of each frame: the stem of its photo. Where photos of several files have the same stems, it is the path with
     /// folders joined by `_`. A name that is empty or that an earlier frame has is a fault, and is `None`.
     fn names(&self, problems: &mut Problems) -> Vec<Option<String>> {
         let stem = |file: &str| Some(Path::new(file).file_stem()?.to_str()?.to_owned());

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Help for unknown ids that may be no classes.
-const IF_SEGMENTS: &str = "; where ids mean something in their view alone (instance masks), \
+const SEGMENTS_HELP: &str = "; where ids mean something in their view alone (instance masks), \
     add --set data.association=gaussians, or use `coseg associate`";
 
 /// The format of the raw labels of a scene folder.
@@ -135,7 +135,7 @@ pub(crate) fn needs_classes(
     let is_named = named::table(dir, &folder(dir, options, files.first()?.path)).is_some();
     let is_grey = options.association == Association::None
         && format_of(dir, options, files) == RawFormat::Grey;
-    (is_grey && !is_named).then_some(IF_SEGMENTS)
+    (is_grey && !is_named).then_some(SEGMENTS_HELP)
 }
 
 /// The format that the options name, or that of the first map.
@@ -349,7 +349,7 @@ impl RawLabels {
             Source::Grey | Source::Masks | Source::Drawn(_) => {
                 let mut map = LabelMap::decode(path, &file)?;
                 if !self.segments {
-                    map.check_ids(path, classes, known, IF_SEGMENTS)?;
+                    map.check_ids(path, classes, known, SEGMENTS_HELP)?;
                 }
                 Ok(without_segments(map))
             }

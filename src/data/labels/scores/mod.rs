@@ -92,11 +92,11 @@ impl ViewScores {
     ///
     /// # Errors
     /// As [`ScoreMap::read`].
-    pub fn read(&self, classes: &Classes) -> Result<LabelScores> {
+    pub fn read(&self, classes: &Classes) -> Result<LabelProbabilities> {
         let map = ScoreMap::read(&self.file, &self.limits)?;
         let index = |id: &u16| classes.index(*self.ids.get(id)?).map(|index| index as u16);
         let indices = map.ids.iter().map(index).collect();
-        Ok(LabelScores {
+        Ok(LabelProbabilities {
             map,
             indices,
             placement: self.placement.clone(),
@@ -106,14 +106,14 @@ impl ViewScores {
 
 /// The scores of a view's raw labels in memory: class probabilities of any of its pixels.
 #[derive(Clone, Debug)]
-pub struct LabelScores {
+pub struct LabelProbabilities {
     map: ScoreMap,
     /// Class index of each of the map's ids; `None` where it is no class of the scene.
     indices: Vec<Option<u16>>,
     placement: Placement,
 }
 
-impl LabelScores {
+impl LabelProbabilities {
     /// Class probabilities at the centre of the pixel in column `x`, row `y` of the view, as (class index, probability). They are
     /// those of the classes in the four cells around it, the most probable first, and sum to 1. They are bilinear on the grid, then
     /// renormalised. Empty where no class of the scene is known. `found` is emptied first.
