@@ -1,7 +1,7 @@
 //! The glue between a custom operation and burn's backends.
 //!
-//! An operation is a folder: `mod.rs` has the public function on tensors and calls [`custom_op!`]; `cpu.rs` has a kernel that is
-//! generic over [`HostBackend`](super::HostBackend); `gpu.rs` has a kernel on `CubeBackend`, behind the feature `cube`; the module
+//! An operation is a folder: `mod.rs` has the public function on tensors and calls [`custom_op!`]. `cpu.rs` has a kernel that is
+//! generic over [`HostBackend`](super::HostBackend). `gpu.rs` has a kernel on `CubeBackend`, behind the feature `cube`. The module
 //! `autodiff` has the tracked version: one call of [`track`].
 //!
 //! ```ignore

@@ -46,8 +46,8 @@ impl ObjectSceneArgs {
         ObjectScene::new(path, ply, self.classes.as_ref())
     }
 
-    /// Checks that a scene with labels of `classes` can be written to `out`: a .ply file that overwrites neither what was
-    /// read nor the class table of other labels.
+    /// Checks that a scene with labels of `classes` can be written to `out`. `out` must be a .ply file and must overwrite neither
+    /// an input nor the class table of other labels.
     pub fn check_out(&self, out: &Path, scene: &ObjectScene, classes: &Classes) -> Result<()> {
         let names = out.with_file_name(CLASSES);
         let is_read = |path: &PathBuf| atomic::same_file(path, out);

@@ -259,7 +259,7 @@ impl Plan {
         Ok(())
     }
 
-    /// Checks that no table sets what other parts of the plan decide, and that each row has valid settings.
+    /// Checks that no table sets keys that other parts of the plan decide, and that each row has valid settings.
     fn check_settings(&self) -> Result<()> {
         self.check_table("settings", &self.settings, &[])?;
         let scene = &self.scenes[0];

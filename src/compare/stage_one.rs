@@ -96,7 +96,7 @@ struct Record {
 }
 
 impl Record {
-    /// Checks that the Gaussians are those of `plan`, and from the file `named` if that is given; `path` is that of the record.
+    /// Checks that the Gaussians belong to `plan` and, if `named` is given, come from that file. `path` is the file of the record.
     fn check(
         &self,
         path: &Path,

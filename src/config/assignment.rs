@@ -128,7 +128,7 @@ impl Assignment<'_> {
         fault(self.file, &self.key, found, expected, help.into())
     }
 
-    /// The error for a part of the key that its section does not have; `known` are those that it has.
+    /// The error for a part of the key that its section does not have. `known` lists the keys of the section.
     fn unknown_key<'k>(&self, unknown: &str, known: impl Iterator<Item = &'k str>) -> Error {
         let parts = self.key.split('.');
         let section: String = parts

@@ -38,8 +38,8 @@ use std::path::Path;
 ///
 /// The origin is the mean of all camera centres, subtracted in f64 from cameras and points. Lens distortion is taken out of photos
 /// and label maps. Photos are decoded in parallel and kept in memory up to [`LoadOptions::decoded_mb`]. The others are decoded
-/// again at each use; their files must not change. Warnings say what is left out, and what loads but is seldom intended, such as
-/// poses in another convention.
+/// again at each use; their files must not change. Warnings name what is left out. They also name what loads but is seldom
+/// intended, such as poses in another convention.
 ///
 /// # Errors
 /// [`crate::Error::Missing`], [`crate::Error::Input`], [`crate::Error::Io`] or [`crate::Error::Limit`] naming file and
@@ -197,8 +197,7 @@ pub struct View {
     pub camera: Camera,
     /// The photo, 8-bit sRGB.
     pub image: Photo,
-    /// Which pixels are used, where some are left out: these are not trained on, not scored, and unlabelled in the maps
-    /// below.
+    /// The used pixels, where some are left out. Left-out pixels are not trained on, not scored, and unlabelled in the maps below.
     pub mask: Option<Mask>,
     /// True labels, where known. Only for scoring.
     pub truth: Option<LabelRuns>,

@@ -17,7 +17,7 @@ pub struct LoadOptions {
     pub images: String,
     /// Folder of raw labels within the scene folder, instead of the one that the frames or the layout name.
     pub raw_labels: Option<String>,
-    /// Folder of masks within the scene folder, instead of those that the frames or the layout name;
+    /// Folder of masks within the scene folder. It replaces the masks that the frames or the layout name.
     /// [`NO_MASKS`](crate::config::NO_MASKS) for none.
     pub masks: Option<String>,
     /// How raw labels are stored.

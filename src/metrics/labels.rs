@@ -118,8 +118,8 @@ pub struct LabelScores {
     pub per_class: Vec<(u16, f64)>,
 }
 
-/// Scores `views` of (true ids, predicted ids), each `[H, W]`, one after the other; pixels whose truth is the ignored id
-/// are left out.
+/// Scores `views` of (true ids, predicted ids), each `[H, W]`, one after the other. Pixels whose truth is the ignored id are left
+/// out.
 ///
 /// A view without any counted pixel adds nothing to the mean over views.
 pub fn label_scores(

@@ -31,7 +31,7 @@ pub struct RenderOptions {
     pub settings: Settings,
     /// Colour behind the scene, sRGB in 0..1.
     pub background: [f32; 3],
-    /// The least alpha at which a pixel has a label: all have one at 0 where a Gaussian weighs anything, none above 1.
+    /// Smallest alpha at which a pixel has a label. At 0 every pixel with a contributing Gaussian has one; above 1 no pixel has.
     pub min_coverage: f32,
 }
 

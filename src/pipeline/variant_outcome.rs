@@ -21,7 +21,7 @@ pub struct VariantOutcome {
     pub compactness: Option<Compactness>,
     /// How far the raw labels agree about the Gaussians; of the vote.
     pub agreement: Option<Agreement>,
-    /// Scores of the feature field that it reads in all scales, where these were asked for.
+    /// Scores of the feature field that the variant reads in all scales, if they were requested.
     pub field: Option<FieldScores>,
     /// Training curve; empty where nothing was trained.
     pub curve: Vec<CurvePoint>,

@@ -20,8 +20,8 @@ const STEP: f64 = 0.125;
 /// Steps of the quadrature on either side of the centre.
 const STEPS: u32 = 88;
 
-/// Opacity logit of each of `copies` Gaussians at one place that look like one of opacity `sigmoid(logit)`, and what is added to
-/// their log-scales. The new logit is at least `floor`.
+/// `copies` Gaussians at one place that together look like one of opacity `sigmoid(logit)`: the opacity logit of each, and the
+/// shift of their log-scales. The new logit is at least `floor`.
 ///
 /// Eq. 9: with the old opacity `o`, `o' = 1 - (1 - o)^(1/N)`, so that all of them together let as much light through at the
 /// centre, and the scales times `o / D`,

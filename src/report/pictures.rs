@@ -111,7 +111,7 @@ fn per_pixel(width: usize, height: usize, color: impl Fn(usize) -> [u8; 3]) -> R
     })
 }
 
-/// `picture` with a strip below that names every class that occurs in `labels`: swatch, id, name.
+/// `picture` with a strip below. The strip names each class in `labels`: swatch, id, name.
 pub fn with_legend(picture: &RgbImage, labels: &LabelMap, classes: &Classes) -> RgbImage {
     let mut present = vec![false; 1 << 16];
     for &id in &labels.ids {

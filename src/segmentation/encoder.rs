@@ -217,7 +217,7 @@ pub fn load_spatial(
     Ok((encoder, name))
 }
 
-/// SHA-256 of the weights that `config` asks for; of random ones, which their seed says, none.
+/// SHA-256 of the weights that `config` asks for; `None` for random weights, which the seed determines.
 ///
 /// # Errors
 /// [`Error::Io`] when their file cannot be read.

@@ -133,7 +133,7 @@ impl Gaussians {
         (self.sh_degree + 1).pow(2)
     }
 
-    /// Checks that all lengths agree, that of `labels` too, that the degree is at most 3, and that every value is finite.
+    /// Checks that all lengths agree (`labels` included), that the degree is at most 3, and that every value is finite.
     ///
     /// # Errors
     /// [`Error::Argument`] for a length or degree; [`Error::NonFinite`] naming tensor and row.

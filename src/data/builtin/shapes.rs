@@ -85,8 +85,8 @@ impl Solid {
         self.axes * p + self.center
     }
 
-    /// Where the local ray `o + t d` enters the solid, `near < t < far`, and the outward normal there; `None` where it
-    /// misses, and where it starts inside.
+    /// Where the local ray `o + t d` enters the solid, `near < t < far`, and the outward normal there. `None` where the ray misses
+    /// the solid or starts inside.
     ///
     /// Newton's method on a convex function never passes the first zero when it starts before it.
     pub fn entry(&self, o: DVec3, d: DVec3, near: f64, far: f64) -> Option<(f64, DVec3)> {

@@ -250,7 +250,8 @@ pub struct Thumbnail {
     pub truth: Option<LabelMap>,
 }
 
-/// At most `count` views, evenly chosen among those with raw labels where there are any, `width` pixels wide, and the class table for their labels.
+/// At most `count` views, `width` pixels wide, and the class table for their labels. They are chosen evenly, among views with raw
+/// labels where there are any.
 ///
 /// # Errors
 /// As [`crate::data::load`].

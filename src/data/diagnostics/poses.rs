@@ -1,8 +1,8 @@
 //! Checks that poses are read in the convention in which they were written. With a wrong one, training fails without an error.
 //!
-//! A pose is a rotation and a translation, which may be camera-to-world or world-to-camera, in OpenGL or in OpenCV axes.
-//! The layout defines which; a folder that was put together by hand may hold another one. The initial cloud shows it: with
-//! the right convention its points lie in the photos, and have the colours of the pixels that they fall on.
+//! A pose is a rotation and a translation, which may be camera-to-world or world-to-camera, in OpenGL or in OpenCV axes. The layout
+//! defines the convention. A folder that was put together by hand may hold another one. The initial cloud shows it: with the right
+//! convention its points lie in the photos, and have the colours of the pixels that they fall on.
 
 use super::convention::Convention;
 use crate::config::Layout;

@@ -110,8 +110,8 @@ impl<'a> FrameLabels<'a> {
         map
     }
 
-    /// Refuses a file of the labels at `path` whose size is neither that of the stored nor of the reduced photo; where maps
-    /// are resampled it only needs the same proportions.
+    /// Refuses a label file at `path` unless it has the size of the stored or of the reduced photo. Where maps are resampled, the
+    /// same proportions are enough.
     fn check_size(&self, path: &Path, file: &ImageFile) -> Result<()> {
         let declared = self.listing.geometries.of(path).is_some();
         if !declared && self.geometry.is_reduced_size(file.size) {

@@ -25,8 +25,7 @@ impl Layout {
     }
 }
 
-/// The layout of the scene folder `dir`: the one that the options name, or the one whose files are there. Cheap: a run asks
-/// before it begins.
+/// The layout of the scene folder `dir`: the options name it, or its files show it. Cheap: a run asks before it begins.
 ///
 /// # Errors
 /// [`Error::Missing`] when there is no such folder; [`Error::Input`] when it is a file, or has the files of no layout or of

@@ -100,8 +100,8 @@ impl Problems {
 }
 
 impl Listing {
-    /// A listing without a cloud. Its class table is that of the folder, or where labels need one and the folder has none,
-    /// the one of the `dataset`. Raw labels are added by [`Listing::with_raw_labels`].
+    /// A listing without a cloud. Its class table is the folder's. Where labels need one and the folder has none, it is the table
+    /// of the `dataset`. Raw labels are added by [`Listing::with_raw_labels`].
     pub fn new(
         folder: Folder<'_>,
         file: PathBuf,

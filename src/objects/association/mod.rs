@@ -2,17 +2,17 @@
 //!
 //! The ids of segments mean something within their view only. The Gaussians are what views have in common. A segment covers
 //! Gaussian i with weight `w_mi = sum_p alpha'_i T_i` over its pixels, and a group of segments with the sum of theirs. Of what a
-//! view shows, group g claims `sum_i w_mi W_gi / W_i` pixels of segment m. The IoU of segment and group in these pixels scores
-//! the pair. It compares what the view can see, so that a wall of which each view shows a part is one wall. Pairs are chosen one
+//! view shows, group g claims `sum_i w_mi W_gi / W_i` pixels of segment m. The IoU of segment and group in these pixels scores the
+//! pair. It compares only what the view can see. So a wall is one wall even if each view shows a part of it. Pairs are chosen one
 //! to one in each view (as Gaga, arXiv 2404.07977, and CCGS, arXiv 2502.16303, do on sets of points; weights in place of point
 //! tests are ours).
 //!
 //! The first sweep takes the views in an order of overlap and opens groups. Later sweeps remove each view from the groups and
 //! assign it again, so that no view confirms itself. Then groups that most views take for two objects are split, and groups that
-//! most views take for one are merged. Strays are dropped last. A segment that covers most of what its view shows of several
-//! groups means that the segmenter took two objects for one. The other views keep these groups apart, so the segment is divided
-//! among them, Gaussian by Gaussian and then pixel by pixel. (MaskClustering, arXiv 2401.07745, also counts the views that
-//! agree, and leaves such segments out.)
+//! most views take for one are merged. Strays are dropped last. Where a segment covers most of what its view shows of several
+//! groups, the segmenter took two objects for one. The other views keep these groups apart, so the segment is divided among them,
+//! Gaussian by Gaussian and then pixel by pixel. (MaskClustering, arXiv 2401.07745, also counts the views that agree, and leaves
+//! such segments out.)
 //!
 //! Memory grows with the pairs of segments and Gaussians, 8 bytes each, and as much again while the order of the views is found.
 //! It does not grow with their product.

@@ -23,7 +23,7 @@ pub(super) struct Visible {
     pub set: u32,
     /// Pixels in the whole view.
     pub total: f64,
-    /// The segment that covers it, where one does, and the pixels in that.
+    /// The segment that covers the set, if any, and its pixels of the set.
     pub covered_by: Option<(usize, f64)>,
 }
 

@@ -325,7 +325,7 @@ pub fn photometric_loss(
     loss_and_gradient(image, target, ssim_weight).0
 }
 
-/// Loss and gradient on a GPU; tensors that are not f32, and images that are too large, take the kernels for CPUs.
+/// Loss and gradient on a GPU. Tensors that are not f32 and images that are too large take the kernels for CPUs.
 pub fn loss_and_gradient(
     image: FloatTensor<CubeBackend>,
     target: Arc<PhotometricTarget>,

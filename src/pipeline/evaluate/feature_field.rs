@@ -52,7 +52,8 @@ impl FieldScores {
     }
 
     /// The scores of rendered features whose clusters are the true classes of their pixels, as in Table 2 of the paper. `features`
-    /// gives those of pixels over the Gaussians that they show, `[P, channels]`, in the units of the reduced 2D maps.
+    /// returns the features at pixels, `[P, channels]`, in the units of the reduced 2D maps, from the Gaussians that the pixels
+    /// show.
     ///
     /// Features are blended as in training: divided by the coverage unless `segmentation.blend` is `logits`. Pixels are a sixteenth
     /// of those with a class and enough coverage (`segmentation.min_coverage`), the same ones for every field and seed. Nothing is

@@ -24,9 +24,9 @@ const MIN_PROBABILITY: f64 = 1e-8;
 /// Each Gaussian has class probabilities, which are blended. The loss is cross-entropy weighted by the segmenter's confidence, plus
 /// consistency within 2D segments: every pixel of a segment learns the segment's mean class.
 ///
-/// Confidence is the largest probability of a pixel in the scores of its labels, and 1 where labels have no scores. Differences from
-/// the original: Gaussians instead of a field; hard labels instead of probabilities averaged over test-time augmentation; segments
-/// are the connected parts of one class in a label map, and all that a step draws take part instead of 32.
+/// Confidence is the largest probability of a pixel in the scores of its labels, and 1 where labels have no scores. Differences
+/// from the original: Gaussians replace the field, and hard labels replace probabilities averaged over test-time augmentation.
+/// Segments are the connected parts of one class in a label map. All segments of a step take part instead of 32.
 pub struct PanopticLifting<'a> {
     classes: PerGaussian,
     views: Vec<&'a View>,

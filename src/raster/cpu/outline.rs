@@ -1,4 +1,4 @@
-//! The ellipses of projected Gaussians: which pixel rows, and which columns of a row of tiles, they cover.
+//! The ellipses of projected Gaussians: the pixel rows and, in a row of tiles, the columns that they cover.
 //!
 //! Nothing is fused, so that the lists do not depend on the instruction set.
 

@@ -30,7 +30,8 @@ pub(crate) struct GaussianLabels {
 pub(crate) struct LabelledPixels {
     /// `[H, W, 3]` without background; empty without colours.
     pub rgb: Vec<f32>,
-    /// `[H, W]`: the label whose Gaussians have the largest summed alpha' T, ties to the lower one, and 0 where there are none.
+    /// `[H, W]`: the label whose Gaussians have the largest summed alpha' T. Ties go to the lower label; pixels without Gaussians
+    /// are 0.
     pub labels: Vec<u16>,
     /// What shows of the background, `[H, W]`.
     pub transmittance: Vec<f32>,

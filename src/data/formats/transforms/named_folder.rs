@@ -1,4 +1,4 @@
-//! Label maps and masks of frames in a folder that the user names instead of the one that the frames name.
+//! Label maps and masks of frames in a folder that the user names. It replaces the folder that the frames name.
 
 use super::schema::Frame;
 use super::sources::Sources;

@@ -45,7 +45,7 @@ struct Category {
     name: String,
 }
 
-/// The file that `data.raw_labels` names, or the only one in the folder that it names.
+/// The file that `data.raw_labels` names; in a folder, the only JSON file that is not one of [`OTHER_FILES`].
 pub(crate) fn find(dir: &Path, options: &LoadOptions) -> Option<PathBuf> {
     let named = dir.join(options.raw_labels.as_deref()?);
     if named.is_file() {

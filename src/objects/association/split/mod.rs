@@ -1,7 +1,7 @@
 //! Groups that turn out to be two objects.
 //!
-//! A segment that covers two objects may come first. The views that show only one of them then join its group, where they
-//! outweigh the views that show both and tell them apart. Weights do not show that; segments side by side do.
+//! A segment that covers two objects may come first. The views that show only one of them then join its group. There they outweigh
+//! the views that tell them apart. Weights do not show that; segments side by side do.
 
 mod candidates;
 mod partition;

@@ -21,8 +21,8 @@ pub(super) struct Partition {
     pub parts: Vec<PartGaussian>,
 }
 
-/// The partition of a group that grows from `seed`, where its smaller part is larger than that of the best one and both parts
-/// have most of their Gaussians. `parts` are zero before and after.
+/// The partition of a group that grows from `seed`. `None` unless its smaller part is larger than that of the best partition so far
+/// and both parts have most of their Gaussians. `parts` are zero before and after.
 pub(super) fn partition(
     groups: &Groups,
     assigned: &[Assigned<'_>],
@@ -96,8 +96,9 @@ pub(super) fn part_gaussians(
     gaussians.iter().filter_map(own).collect()
 }
 
-/// Grows two parts from a pair of segments, which stay, into `parts`, which are zero. Each other piece goes to the part that
-/// has it, and to neither while both have some of it; the larger one takes it in the end. Returns the part of each piece.
+/// Grows two parts from a pair of segments into `parts`, which are zero before. The pair stays in its parts. Each other piece goes
+/// to the part that has it, and to neither while both have some of it; the larger one takes it in the end. Returns the part of each
+/// piece.
 pub(super) fn grow(
     parts: &mut Parts,
     assigned: &[Assigned<'_>],

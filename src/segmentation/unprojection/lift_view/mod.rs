@@ -30,8 +30,8 @@ pub struct Sums<E> {
     pub channels: Vec<usize>,
     /// `sum_v W^T 1` per scale, `[N]`: at `image` resolution the same at every scale.
     pub weights: Vec<Vec<E>>,
-    /// Algorithm 1's counter per scale, `[N]`: pixels (at `feature` resolution: cells) whose centre lies within the radius,
-    /// except for masked ones, which add nothing to the buffers either.
+    /// Algorithm 1's counter per scale, `[N]`: unmasked pixels (at `feature` resolution: cells) whose centre lies within the
+    /// radius. Masked ones do not add to the buffers either.
     pub counts: Vec<Vec<u64>>,
     /// Unmasked pixels (cells) of all views per scale; without masks `sum_v H_v W_v`.
     pub pixels: Vec<u64>,
