@@ -166,7 +166,7 @@ pub fn open_hardware_gpu() -> Result<Device> {
     }
 }
 
-/// [`open_gpu`] for tests. Without a GPU they print so and pass, unless COSEG_REQUIRE_GPU is set; its value `hardware` excludes
+/// [`open_gpu`] for tests. Without a GPU they print so and pass, unless COSEG_REQUIRE_GPU is set. Its value `hardware` excludes
 /// software adapters.
 #[cfg(test)]
 pub(crate) fn gpu_of_tests() -> Option<Device> {

@@ -95,8 +95,8 @@ struct PlanFile {
 }
 
 impl Plan {
-    /// Reads and checks the plan at `path`. Its scenes are folders within `root`, or else within the folder of the
-    /// file; `builtin` is the built-in room.
+    /// Reads and checks the plan at `path`. Its scenes are folders within `root`, or else within the folder of the file. `builtin`
+    /// is the built-in room.
     ///
     /// # Errors
     /// [`Error::Io`]; [`Error::Input`] naming the field of the file; [`Error::Missing`] for a scene that is not there;

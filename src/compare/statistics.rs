@@ -7,7 +7,7 @@ use serde::Serialize;
 pub struct Statistic {
     /// Mean over scenes of each scene's mean over seeds.
     pub mean: f64,
-    /// Standard deviation over seeds of the mean over scenes; `None` of fewer than two seeds that have all scenes.
+    /// Standard deviation, over seeds, of the mean over scenes. `None` where fewer than two seeds have all scenes.
     pub spread: Option<f64>,
     /// Cells that have the figure.
     pub cells: usize,

@@ -70,7 +70,7 @@ pub enum Preset {
     /// Our choices, all pixels.
     #[default]
     Default,
-    /// The choices that the paper states, where this crate departs from them; its networks need weights of their own.
+    /// The paper's choices, where the defaults of this crate differ from them. The paper's networks need weights of their own.
     Paper,
     /// A quarter of the pixels a step, cached blending weights.
     Fast,

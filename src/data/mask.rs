@@ -131,7 +131,7 @@ impl Mask {
             });
     }
 
-    /// `values` of the pixels that are used, in their order; `values` has `channels` of them for each pixel, row-major.
+    /// The rows of `values`, `[pixels, channels]`, of the used pixels, in their order.
     pub fn used<T: Copy>(&self, values: &[T], channels: usize) -> Vec<T> {
         let pixels = values.chunks(channels.max(1)).enumerate();
         pixels

@@ -100,8 +100,8 @@ impl LoadOptions {
         }
     }
 
-    /// Which frames are read, as (index, split), ascending. `given` are the splits that the folder defines; without any,
-    /// every 8th frame that is read is test, from the first on.
+    /// Which frames are read, as (index, split), ascending. `given` are the splits that the folder defines. Without any, every 8th
+    /// frame that is read is a test frame, from the first on.
     pub(crate) fn pick(&self, given: &[Option<Split>]) -> Vec<(usize, Split)> {
         let wanted = if self.max_frames == 0 {
             given.len()

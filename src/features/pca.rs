@@ -96,8 +96,7 @@ pub struct Pca {
     pub rank: usize,
     /// Mean of the rows, `[channels]`.
     pub mean: Vec<f64>,
-    /// Unit components as rows, descending by variance, `[rank, channels]`; of each, the entry of largest magnitude is
-    /// positive.
+    /// Unit components as rows, descending by variance, `[rank, channels]`. The entry of largest magnitude of each is positive.
     pub components: Vec<f64>,
     /// Variance along each component, `[rank]`, descending.
     pub variances: Vec<f64>,
@@ -110,8 +109,8 @@ pub struct Pca {
 impl Pca {
     /// The leading `dimensions` components.
     ///
-    /// Directions whose variance is within rounding of zero (1e-10 of the largest, or the square of f32 rounding of the
-    /// largest value) are left out; the output has zeros in their place.
+    /// Directions whose variance is zero within rounding (1e-10 of the largest, or the square of f32 rounding of the largest value)
+    /// are left out. The output has zeros in their place.
     pub fn fit(moments: &Moments, dimensions: usize) -> Self {
         let channels = moments.mean.len();
         let covariance = &moments.scatter / moments.count.max(1.0);

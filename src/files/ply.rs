@@ -225,8 +225,8 @@ impl PlyFile {
         Ok(())
     }
 
-    /// The size of a binary file of scalar columns follows from its header; a wrong one is refused before anything is read.
-    /// Much longer files have rows with more in them than declared, such as a column name used twice.
+    /// The size of a binary file of scalar columns follows from its header. A file of another size is refused before anything is
+    /// read. Much longer files have rows with more in them than declared, such as a column name used twice.
     fn check_size(&mut self) -> Result<()> {
         let unreadable = |e| Error::io(&self.path, "measure", e);
         let start = self

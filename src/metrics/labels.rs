@@ -30,8 +30,8 @@ impl Confusion {
         }
     }
 
-    /// Counts one view, given as class indices. A true index of `classes` or more means 'not labelled' and leaves the
-    /// pixel out; a predicted one is void. Pixels past the shorter slice are not counted.
+    /// Counts one view, given as class indices. A true index of `classes` or more means 'not labelled': the pixel is left out. A
+    /// predicted index of `classes` or more is void. Pixels past the shorter slice are not counted.
     pub fn add(
         &mut self,
         truth: impl IntoIterator<Item = usize>,

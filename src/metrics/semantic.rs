@@ -6,7 +6,7 @@ use crate::data::Classes;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Scores of a set of views against true classes, each in 0..1; an object counts as its class.
+/// Scores of a set of views against true classes, each in 0..1. An object counts as its class.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SemanticScores {
     /// Mean IoU of all views counted together, over the classes in their truth.

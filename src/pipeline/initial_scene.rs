@@ -14,7 +14,7 @@ const COMPARED_PHOTOS: usize = 8;
 /// size, turned by ten degrees, mirrored, halved in size or with other axes, they have 7 to 14.
 const MIN_PSNR: f64 = 15.0;
 
-/// The Gaussians of the PLY at `path`, relative to the origin of `scene`; warns where they do not show its photos. The run will
+/// The Gaussians of the PLY at `path`, relative to the origin of `scene`. Warns where they do not show its photos. The run will
 /// write `scene_file`.
 ///
 /// # Errors

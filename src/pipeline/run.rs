@@ -20,8 +20,8 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::time::Instant;
 
-/// Seconds spent in each part of the job; evaluations count in their stage. Training in earlier parts of a resumed run counts;
-/// steps that it repeats (loading, association, features, unprojection) count once.
+/// Seconds spent in each part of the job; evaluations count in their stage. Training in earlier parts of a resumed run counts.
+/// Steps that it repeats (loading, association, features, unprojection) count once.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Seconds {
     /// Stage one.

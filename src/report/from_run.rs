@@ -87,8 +87,8 @@ impl History {
 }
 
 /// Renders the held-out views of a finished run on `device`: colour, and labels where the run has them. Labels are those of the
-/// vote, of the per-Gaussian identities and of the variant that the scene stores. Returns the views that the page shows; each other
-/// one goes to `beside` as soon as it is rendered.
+/// vote, of the per-Gaussian identities and of the variant that the scene stores. Returns the views that the page shows. Each other
+/// view goes to `beside` as soon as it is rendered.
 ///
 /// # Errors
 /// As [`Pictures::labelled`]; those of `beside`.

@@ -198,8 +198,8 @@ impl Dependencies {
 
 /// Per-channel mean and spread of a pyramid's frozen features.
 ///
-/// Image features are unit vectors and spatial ones grow with depth; brought to one scale, the decoder learns in far
-/// fewer steps. The paper says nothing of it; `standardise = false` leaves the features as they are.
+/// Image features are unit vectors, and spatial features grow with depth. Brought to one scale, the decoder learns in far fewer
+/// steps. The paper says nothing of it; `standardise = false` leaves the features as they are.
 #[derive(Clone, Debug)]
 pub struct Standardisation {
     /// One for each level, then one for the set below them.

@@ -43,7 +43,7 @@ impl Tap {
         &self.network.digest
     }
 
-    /// The features of a photo, bilinear between the cells of the tensor; what lies beside the photo is left out.
+    /// The features of a photo, bilinear between the cells of the tensor. Cells beside the photo are left out.
     ///
     /// # Errors
     /// As [`Network::run`].

@@ -170,7 +170,7 @@ impl Gaussians {
     }
 }
 
-/// The rotation of a quaternion (w, x, y, z) of any length; one without direction is the identity, as in the rasterizer.
+/// The rotation of a quaternion (w, x, y, z) of any length. A quaternion of length 0 gives the identity, as in the rasterizer.
 pub(crate) fn rotation(quaternion: &[f32; 4]) -> glam::DQuat {
     let [w, x, y, z] = quaternion.map(f64::from);
     let q = glam::DQuat::from_xyzw(x, y, z, w);

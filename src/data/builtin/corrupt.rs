@@ -19,7 +19,7 @@ pub struct Corruption {
     pub run_length: f64,
     /// A segment takes a wrong class in one view.
     pub swap: f64,
-    /// A segment takes the class of the neighbour with the longest shared border; small ones three times as often.
+    /// A segment takes the class of the neighbour with the longest shared border. Small segments do so three times as often.
     pub merge: f64,
     /// A segment is cut by a line and its smaller part mislabelled or void.
     pub split: f64,

@@ -1,7 +1,7 @@
 //! Finds the convention of poses in which neighbouring photos show the same things. Used if there is no cloud.
 //!
-//! Blocks of a small copy of a photo are searched in the next one at several depths (a plane sweep). With the right
-//! convention they are found; with another they are compared along wrong lines, and found by chance only.
+//! Blocks of a small copy of a photo are searched in the next one at several depths (a plane sweep). With the right convention they
+//! are found. With another one they are compared along wrong lines, and found by chance only.
 
 use super::convention::Convention;
 use crate::data::Limits;
@@ -15,7 +15,7 @@ use image::RgbImage;
 use image::imageops::{grayscale, thumbnail};
 use rayon::prelude::*;
 
-/// Largest number of neighbouring pairs that are compared, evenly chosen; with fewer than the second number there is no verdict.
+/// Neighbouring pairs that are compared, at most. They are chosen evenly. Fewer pairs than the second number give no verdict.
 const MAX_PAIRS: usize = 12;
 const MIN_PAIRS: usize = 4;
 /// Pixels across a small photo, and across a block.

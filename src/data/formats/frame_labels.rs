@@ -101,7 +101,7 @@ impl<'a> FrameLabels<'a> {
         LabelMap::decode(path, &file)
     }
 
-    /// The map that was read from `path` as the view's camera sees it; masked pixels have the id `unlabelled`.
+    /// The map that was read from `path`, as the view's camera sees it. Masked pixels have the id `unlabelled`.
     fn in_view(&self, path: &Path, map: LabelMap, unlabelled: u16) -> LabelMap {
         let mut map = self.geometry.labels(map, self.listing.geometries.of(path));
         if let Some(mask) = &self.mask {

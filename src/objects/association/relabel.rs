@@ -18,7 +18,7 @@ struct Divided {
     largest: u16,
 }
 
-/// The raw labels of a view in ids of the groups; `ids` gives the id of a group. `None` where the view has no raw labels.
+/// The raw labels of a view in ids of the groups. `ids` gives the id of a group. `None` where the view has no raw labels.
 ///
 /// A pixel of a divided segment takes the group whose piece has most weight `alpha' T` at it.
 ///
@@ -86,7 +86,7 @@ pub(super) fn relabelled(
 }
 
 impl Divided {
-    /// The id with most weight at a pixel, the first of equals; that of the largest piece where there is none.
+    /// The id with most weight at a pixel, the first among equals. Without weight, the id of the largest piece.
     fn id_at(&self, gaussians: &[u32], weights: &[f32]) -> u16 {
         let mut sums: Vec<(u16, f64)> = vec![(self.largest, 0.0)];
         for (gaussian, weight) in gaussians.iter().zip(weights) {

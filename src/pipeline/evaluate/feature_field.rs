@@ -99,7 +99,8 @@ impl FieldScores {
     }
 }
 
-/// The held-out views with true classes, and the class index of each drawn pixel that has one; other pixels are unlabelled.
+/// The held-out views with true classes, and the class index of each drawn pixel that has one. Other
+/// pixels are unlabelled.
 fn drawn_pixels<'a>(
     inputs: &Inputs<'a>,
     channels: usize,

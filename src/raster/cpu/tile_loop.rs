@@ -58,8 +58,8 @@ pub(super) fn for_each_tile_row<E: Real>(
     out
 }
 
-/// Runs `f` over all tiles in parallel; it writes `width` sums for each of the tile's list entries. Returns the sums
-/// per rank, `[visible, width]`, added up in an order that does not depend on the number of threads.
+/// Runs `f` over all tiles in parallel. `f` writes `width` sums for each list entry of its tile. Returns the sums per rank,
+/// `[visible, width]`, added up in an order that does not depend on the number of threads.
 pub(super) fn sum_over_tiles<E: Real>(
     p: &Projected<E>,
     width: usize,

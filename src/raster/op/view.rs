@@ -96,8 +96,8 @@ impl SplatView {
         &self.call.camera
     }
 
-    /// Ranges of `channels` to blend together: an image of one takes about 64 MB; on a GPU a quarter of its largest allocation,
-    /// and no more than 1 GB.
+    /// Ranges of `channels` to blend together. The image of a range takes about 64 MB; on a GPU, a quarter of its largest
+    /// allocation, and no more than 1 GB.
     pub fn channel_blocks(&self, channels: usize) -> impl Iterator<Item = Range<usize>> + use<> {
         let plane = (self.camera().width * self.camera().height * size_of::<f32>()).max(1);
         let together = match largest_allocation(&self.device()) {

@@ -189,7 +189,7 @@ impl Step {
     }
 }
 
-/// Velocities at a key: the slope of the parabola through it and its neighbours; at an end the slope of the chord.
+/// Velocities at a key: the slope of the parabola through the key and its neighbours. At an end, the slope of the chord.
 fn velocities(steps: &[Step], key: usize) -> [DVec3; 2] {
     match (
         key.checked_sub(1).and_then(|i| steps.get(i)),

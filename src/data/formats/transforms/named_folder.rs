@@ -64,7 +64,7 @@ impl NamedFolder {
             .find(|path| path.is_file())
     }
 
-    /// The file of a frame, or a folder of masks of that name without extension; without both, the path of the missing file.
+    /// The file of a frame, or a folder of masks with that name without extension. Without both, the path of the missing file.
     pub fn file_or_masks(&self, frame: &Frame, name: &str) -> PathBuf {
         let found = self.files(frame, name).into_iter().find_map(|file| {
             let masks = file.with_extension("");
@@ -89,7 +89,7 @@ fn with_png(path: &Path) -> PathBuf {
     name.into()
 }
 
-/// The endings of paths, without extensions, and the path each belongs to; `None` for the ending of several paths.
+/// The endings of paths, without extensions, each with its path. An ending of several paths has `None`.
 struct Endings(HashMap<PathBuf, Option<PathBuf>>);
 
 impl Endings {

@@ -76,7 +76,7 @@ pub(crate) struct Vocabulary {
 }
 
 impl Vocabulary {
-    /// Matches the segmenter's classes `names` to the table `classes` by name; an empty table is replaced by theirs, with
+    /// Matches the segmenter's classes `names` to the table `classes` by name. An empty table is replaced by the segmenter's, with
     /// the ids that come with the names.
     ///
     /// # Errors

@@ -58,8 +58,8 @@ pub struct ScoreMap {
     pub id_limit: u32,
     /// Class ids `[classes, height, width]`, the most probable first. Ids of probability 0 mean nothing.
     pub ids: Vec<u16>,
-    /// Probabilities in 1/255, `[classes, height, width]`. Those of a cell descend and add up to 255 at most; what is
-    /// missing belongs to classes that are not stored.
+    /// Probabilities in 1/255, `[classes, height, width]`. Those of a cell descend and add up to 255 at most. The rest belongs to
+    /// classes that are not stored.
     pub probabilities: Vec<u8>,
 }
 

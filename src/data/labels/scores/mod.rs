@@ -30,7 +30,7 @@ pub(crate) fn name_of(name: &str) -> String {
     format!("{FOLDER}/{name}.{EXTENSION}")
 }
 
-/// Class id of the scene for each id in files of scores; classes that the scene lacks are not in it.
+/// Class id of the scene for each id in files of scores. Classes that the scene does not have are left out.
 pub(crate) type ScoreIds = HashMap<u16, u16>;
 
 /// The scores of a view's raw labels, in their file.

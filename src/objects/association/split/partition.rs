@@ -97,8 +97,8 @@ pub(super) fn part_gaussians(
 }
 
 /// Grows two parts from a pair of segments into `parts`, which are zero before. The pair stays in its parts. Each other piece goes
-/// to the part that has it, and to neither while both have some of it; the larger one takes it in the end. Returns the part of each
-/// piece.
+/// to the part that claims it, and to neither while both claim some of it. In the end the part with the larger claim takes it.
+/// Returns the part of each piece.
 pub(super) fn grow(
     parts: &mut Parts,
     assigned: &[Assigned<'_>],
