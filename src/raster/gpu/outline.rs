@@ -1,4 +1,4 @@
-//! Which tiles a projected Gaussian reaches: [`crate::raster::cpu::outline`]'s formulas, in kernels.
+//! Which tiles a projected Gaussian reaches: `crate::raster::cpu::outline`'s formulas, in kernels.
 
 use super::project::SPLAT;
 use crate::raster::cpu::footprint::TILE;
