@@ -234,7 +234,8 @@ impl Checkpoint {
             ("kind", kind.into()),
         ] {
             if json[key] != expected {
-                let (field, found) = (format!("metadata {key}"), json[key].to_string());
+                let field = format!("metadata {key}");
+                let found = json[key].to_string();
                 return Err(checkpoint.wrong(field, found, expected.to_string()));
             }
         }

@@ -18,22 +18,23 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 #[doc(hidden)]
 #[macro_export]
 macro_rules! invalid {
-    (argument $($name:expr),+; $($parts:tt)+) => {
-        $crate::error::invalid!(@named argument, $($name),+; $($parts)+)
+    (argument $($parts:tt)+) => {
+        $crate::error::invalid!(@variant Argument, name, expected; $($parts)+)
     };
-    (setting $($key:expr),+; $($parts:tt)+) => {
-        $crate::error::invalid!(@named config, $($key),+; $($parts)+)
+    (setting $($parts:tt)+) => {
+        $crate::error::invalid!(@variant Config, key, expected; $($parts)+)
     };
-    (limit $($what:expr),+; $($parts:tt)+) => {
-        $crate::error::invalid!(@named limit, $($what),+; $($parts)+)
+    (limit $($parts:tt)+) => {
+        $crate::error::invalid!(@variant Limit, what, limit; $($parts)+)
     };
-    (@named $kind:ident, $($name:expr),+; found $($found:expr),+; expected $($expected:expr),+; help $($help:expr),+) => {
-        $crate::error::Error::$kind(
-            std::fmt::format(format_args!($($name),+)),
-            std::fmt::format(format_args!($($found),+)),
-            std::fmt::format(format_args!($($expected),+)),
-            std::fmt::format(format_args!($($help),+)),
-        )
+    (@variant $kind:ident, $name:ident, $allowed:ident; $($what:expr),+; found $($found:expr),+; expected $($expected:expr),+;
+        help $($help:expr),+) => {
+        $crate::error::Error::$kind {
+            $name: std::fmt::format(format_args!($($what),+)),
+            found: std::fmt::format(format_args!($($found),+)),
+            $allowed: std::fmt::format(format_args!($($expected),+)),
+            help: std::fmt::format(format_args!($($help),+)),
+        }
     };
     ($path:expr, $($field:expr),+; found $($found:expr),+; expected $($expected:expr),+; help $($help:expr),+) => {
         $crate::error::Error::input(
@@ -214,51 +215,6 @@ impl Error {
             field: field.into(),
             found: found.into(),
             expected: expected.into(),
-            help: help.into(),
-        }
-    }
-
-    /// An [`Error::Config`] naming the setting, found, expected and help.
-    pub fn config(
-        key: impl Into<String>,
-        found: impl Into<String>,
-        expected: impl Into<String>,
-        help: impl Into<String>,
-    ) -> Self {
-        Self::Config {
-            key: key.into(),
-            found: found.into(),
-            expected: expected.into(),
-            help: help.into(),
-        }
-    }
-
-    /// An [`Error::Argument`] naming the argument, found, expected and help.
-    pub fn argument(
-        name: impl Into<String>,
-        found: impl Into<String>,
-        expected: impl Into<String>,
-        help: impl Into<String>,
-    ) -> Self {
-        Self::Argument {
-            name: name.into(),
-            found: found.into(),
-            expected: expected.into(),
-            help: help.into(),
-        }
-    }
-
-    /// An [`Error::Limit`] naming the quantity, its value, the limit and help.
-    pub fn limit(
-        what: impl Into<String>,
-        found: impl Into<String>,
-        limit: impl Into<String>,
-        help: impl Into<String>,
-    ) -> Self {
-        Self::Limit {
-            what: what.into(),
-            found: found.into(),
-            limit: limit.into(),
             help: help.into(),
         }
     }

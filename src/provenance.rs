@@ -285,7 +285,7 @@ fn digest_labels(scene: &Scene) -> Sha256 {
     digest
 }
 
-/// Of every held-out view its name, split, camera, true and raw labels, and instances.
+/// Digest of the held-out views: name, split, camera, true and raw labels, and instances of each.
 fn digest_held_out(scene: &Scene) -> Sha256 {
     let views: Vec<&View> = scene.split(Split::Test).collect();
     digest_views(&views, |view, hash| {
@@ -306,7 +306,9 @@ fn digest_map(map: Option<&LabelRuns>, hash: &mut Sha256) {
 fn digest_views(views: &[&View], content: impl Fn(&View, &mut Sha256) + Sync) -> Sha256 {
     let digest_view = |view: &&View| {
         let mut hash = Sha256::new();
-        let (name, split, camera) = (&view.name, view.split, &view.camera);
+        let name = &view.name;
+        let split = view.split;
+        let camera = &view.camera;
         // The debug form of a number has all of its digits.
         hash.update(format!("{name} {split:?} {camera:?}\n"));
         content(view, &mut hash);

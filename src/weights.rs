@@ -12,7 +12,7 @@ use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 /// Keys under which training scripts nest their weights.
-const NESTS: [&str; 3] = ["model_state_dict", "state_dict", "model"];
+const STATE_DICT_KEYS: [&str; 3] = ["model_state_dict", "state_dict", "model"];
 
 /// SHA-256 of a file, in hexadecimal digits.
 ///
@@ -115,7 +115,7 @@ impl WeightFile {
             let bytes = tensor.read().map_err(|e| unreadable(path, name, e))?;
             let values = floats(&bytes, dtype).unwrap_or_default();
             let shape = tensor.shape().to_vec();
-            let name = NESTS
+            let name = STATE_DICT_KEYS
                 .iter()
                 .find_map(|n| name.strip_prefix(n)?.strip_prefix('.'))
                 .unwrap_or(name);

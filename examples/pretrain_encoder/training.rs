@@ -6,7 +6,7 @@ use burn::module::Module;
 use burn::optim::{AdamConfig, GradientsParams};
 use burn::tensor::{Device, Tensor, TensorData};
 use coseg::data::builtin::{PRETRAINING_SEEDS, classes, labelled_points};
-use coseg::error::{Error, Result};
+use coseg::error::{Error, Result, ensure};
 use coseg::metrics::{Confusion, Void};
 use coseg::segmentation::decoder::{Decoder, DecoderConfig};
 use coseg::segmentation::encoder::{Cloud, encode, random_weights};
@@ -160,15 +160,10 @@ fn check(options: &PretrainOptions) -> Result<()> {
         && fewest > 0
         && fewest <= most
         && most <= options.room_points;
-    if usable && options.rooms + options.held_out <= ROOMS_PER_SEED as usize {
-        return Ok(());
-    }
-    Err(Error::argument(
-        "pretrain",
-        format!("{options:?}"),
-        "rooms, steps, and 0 < fewest points <= most points <= points of a room",
-        "correct the sizes",
-    ))
+    let enough_rooms = options.rooms + options.held_out <= ROOMS_PER_SEED as usize;
+    ensure!(usable && enough_rooms, argument "pretrain"; found "{options:?}";
+        expected "rooms, steps, and 0 < fewest points <= most points <= points of a room"; help "correct the sizes");
+    Ok(())
 }
 
 fn rate(step: usize, options: &PretrainOptions) -> f64 {

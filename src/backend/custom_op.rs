@@ -1,8 +1,8 @@
 //! The glue between a custom operation and burn's backends.
 //!
-//! An operation is a folder: `mod.rs` has the public function on tensors and calls [`custom_op!`]; `cpu.rs` has a kernel that
-//! is generic over [`HostBackend`](super::HostBackend); `gpu.rs` has a kernel on `CubeBackend`, behind the feature `cube`; the
-//! module `autodiff` has the tracked version, which is one call of [`track`].
+//! An operation is a folder: `mod.rs` has the public function on tensors and calls [`custom_op!`]. `cpu.rs` has a kernel that is
+//! generic over [`HostBackend`](super::HostBackend). `gpu.rs` has a kernel on `CubeBackend`, behind the feature `cube`. The module
+//! `autodiff` has the tracked version: one call of [`track`].
 //!
 //! ```ignore
 //! #[cfg(feature = "cube")]
@@ -135,8 +135,8 @@ pub(crate) use custom_op;
 
 /// The output of `forward` as a node of the autodiff graph whose parents are `inputs`.
 ///
-/// `forward` gets the tensors without autodiff. It returns the output and the backward pass: a function of the output's
-/// gradient, and of which inputs want a gradient, that returns the gradients of the inputs.
+/// `forward` gets the tensors without autodiff. It returns the output and the backward pass. The backward pass gets the output's
+/// gradient and which inputs want a gradient; it returns the gradients of the inputs.
 pub(crate) fn track<B, C, const N: usize, F>(
     inputs: [AutodiffTensor<B, C>; N],
     forward: impl FnOnce([FloatTensor<B>; N]) -> (FloatTensor<B>, F),

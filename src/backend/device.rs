@@ -68,9 +68,9 @@ pub fn open(name: Option<BackendName>) -> Result<Device> {
 
 /// [`open`], and which backend it is.
 ///
-/// Without a name, a wgpu backend that finds no adapter, or only a software one, or one that the rasterizer's kernels do not
-/// run on ([`shortfall`]), gives way to the next one, with one warning. The devices themselves are lazy: wgpu's adapter is
-/// acquired here, so that its absence is an error and not a later panic.
+/// Without a name, the next backend is taken, with a warning, where wgpu finds no adapter, only a software adapter, or one that the
+/// rasterizer's kernels do not run on ([`missing_capability`]). The devices themselves are lazy: wgpu's adapter is acquired here,
+/// so that its absence is an error and not a later panic.
 ///
 /// # Errors
 /// [`Error::Device`] when the named backend is not compiled in or has no usable adapter.
@@ -114,14 +114,14 @@ pub fn open_cpu() -> Result<Device> {
 /// The device of wgpu, a software one too, if all kernels of this crate run on it.
 ///
 /// # Errors
-/// As [`choose`], and [`Error::Device`] where there is a [`shortfall`].
+/// As [`choose`], and [`Error::Device`] where there is a [`missing_capability`].
 pub fn open_gpu() -> Result<Device> {
     let device = open(Some(BackendName::Wgpu))?;
-    match shortfall(&device) {
+    match missing_capability(&device) {
         None => Ok(device),
-        Some(lacks) => Err(Error::Device {
+        Some(missing) => Err(Error::Device {
             device: BackendName::Wgpu.to_string(),
-            reason: format!("its adapter lacks what the kernels need: {lacks}"),
+            reason: format!("its adapter lacks what the kernels need: {missing}"),
             help: "choose another adapter or backend".into(),
         }),
     }
@@ -166,7 +166,7 @@ pub fn open_hardware_gpu() -> Result<Device> {
     }
 }
 
-/// [`open_gpu`] for tests. Without a GPU they print so and pass, unless COSEG_REQUIRE_GPU is set; its value `hardware` excludes
+/// [`open_gpu`] for tests. Without a GPU they print so and pass, unless COSEG_REQUIRE_GPU is set. Its value `hardware` excludes
 /// software adapters.
 #[cfg(test)]
 pub(crate) fn gpu_of_tests() -> Option<Device> {
@@ -210,10 +210,10 @@ pub fn in_host_memory(device: &Device) -> bool {
 
 /// The requirement of the rasterizer's kernels that `device`, if it is a GPU, does not meet. Such a device copies to the host and
 /// renders on the CPU.
-pub fn shortfall(device: &Device) -> Option<String> {
+pub fn missing_capability(device: &Device) -> Option<String> {
     match device.clone().inner().as_dispatch() {
         #[cfg(feature = "cube")]
-        DispatchDevice::Cube(device) => super::gpu::shortfall(&device.client()),
+        DispatchDevice::Cube(device) => super::gpu::missing_capability(&device.client()),
         _ => None,
     }
 }
@@ -348,13 +348,13 @@ fn adapter() -> &'static std::result::Result<Option<Adapter>, String> {
 fn unsuited(name: BackendName, device: &Device) -> Option<String> {
     let software = software_adapter(name)
         .map(|adapter| format!("the only adapter is {adapter}, a software one"));
-    let lacks = || {
+    let lacking = || {
         Some(format!(
             "its adapter lacks what the kernels need: {}",
-            shortfall(device)?
+            missing_capability(device)?
         ))
     };
-    software.or_else(lacks)
+    software.or_else(lacking)
 }
 
 /// Name of the software adapter that `name` would compute on, if it is one.

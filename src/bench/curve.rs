@@ -88,7 +88,9 @@ pub(super) fn measure(bench: &Bench, gaussians: &Gaussians) -> Result<Figures> {
     }
     for point in &points {
         let renderer = point.renderer(&mut renderers)?;
-        let (mut sum, mut count, mut largest) = (0.0, 0, 0.0_f64);
+        let mut sum = 0.0;
+        let mut count = 0;
+        let mut largest = 0.0_f64;
         for (camera, reference) in cameras.iter().zip(&reference) {
             for (found, exact) in renderer.frame(camera)?.rgb.iter().zip(reference) {
                 let difference = (f64::from(*found) - exact).abs();
@@ -163,7 +165,7 @@ fn points(configured: &Settings, exact: &Settings, sh_degree: usize) -> Vec<Poin
     points
 }
 
-/// `1/255` for such a number, `1e-5` for other small ones.
+/// A number as `1/255` where it is the reciprocal of a whole number, else as `1e-5` where it is small.
 fn number(value: f64) -> String {
     let parts = (1.0 / value).round();
     if (10.0..1e4).contains(&parts) && parts % 10.0 != 0.0 && value == 1.0 / parts {

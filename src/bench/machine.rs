@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 /// Other work that keeps more than this share of one core busy spoils measurements.
-const QUIET_LOAD: f64 = 0.5;
+const MAX_OTHER_LOAD: f64 = 0.5;
 
 /// What a reader of the figures has to know.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -47,7 +47,7 @@ impl Machine {
         if !self.optimised {
             out.push_str("\nThis is a debug build: the figures mean nothing. Use --release.");
         }
-        if let Some(load) = self.load.filter(|load| *load > QUIET_LOAD) {
+        if let Some(load) = self.load.filter(|load| *load > MAX_OTHER_LOAD) {
             out.push_str(&format!(
                 "\nOther programs are running (load {load:.1}): times may be too long."
             ));

@@ -80,7 +80,8 @@ impl Bench {
     /// The scene in a few words.
     pub fn subject(&self) -> String {
         let kind = if self.trained { "trained" } else { "initial" };
-        let (name, count) = (&self.scene.name, self.gaussians.len());
+        let name = &self.scene.name;
+        let count = self.gaussians.len();
         format!("{name}, {count} {kind} Gaussians")
     }
 

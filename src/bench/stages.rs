@@ -16,7 +16,7 @@ use crate::splat::Gaussians;
 use std::time::Instant;
 
 /// Length of the run whose middle is measured, steps of stage one.
-const RUN: usize = 7_000;
+const RUN_STEPS: usize = 7_000;
 /// Steps of either stage that are measured, for each repetition.
 const STEPS: usize = 20;
 
@@ -24,7 +24,7 @@ pub(super) fn measure(bench: &Bench, gaussians: &Gaussians) -> Result<Figures> {
     let mut figures = Figures::new("stages", gaussians.len());
     let camera = &bench.scene.views[0].camera;
     figures.notes.push(format!(
-        "{} training views of {}x{}; steps of stage one are from the middle of a run of {RUN}",
+        "{} training views of {}x{}; steps of stage one are from the middle of a run of {RUN_STEPS}",
         bench.scene.views.len(),
         camera.width,
         camera.height
@@ -54,11 +54,11 @@ fn stage_one(bench: &Bench, gaussians: &Gaussians, figures: &mut Figures) -> Res
     let steps = STEPS * bench.repeats;
     let mut config = bench.config.clone();
     config.building.sh_degree = gaussians.sh_degree;
-    config.building.iterations = RUN;
+    config.building.iterations = RUN_STEPS;
     config.building.max_gaussians = gaussians.len();
     // The last SH degree becomes active three eighths into the run.
     let every = config.building.densify_every.max(1);
-    let densified = (3 * RUN / 8 / every + 2) * every;
+    let densified = (3 * RUN_STEPS / 8 / every + 2) * every;
     let state = TrainerState {
         iteration: densified.saturating_sub(steps / 2 + steps),
         ..TrainerState::new(gaussians.clone(), config.seed)
@@ -100,7 +100,8 @@ fn stage_two(
     config.unprojection.attendance = 0.0;
     let mut clock = Clock::new();
     let scores = ImageScores::default();
-    let (scene, device) = (&bench.scene, &bench.device);
+    let scene = &bench.scene;
+    let device = &bench.device;
     let Some(lifted) = lift(gaussians, scene, scores, &config, device, &mut clock)? else {
         return Ok(());
     };

@@ -10,7 +10,7 @@ use coseg::data::formats::transforms;
 use coseg::data::{MapGeometry, Split};
 use coseg::error::{Result, ensure};
 use coseg::objects::vote;
-use coseg::pipeline::{HeldOut, Inputs, associate};
+use coseg::pipeline::{Associated, HeldOut, Inputs, associate};
 use coseg::raster::Settings;
 use coseg::splat::ply;
 use std::path::Path;
@@ -48,14 +48,15 @@ impl AssociateArgs {
         let device = self.input.device()?;
         let (mut scene, ply) = self.input.read(&config, &device)?;
         let found = associate(&ply.gaussians, &mut scene, &config, &mut Bars::default())?;
-        let Some((found, semantics)) = found else {
+        let Some(Associated { counts, semantics }) = found else {
             return Ok(());
         };
         terminal::say(&format!(
             "{} segments of training views: {} objects; {} segments are in no object, {} are divided",
-            found.segments, found.objects, found.dropped, found.divided
+            counts.segments, counts.objects, counts.dropped, counts.divided
         ));
-        let (out, classes) = (&self.input.out, &scene.classes);
+        let out = &self.input.out;
+        let classes = &scene.classes;
         let folder = out.join("labels");
         // Before the maps, so that no maps are there without it.
         MapGeometry::Undistorted.write(&folder)?;

@@ -195,7 +195,8 @@ impl SuggestArgs {
         let width = longest.unwrap_or(0).max(5);
         terminal::say(&format!("{:<width$}   adds  together", "photo"));
         for s in &suggestions {
-            let (adds, together) = (100.0 * s.adds, 100.0 * s.together);
+            let adds = 100.0 * s.adds;
+            let together = 100.0 * s.together;
             terminal::say(&format!(
                 "{:<width$}  {adds:>4.1}%     {together:>4.1}%",
                 s.photo

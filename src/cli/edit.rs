@@ -27,7 +27,7 @@ Examples:
   coseg edit --scene runs/room/scene.ply --out painted/scene.ply --paint";
 
 /// The farthest that objects move, in diagonals of the scene: positions are f32.
-const FARTHEST: f64 = 100.0;
+const MAX_MOVE: f64 = 100.0;
 
 /// Arguments of `coseg edit`.
 #[derive(Args, Debug)]
@@ -154,7 +154,7 @@ impl EditArgs {
                 ..still
             })?;
         }
-        let farthest = FARTHEST * diagonal(&scene.ply.gaussians);
+        let farthest = MAX_MOVE * diagonal(&scene.ply.gaussians);
         for (what, translation) in &self.moves {
             ensure!(farthest <= 0.0 || translation.length() <= farthest,
                 argument "--move"; found "{what}={translation}"; expected "at most {farthest:.3e} world units";

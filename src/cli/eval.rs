@@ -11,7 +11,7 @@ use coseg::error::{Result, ensure};
 use coseg::metrics::ImageScores;
 use coseg::objects::{Identities, Semantics};
 use coseg::pipeline::{HeldOut, Inputs, Pictures, load_scene};
-use coseg::report::{RowScores, TestScores};
+use coseg::report::{TestScores, VariantScores};
 use coseg::splat::ply;
 use coseg::splat::ply::PlyScene;
 use std::collections::BTreeMap;
@@ -74,8 +74,8 @@ impl EvalArgs {
         let mean = ImageScores::mean(&views.values().copied().collect::<Vec<_>>());
         if self.json {
             let held_out = views.len();
-            let rows =
-                labels.and_then(|scores| Some((stored_row(&config)?, RowScores::from(&scores))));
+            let rows = labels
+                .and_then(|scores| Some((stored_row(&config)?, VariantScores::from(&scores))));
             let test = TestScores {
                 psnr: mean.psnr,
                 ssim: mean.ssim,

@@ -6,7 +6,7 @@ use std::mem::{Discriminant, discriminant};
 use std::path::{Path, PathBuf};
 
 /// Faults of one kind that are printed by default.
-const SHOWN: usize = 3;
+const MAX_SHOWN: usize = 3;
 
 /// Faults of the same kind differ only in their frame, file or pixel.
 type Kind = (Discriminant<Error>, PathBuf, String, String);
@@ -23,10 +23,10 @@ pub fn print(faults: &[Error], all: bool) {
     }
     for (_, group) in groups {
         // One more takes as much room as the line that counts it.
-        let shown = if all || group.len() == SHOWN + 1 {
+        let shown = if all || group.len() == MAX_SHOWN + 1 {
             group.len()
         } else {
-            SHOWN
+            MAX_SHOWN
         };
         for fault in group.iter().take(shown) {
             terminal::error(fault);
@@ -52,7 +52,8 @@ fn kind(fault: &Error) -> Kind {
             name: key, help, ..
         } => (PathBuf::new(), key.as_str(), help.as_str()),
         other => {
-            let (none, text) = (PathBuf::new(), other.to_string());
+            let none = PathBuf::new();
+            let text = other.to_string();
             return (discriminant(other), none, text, String::new());
         }
     };

@@ -126,7 +126,8 @@ impl LabelArgs {
         let config = self.settings.load(Some(&self.data), None)?;
         let options = LoadOptions::from(&config);
         interrupt::watch();
-        let (scene, best) = ((self.data.as_path(), &options), usize::from(self.best));
+        let scene = (self.data.as_path(), &options);
+        let best = usize::from(self.best);
         let done =
             self.segmenter
                 .label(scene, &self.model, best, &self.out, &mut Bars::default())?;

@@ -24,7 +24,7 @@ pub struct ObjectSceneArgs {
 }
 
 /// Objects that an error lists at most.
-const LISTED: usize = 20;
+const MAX_LISTED: usize = 20;
 
 /// A labelled scene.
 pub struct ObjectScene {
@@ -46,8 +46,8 @@ impl ObjectSceneArgs {
         ObjectScene::new(path, ply, self.classes.as_ref())
     }
 
-    /// Checks that a scene with labels of `classes` can be written to `out`: a .ply file that overwrites neither what was
-    /// read nor the class table of other labels.
+    /// Checks that a scene with labels of `classes` can be written to `out`. `out` must be a .ply file and must overwrite neither
+    /// an input nor the class table of other labels.
     pub fn check_out(&self, out: &Path, scene: &ObjectScene, classes: &Classes) -> Result<()> {
         let names = out.with_file_name(CLASSES);
         let is_read = |path: &PathBuf| atomic::same_file(path, out);
@@ -136,10 +136,13 @@ impl ObjectScene {
             return Ok(found);
         }
         let listed = |o: &Object| format!("{} {}", o.id, self.name(o.id).unwrap_or_default());
-        let listed = self.objects.iter().take(LISTED).map(listed);
+        let listed = self.objects.iter().take(MAX_LISTED).map(listed);
         let mut listed: Vec<String> = listed.map(|name| name.trim_end().to_owned()).collect();
-        if self.objects.len() > LISTED {
-            listed.push(format!("or one of {} more", self.objects.len() - LISTED));
+        if self.objects.len() > MAX_LISTED {
+            listed.push(format!(
+                "or one of {} more",
+                self.objects.len() - MAX_LISTED
+            ));
         }
         Err(invalid!(argument "{flag}"; found "{what}";
             expected "an id or a name of the scene: {}", listed.join(", ");

@@ -95,8 +95,10 @@ impl ObjectsArgs {
             "id", "name", "Gaussians", "centre", "size"
         ));
         for o in &scene.objects {
-            let (name, count) = (shown(scene, o.id), o.rows.len());
-            let (center, size) = (three(o.center() + origin, 8), three(o.high - o.low, 7));
+            let name = shown(scene, o.id);
+            let count = o.rows.len();
+            let center = three(o.center() + origin, 8);
+            let size = three(o.high - o.low, 7);
             terminal::say(&format!(
                 "{:>5}  {name:width$}  {count:>9}  {center}  {size}",
                 o.id

@@ -50,7 +50,9 @@ impl Bars {
             gaussians,
             ..
         } = point;
-        let (stage, iterations, figures) = (self.stage, self.iterations, figures(point));
+        let stage = self.stage;
+        let iterations = self.iterations;
+        let figures = figures(point);
         terminal::note(&format!(
             "{stage} {iteration}/{iterations}  loss {loss:.4}  {figures}{gaussians} Gaussians  {seconds:.0} s"
         ));

@@ -60,23 +60,23 @@ impl RunFolder {
     ///
     /// # Errors
     /// [`coseg::Error::Io`] naming the file; [`coseg::Error::Argument`] for settings that TOML cannot hold.
-    pub fn begin(&self, config: &Config, command: Command) -> Result<Begun> {
+    pub fn start(&self, config: &Config, command: Command) -> Result<StartedRun> {
         // A file that cannot be read is ignored.
         let earlier = std::fs::read(self.file(COMMANDS)).ok();
         let earlier = earlier.and_then(|text| serde_json::from_slice::<Vec<Command>>(&text).ok());
         let commands: Vec<Command> = earlier.into_iter().flatten().chain([command]).collect();
-        let begun = Begun {
+        let started = StartedRun {
             run: self.clone(),
             is_new: !self.is_used(),
             commands,
         };
-        if begun.is_new {
+        if started.is_new {
             let config = config.to_toml()?;
             let written = atomic::write_bytes(self.file(CONFIG), config.as_bytes())
-                .and_then(|()| begun.keep());
-            written.inspect_err(|_| begun.undo())?;
+                .and_then(|()| started.write_commands());
+            written.inspect_err(|_| started.remove_new())?;
         }
-        Ok(begun)
+        Ok(started)
     }
 
     /// Peak memory of the earlier part of the run, where there is one.
@@ -120,7 +120,7 @@ impl RunFolder {
 
 /// A run that was started or resumed.
 #[derive(Debug)]
-pub struct Begun {
+pub struct StartedRun {
     run: RunFolder,
     /// Whether the folder is new.
     is_new: bool,
@@ -128,20 +128,21 @@ pub struct Begun {
     pub commands: Vec<Command>,
 }
 
-impl Begun {
+impl StartedRun {
     /// Writes the command lines.
     ///
     /// # Errors
     /// [`coseg::Error::Io`] naming the file.
-    pub fn keep(&self) -> Result<()> {
+    pub fn write_commands(&self) -> Result<()> {
         atomic::write_json(self.run.file(COMMANDS), &self.commands)
     }
 
     /// Removes the files of a new run after an error, unless training has started: the input was wrong.
-    pub fn undo(&self) {
+    pub fn remove_new(&self) {
         let checkpoints = self.run.0.join("checkpoint");
-        let started = std::fs::read_dir(&checkpoints).is_ok_and(|mut files| files.next().is_some());
-        if !self.is_new || started {
+        let has_checkpoint =
+            std::fs::read_dir(&checkpoints).is_ok_and(|mut files| files.next().is_some());
+        if !self.is_new || has_checkpoint {
             return;
         }
         // The first error is the one to report; files that cannot be removed do no harm.

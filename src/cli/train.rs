@@ -97,7 +97,7 @@ pub struct TrainArgs {
 impl TrainArgs {
     /// Trains or resumes, and writes the run folder unless the run is stopped.
     pub fn run(mut self) -> Result<ExitCode> {
-        let (run, mut config) = self.settle()?;
+        let (run, mut config) = self.run_and_config()?;
         if let Some(dir) = &config.data.dir {
             let options = LoadOptions::from(&config);
             data::locate(dir, &options)?;
@@ -122,17 +122,17 @@ impl TrainArgs {
             device: device_text,
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };
-        let begun = run.begin(&config, command)?;
+        let started = run.start(&config, command)?;
         let outcome = pipeline::run(&config, run.path(), &device, &mut Bars::default());
-        let outcome = outcome.inspect_err(|_| begun.undo())?;
-        begun.keep()?;
+        let outcome = outcome.inspect_err(|_| started.remove_new())?;
+        started.write_commands()?;
         if outcome.stopped {
             let line = self.resume_line(&run);
             terminal::note(&format!("stopped; resume with: {line}"));
             return Ok(ExitCode::from(interrupt::EXIT));
         }
         let viewer = write_scene(&outcome, &run)?;
-        write_report(&outcome, &run, begun.commands, &device)?;
+        write_report(&outcome, &run, started.commands, &device)?;
         summary(&outcome);
         terminal::say(&format!("report: {}", run.file(REPORT).display()));
         terminal::say(&viewer);
@@ -157,7 +157,7 @@ impl TrainArgs {
     }
 
     /// The run folder and the settings, with absolute paths: a run is resumed and scored from other folders too.
-    fn settle(&mut self) -> Result<(RunFolder, Config)> {
+    fn run_and_config(&mut self) -> Result<(RunFolder, Config)> {
         if let Some(path) = &self.scene {
             // Ahead of `--set`. All Gaussians of the file come back.
             let sets = [
@@ -201,7 +201,8 @@ impl TrainArgs {
 
 /// Writes the labelled scene, its cameras and its page for the browser. Returns where that page is, or how to get it.
 fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<String> {
-    let (scene, gaussians) = (&outcome.scene, &outcome.gaussians);
+    let scene = &outcome.scene;
+    let gaussians = &outcome.gaussians;
     let identities = outcome.stored().map(|(_, identities)| identities);
     let ids = identities.map(|identities| identities.ids(&scene.classes));
     ply::write(&run.file(SCENE), gaussians, scene.origin, ids.as_deref())?;
@@ -251,7 +252,8 @@ fn write_report(
     commands: Vec<Command>,
     device: &Device,
 ) -> Result<()> {
-    let (classes, renders) = (&outcome.scene.classes, run.path().join("renders"));
+    let classes = &outcome.scene.classes;
+    let renders = run.path().join("renders");
     let mut metrics = Metrics {
         commands,
         ..Metrics::of(outcome)
@@ -334,7 +336,7 @@ fn summary(outcome: &Outcome) {
         labels.miou.is_some() || instances.is_some() || semantic.is_some()
     };
     if !outcome.rows.iter().any(scored) {
-        let names: Vec<&str> = outcome.rows.iter().map(|row| row.row.title()).collect();
+        let names: Vec<&str> = outcome.rows.iter().map(|row| row.variant.title()).collect();
         terminal::say(&format!(
             "labels: {}; not scored, as no held-out view has true labels",
             names.join(", ")
@@ -342,6 +344,6 @@ fn summary(outcome: &Outcome) {
         return;
     }
     for row in &outcome.rows {
-        held_out::print(&row.scores, row.row.title());
+        held_out::print(&row.scores, row.variant.title());
     }
 }

@@ -5,15 +5,15 @@ use super::{Figures, Statistic};
 
 /// A column of the tables.
 pub(super) struct Column {
-    /// In JSON.
+    /// Name in JSON.
     pub key: &'static str,
-    /// In Markdown.
+    /// Heading in Markdown.
     pub title: &'static str,
-    /// Of one, in the unit of the title.
+    /// The value 1 in the unit of the title.
     pub unit: f64,
     decimals: usize,
     best: Best,
-    /// What it shows of a cell.
+    /// The figure of a cell.
     pub of: fn(&Figures) -> Option<f64>,
 }
 

@@ -29,7 +29,7 @@ pub struct Figures {
     pub feature_seconds: Option<f64>,
     /// Mean PSNR of the held-out views in dB, after attendance pruning.
     pub psnr: Option<f64>,
-    /// Of the feature field that the variant reads; absent for other variants, and in cells of earlier programs.
+    /// Scores of the feature field that the variant reads. Other variants have none, nor have cells of earlier programs.
     #[serde(default)]
     pub field: Option<FieldScores>,
     /// Gaussians after attendance pruning.
@@ -58,7 +58,7 @@ impl Figures {
             frames_per_second: frames_per_second(row, outcome, device)?,
             learnable_bytes: row.learnable_bytes as u64,
             training_seconds: row.curve.last().map(|_| row.seconds),
-            feature_seconds: row.row.trains_decoder().then_some(features),
+            feature_seconds: row.variant.trains_decoder().then_some(features),
             psnr: outcome.test.psnr,
             field: row.field,
             gaussians: outcome.gaussians.len(),
@@ -67,7 +67,7 @@ impl Figures {
 }
 
 /// Frames of colour and labels in a second, as `coseg render` makes them: 1 over the median time of the held-out views, after one
-/// for practice. `None` for a variant without identities.
+/// unmeasured view. `None` for a variant without identities.
 fn frames_per_second(
     row: &VariantOutcome,
     outcome: &Outcome,

@@ -1,8 +1,8 @@
 //! Tables of variants of stage two on equal Gaussians, features and labels: `coseg compare`.
 //!
 //! A [`Plan`] states a table completely. [`run`] trains stage one once for each scene, then every missing [`Cell`] on its
-//! Gaussians, and keeps each in a file of its own, so that a table is made in as many parts as needed. [`Tables`] holds the means
-//! and spreads of the cells and writes them as JSON, Markdown and plots.
+//! Gaussians. Each cell has a file of its own, so a table can be made in several parts. [`Tables`] holds the means and spreads of
+//! the cells and writes them as JSON, Markdown and plots.
 
 mod cells;
 mod columns;

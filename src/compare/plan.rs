@@ -11,9 +11,9 @@ use std::path::{Path, PathBuf};
 use toml::Table;
 
 /// Most cells of a plan.
-const MOST_CELLS: u64 = 10_000;
+const MAX_CELLS: u64 = 10_000;
 /// Most bytes of a name, which is part of file names.
-const MOST_BYTES: usize = 60;
+const MAX_BYTES: usize = 60;
 
 /// The scene of this name is the built-in room.
 const BUILTIN: &str = "builtin";
@@ -95,8 +95,8 @@ struct PlanFile {
 }
 
 impl Plan {
-    /// Reads and checks the plan at `path`. Its scenes are folders within `root`, or else within the folder of the
-    /// file; `builtin` is the built-in room.
+    /// Reads and checks the plan at `path`. Its scenes are folders within `root`, or else within the folder of the file. `builtin`
+    /// is the built-in room.
     ///
     /// # Errors
     /// [`Error::Io`]; [`Error::Input`] naming the field of the file; [`Error::Missing`] for a scene that is not there;
@@ -225,11 +225,11 @@ impl Plan {
             let forbidden = |c: char| c.is_control() || "/\\|<>\":*?`".contains(c);
             let is_plain = !name.trim().is_empty()
                 && name.trim() == *name
-                && name.len() <= MOST_BYTES
+                && name.len() <= MAX_BYTES
                 && !name.starts_with('.')
                 && !name.contains(forbidden);
             ensure!(is_plain, path, "{field}"; found "{name:?}";
-                expected "a name of at most {MOST_BYTES} bytes that can be part of a file name and of a table";
+                expected "a name of at most {MAX_BYTES} bytes that can be part of a file name and of a table";
                 help "leave out / \\ | < > \" : * ? ` and a dot at the front");
             ensure!(seen.insert(*name),
                 path, "{field}"; found "{name:?} twice"; expected "each name once"; help "rename one of the two");
@@ -254,12 +254,12 @@ impl Plan {
             .iter()
             .try_fold(self.seeds, |all, &n| all.checked_mul(n as u64));
         let found = cells.map_or("more than 2^64".into(), |cells| cells.to_string());
-        ensure!(cells.is_some_and(|cells| cells <= MOST_CELLS), limit "cells of {}", path.display(); found "{found}";
-            expected "{MOST_CELLS}"; help "give fewer seeds, scenes, labels or rows");
+        ensure!(cells.is_some_and(|cells| cells <= MAX_CELLS), limit "cells of {}", path.display(); found "{found}";
+            expected "{MAX_CELLS}"; help "give fewer seeds, scenes, labels or rows");
         Ok(())
     }
 
-    /// Checks that no table sets what other parts of the plan decide, and that each row has valid settings.
+    /// Checks that no table sets keys that other parts of the plan decide, and that each row has valid settings.
     fn check_settings(&self) -> Result<()> {
         self.check_table("settings", &self.settings, &[])?;
         let scene = &self.scenes[0];

@@ -146,7 +146,8 @@ impl Bars {
 
     /// The plot, which `command` makes; `None` without a class.
     pub fn svg(&self, command: &str) -> Option<String> {
-        let (classes, rows) = (self.classes.len(), self.rows.len());
+        let classes = self.classes.len();
+        let rows = self.rows.len();
         if classes == 0 {
             return None;
         }

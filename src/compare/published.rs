@@ -70,7 +70,7 @@ impl Published {
     }
 }
 
-/// A table of `rows` with a column for each figure that one of them has, and a line that says what they are; nothing without rows.
+/// A table of `rows` and a line that explains it. Figures that no row has get no column. Empty without rows.
 pub(super) fn table(rows: &[Published]) -> String {
     if rows.is_empty() {
         return String::new();

@@ -240,7 +240,8 @@ impl<'a> Comparison<'a> {
         loaded: &Scene,
         gaussians: &SharedGaussians,
     ) -> Result<Vec<Job<'a>>> {
-        let (labels, seed) = (part.labels, part.seed);
+        let labels = part.labels;
+        let seed = part.seed;
         let job = |row: &&'a Row| {
             let file = gaussians.file.clone();
             let config = self.plan.stage_two(scene, labels, row, seed, file)?;
@@ -287,7 +288,10 @@ impl<'a> Comparison<'a> {
             return Ok(false);
         }
         for job in jobs {
-            let row = outcome.rows.iter().find(|row| row.row == job.row.variant);
+            let row = outcome
+                .rows
+                .iter()
+                .find(|row| row.variant == job.row.variant);
             let Some(row) = row else {
                 bail!(&self.plan.path, "labels {labels:?}"; found "{name} without raw labels";
                     expected "training photos with raw labels"; help "name them by data.raw_labels or data.transforms");

@@ -16,9 +16,9 @@ use std::path::{Path, PathBuf};
 
 /// The Gaussians of a scene.
 pub(super) struct SharedGaussians {
-    /// In the folder of the comparison.
+    /// The PLY in the folder of the comparison.
     pub file: PathBuf,
-    /// As in the file.
+    /// The Gaussians of that file.
     pub gaussians: Gaussians,
 }
 
@@ -90,13 +90,13 @@ struct Record {
     gaussians: usize,
     psnr: Option<f64>,
     ssim: Option<f64>,
-    /// Of stage one.
+    /// Seconds of stage one.
     seconds: f64,
     provenance: Provenance,
 }
 
 impl Record {
-    /// Checks that the Gaussians are those of `plan`, and from the file `named` if that is given; `path` is that of the record.
+    /// Checks that the Gaussians belong to `plan` and, if `named` is given, come from that file. `path` is the file of the record.
     fn check(
         &self,
         path: &Path,

@@ -7,14 +7,14 @@ use serde::Serialize;
 pub struct Statistic {
     /// Mean over scenes of each scene's mean over seeds.
     pub mean: f64,
-    /// Standard deviation over seeds of the mean over scenes; `None` of fewer than two seeds that have all scenes.
+    /// Standard deviation, over seeds, of the mean over scenes. `None` where fewer than two seeds have all scenes.
     pub spread: Option<f64>,
     /// Cells that have the figure.
     pub cells: usize,
 }
 
 impl Statistic {
-    /// Of `values` by scene and seed; `None` where there are none.
+    /// The statistic of `values` by scene and seed; `None` without values.
     pub fn of(values: &[Vec<Option<f64>>]) -> Option<Self> {
         let scenes: Vec<f64> = values
             .iter()

@@ -29,7 +29,7 @@ struct Line<'a> {
 }
 
 impl<'a> Tables<'a> {
-    /// Of the finished `cells` of `plan`, for files that `command` writes.
+    /// The tables of the finished `cells` of `plan`, for files that `command` writes.
     pub fn new(plan: &'a Plan, cells: &'a [Cell], command: &'a str) -> Self {
         let key = |cell: &'a Cell| {
             let id = &cell.id;
@@ -88,7 +88,7 @@ impl<'a> Tables<'a> {
         self.cells.keys().filter(is_one).count()
     }
 
-    /// The columns: those of feature fields only where a cell has one.
+    /// The columns. Columns of feature fields are there only where a cell has such scores.
     fn columns(&self) -> Vec<&'static Column> {
         let has_field = self.cells.values().any(|cell| cell.figures.field.is_some());
         let of_fields = FIELD_COLUMNS.iter().filter(|_| has_field);
@@ -165,7 +165,7 @@ impl<'a> Tables<'a> {
         text + &self.footer() + &published::table(&self.plan.published)
     }
 
-    /// A table of rows by `columns`: a heading, the scenes that its cells are means over, and what they show.
+    /// A table of rows by `columns`, with a heading, the scenes that its cells are means over, and an explanation of the columns.
     fn table(&self, labels: &str, columns: &[(&str, &[&str], &Column)]) -> String {
         let rows = &self.plan.rows;
         let found: Vec<Vec<Option<Statistic>>> = columns

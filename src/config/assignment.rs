@@ -63,7 +63,7 @@ fn value_of(text: &str) -> Value {
     value.unwrap_or_else(|| text.trim().into())
 }
 
-/// `config` as a table. Every config that was read has such a form.
+/// `config` as a table. Every config that was read can be written as one.
 pub(super) fn table_of(config: &Config) -> Table {
     Table::try_from(config).unwrap_or_default()
 }
@@ -94,7 +94,7 @@ impl Assignment<'_> {
         Err(self.refused(&refusal))
     }
 
-    /// The error for a value of which serde says `message`.
+    /// The error for a value that serde refuses with `message`.
     fn refused(&self, message: &str) -> Error {
         let mut quoted = message.split('`').skip(1).step_by(2);
         if message.contains("unknown field") {
@@ -128,7 +128,7 @@ impl Assignment<'_> {
         fault(self.file, &self.key, found, expected, help.into())
     }
 
-    /// The error for a part of the key that its section does not have; `known` are those that it has.
+    /// The error for a part of the key that its section does not have. `known` lists the keys of the section.
     fn unknown_key<'k>(&self, unknown: &str, known: impl Iterator<Item = &'k str>) -> Error {
         let parts = self.key.split('.');
         let section: String = parts

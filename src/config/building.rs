@@ -58,7 +58,7 @@ impl AdcConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
 #[serde(default, deny_unknown_fields)]
 pub struct McmcConfig {
-    /// A densification adds this share of the present Gaussians; short runs need more to reach the cap early.
+    /// A densification adds this share of the present Gaussians. Short runs need a larger share to reach the cap early.
     #[default(0.05)]
     pub growth: f64,
     /// Weight of the mean opacity in the loss.
@@ -105,8 +105,8 @@ pub struct BuildingConfig {
     /// that colour become opaque. Photos with transparent pixels keep `raster.background`.
     #[default(true)]
     pub random_background: bool,
-    /// No more Gaussians than this; larger initial clouds are thinned to it. 0 means no limit, which `strategy = "mcmc"`
-    /// does not take: it grows to the limit.
+    /// Largest number of Gaussians. Larger initial clouds are thinned to it. 0 means no limit; `strategy = "mcmc"` refuses 0,
+    /// because it grows to the limit.
     pub max_gaussians: usize,
     /// Points when the scene has no initial cloud.
     #[default(20_000)]
@@ -135,7 +135,7 @@ pub struct BuildingConfig {
     #[serde(skip)]
     #[default(0.005)]
     pub prune_opacity: f32,
-    /// Smallest number of iterations between opacity resets; at least 5 passes over the views are kept as well.
+    /// Smallest number of iterations between opacity resets. There are also at least 5 passes over the views between them.
     #[serde(skip)]
     #[default(1_000)]
     pub reset_every: usize,

@@ -40,9 +40,9 @@ pub struct DataConfig {
     /// Folder of raw labels within `dir`, or a COCO file of instances; replaces what the frames name. Photos without a label file
     /// are unlabelled. Empty: as the frames say.
     pub raw_labels: String,
-    /// Folder of masks within `dir`, PNG named as their photos, black where a photo is left out; replaces those that the
-    /// frames name. Empty: as the frames say, or `masks`, of layout `colmap`, unless raw labels lie there. [`NO_MASKS`]: photos
-    /// are used whole, whatever masks there are; a folder of that name is `./none`.
+    /// Folder of masks within `dir`, which replace the masks that the frames name. They are PNG files named as their photos, black
+    /// where a photo is left out. Empty: the masks that the frames name, or `masks` in layout `colmap`, unless raw labels lie
+    /// there. [`NO_MASKS`]: photos are used whole and masks are ignored; a folder of that name is `./none`.
     pub masks: String,
     /// Origin of the raw labels, for the report, such as the name of a network. Empty: unknown, but simulated for the built-in
     /// scene.
@@ -141,8 +141,8 @@ pub enum RawFormat {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LabelsBy {
-    /// A person where they are shapes (LabelMe, COCO instances), or where at most a quarter of the training photos have labels
-    /// and none has scores; else a network.
+    /// A person, where the labels are shapes (LabelMe, COCO instances) or where at most a quarter of the training photos have
+    /// labels and none has scores. Else a network.
     #[default]
     Auto,
     /// A network, whose errors training has to withstand.

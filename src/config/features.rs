@@ -41,10 +41,6 @@ pub struct FeatureConfig {
     /// Folder of cached maps, keyed by content; absent means no cache.
     #[serde(deserialize_with = "super::optional_path")]
     pub cache_dir: Option<PathBuf>,
-    /// Whether the four blocks of a DINO ViT take its final layer normalisation. No key sets it; tests change it.
-    #[serde(skip)]
-    #[default(true)]
-    pub final_norm: bool,
 }
 
 impl FeatureConfig {
@@ -102,8 +98,8 @@ pub struct UnprojectionConfig {
     /// `attendance_pixels` too.
     #[default(1e-5)]
     pub attendance: f64,
-    /// Gaussians counted on this many pixels of all training views together stay, however many pixels there are: of hundreds of
-    /// large photos a share alone would prune what only a dozen of them show. 0 is no such limit, as in the paper.
+    /// Gaussians counted on this many pixels of all training views together are never pruned. In hundreds of large photos, the
+    /// share alone would prune what only a dozen photos show. 0 means no such limit, as in the paper.
     #[default(40.0)]
     pub attendance_pixels: f64,
 }

@@ -1,8 +1,8 @@
 //! Every setting of a run, as plain data. `config.toml` in a run folder is this structure as it ran.
 //!
-//! Sections follow the pipeline. Unknown keys are errors. `--set section.key=value` overrides one key.
-//! [`Config::load`] and [`Config::load_for`] read files and overrides, [`Config::preset`] holds the named sets of defaults,
-//! [`Config::validate`] checks the ranges that each section states beside its fields.
+//! Sections follow the pipeline. Unknown keys are errors. `--set section.key=value` overrides one key. [`Config::load`] and
+//! [`Config::load_for`] read files and overrides. [`Config::preset`] holds the named sets of defaults. [`Config::validate`] checks
+//! the ranges that each section states beside its fields.
 //!
 //! Choices with settings of their own are enums with a payload: `building.strategy = "mcmc"` takes the defaults of that choice,
 //! `building.strategy.mcmc.growth = 0.1` chooses it and sets one of them.
@@ -70,7 +70,7 @@ pub enum Preset {
     /// Our choices, all pixels.
     #[default]
     Default,
-    /// The choices that the paper states, where this crate departs from them; its networks need weights of their own.
+    /// The paper's choices, where the defaults of this crate differ from them. The paper's networks need weights of their own.
     Paper,
     /// A quarter of the pixels a step, cached blending weights.
     Fast,

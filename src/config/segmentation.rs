@@ -151,8 +151,8 @@ pub struct SegmentationConfig {
     pub prior: Prior,
     /// Exponent of the class frequencies that pooled votes are divided by, 0 to 1. Absent: it follows from the votes.
     pub prior_exponent: Option<f64>,
-    /// Share of the vote in the identities that decoders learned, 0 to 1. Absent: raw labels that the vote has not seen decide, where
-    /// the decoder starts from votes that are not pooled; else 0.
+    /// Share of the vote in the identities that decoders learned, 0 to 1. Absent: where the decoder starts from votes that are not
+    /// pooled, raw labels that the vote has not seen decide; elsewhere it is 0.
     pub vote_share: Option<f64>,
     /// Loss of the variant `ours`.
     #[serde(deserialize_with = "super::by_name")]

@@ -79,39 +79,29 @@ impl Variant {
 
     /// The variant's name in `config.toml` and `metrics.json`.
     pub fn key(self) -> &'static str {
-        match self {
-            Self::Raw => "raw",
-            Self::Vote => "vote",
-            Self::PooledVote => "pooled_vote",
-            Self::PerGaussian => "per_gaussian",
-            Self::Grouping => "grouping",
-            Self::Distilled => "distilled",
-            Self::PanopticLifting => "panoptic_lifting",
-            Self::OursCe => "ours_ce",
-            Self::Ours => "ours",
-            Self::NoImageFeatures => "no_image_features",
-            Self::NoSpatial => "no_spatial",
-            Self::SingleScale => "single_scale",
-            Self::RandomSpatial => "random_spatial",
-        }
+        self.names()[0]
     }
 
     /// The variant's name in tables for people.
     pub fn title(self) -> &'static str {
+        self.names()[1]
+    }
+
+    fn names(self) -> [&'static str; 2] {
         match self {
-            Self::Raw => "raw labels",
-            Self::Vote => "vote",
-            Self::PooledVote => "pooled vote",
-            Self::PerGaussian => "per-Gaussian CE",
-            Self::Grouping => "Gaussian Grouping",
-            Self::Distilled => "Feature 3DGS",
-            Self::PanopticLifting => "Panoptic Lifting",
-            Self::OursCe => "ours, CE",
-            Self::Ours => "ours",
-            Self::NoImageFeatures => "ours without image features",
-            Self::NoSpatial => "ours without spatial features",
-            Self::SingleScale => "ours, one scale",
-            Self::RandomSpatial => "ours, random encoder",
+            Self::Raw => ["raw", "raw labels"],
+            Self::Vote => ["vote", "vote"],
+            Self::PooledVote => ["pooled_vote", "pooled vote"],
+            Self::PerGaussian => ["per_gaussian", "per-Gaussian CE"],
+            Self::Grouping => ["grouping", "Gaussian Grouping"],
+            Self::Distilled => ["distilled", "Feature 3DGS"],
+            Self::PanopticLifting => ["panoptic_lifting", "Panoptic Lifting"],
+            Self::OursCe => ["ours_ce", "ours, CE"],
+            Self::Ours => ["ours", "ours"],
+            Self::NoImageFeatures => ["no_image_features", "ours without image features"],
+            Self::NoSpatial => ["no_spatial", "ours without spatial features"],
+            Self::SingleScale => ["single_scale", "ours, one scale"],
+            Self::RandomSpatial => ["random_spatial", "ours, random encoder"],
         }
     }
 }

@@ -86,7 +86,7 @@ impl Mask {
         self.width * self.height - self.left_out
     }
 
-    /// The used pixel, numbered row-major, that has `rank` used ones before it; `None` where no more than `rank` are used.
+    /// The number, row-major, of the used pixel after `rank` other used pixels; `None` where at most `rank` are used.
     pub fn nth(&self, rank: usize) -> Option<usize> {
         let block = self
             .before
@@ -131,7 +131,7 @@ impl Mask {
             });
     }
 
-    /// `values` of the pixels that are used, in their order; `values` has `channels` of them for each pixel, row-major.
+    /// The rows of `values`, `[pixels, channels]`, of the used pixels, in their order.
     pub fn used<T: Copy>(&self, values: &[T], channels: usize) -> Vec<T> {
         let pixels = values.chunks(channels.max(1)).enumerate();
         pixels

@@ -18,7 +18,7 @@ pub use self::formats::layout::locate;
 pub use self::labels::label_runs::LabelRuns;
 pub use self::labels::map_geometry::MapGeometry;
 pub use self::labels::palette::class_color;
-pub use self::labels::scores::{LabelScores, ScoreGrid, ScoreMap, ViewScores};
+pub use self::labels::scores::{LabelProbabilities, ScoreGrid, ScoreMap, ViewScores};
 pub use self::options::LoadOptions;
 pub use self::outputs::{check_output_file, check_outputs};
 pub use self::photos::photo::Photo;
@@ -36,9 +36,9 @@ use std::path::Path;
 
 /// Loads the scene in folder `dir`, in the layout that the options name or that the folder has.
 ///
-/// The origin is the mean of all camera centres, subtracted in f64 from cameras and points. Lens distortion is taken out of
-/// photos and label maps. Photos are decoded in parallel, and kept decoded up to [`LoadOptions::decoded_mb`]; the others are
-/// decoded again at each use, from files that must not change. Warnings say what is left out, and what loads but is seldom
+/// The origin is the mean of all camera centres, subtracted in f64 from cameras and points. Lens distortion is taken out of photos
+/// and label maps. Photos are decoded in parallel and kept in memory up to [`LoadOptions::decoded_mb`]. The others are decoded
+/// again at each use; their files must not change. Warnings name what is left out. They also name what loads but is seldom
 /// intended, such as poses in another convention.
 ///
 /// # Errors
@@ -72,9 +72,9 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
     Ok(scene)
 }
 
-/// The cameras of the scene in folder `dir`, in whatever layout, in the order of its views: pinholes as [`load`] makes
-/// them of distorted photos, in world units; subtract a scene's origin before rendering. `split` keeps only those
-/// frames. Photos may be missing where their sizes are known without them.
+/// The cameras of the scene in folder `dir`, in any layout, in the order of its views. They are pinholes, as [`load`] makes them of
+/// distorted photos, in world units. Subtract a scene's origin before rendering. `split` keeps only those frames. Photos may be
+/// missing where their sizes are known without them.
 ///
 /// # Errors
 /// As [`load`]; also when no frame is left.
@@ -197,8 +197,7 @@ pub struct View {
     pub camera: Camera,
     /// The photo, 8-bit sRGB.
     pub image: Photo,
-    /// Which pixels are used, where some are left out: these are not trained on, not scored, and unlabelled in the maps
-    /// below.
+    /// The used pixels, where some are left out. Left-out pixels are not trained on, not scored, and unlabelled in the maps below.
     pub mask: Option<Mask>,
     /// True labels, where known. Only for scoring.
     pub truth: Option<LabelRuns>,

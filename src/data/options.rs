@@ -17,7 +17,7 @@ pub struct LoadOptions {
     pub images: String,
     /// Folder of raw labels within the scene folder, instead of the one that the frames or the layout name.
     pub raw_labels: Option<String>,
-    /// Folder of masks within the scene folder, instead of those that the frames or the layout name;
+    /// Folder of masks within the scene folder. It replaces the masks that the frames or the layout name.
     /// [`NO_MASKS`](crate::config::NO_MASKS) for none.
     pub masks: Option<String>,
     /// How raw labels are stored.
@@ -100,8 +100,8 @@ impl LoadOptions {
         }
     }
 
-    /// Which frames are read, as (index, split), ascending. `given` are the splits that the folder defines; without any,
-    /// every 8th frame that is read is test, from the first on.
+    /// Which frames are read, as (index, split), ascending. `given` are the splits that the folder defines. Without any, every 8th
+    /// frame that is read is a test frame, from the first on.
     pub(crate) fn pick(&self, given: &[Option<Split>]) -> Vec<(usize, Split)> {
         let wanted = if self.max_frames == 0 {
             given.len()

@@ -13,8 +13,8 @@ const LEVELS: usize = 3;
 /// Names of folders in a scene that are read as true labels, true instances and masks once they are there.
 const RESERVED: [&str; 3] = ["labels", "instances", "masks"];
 
-/// Refuses to write into `folders` where one of them is a scene folder, or is read by the loader of the scene in folder `dir` or
-/// of a scene above it: photos, poses, label maps or masks would be overwritten. `option` named the folders.
+/// Refuses to write into `folders` where that would overwrite photos, poses, label maps or masks: where one of them is a scene
+/// folder, or the loader reads it for the scene in `dir` or for a scene above it. `option` named the folders.
 ///
 /// # Errors
 /// [`crate::Error::Argument`].
@@ -39,7 +39,8 @@ pub fn check_outputs(
     Ok(())
 }
 
-/// Refuses to write `file` where it is a photo, a label map, a mask, the cloud or the class table of the scene in folder `dir`.
+/// Refuses to write `file` where it is an input of the scene in folder `dir`: a photo, a label map, a mask, the cloud or the class
+/// table.
 ///
 /// # Errors
 /// [`crate::Error::Argument`].

@@ -81,7 +81,9 @@ pub fn store(path: &Path, maps: &[FeatureMap; SCALES]) -> Result<()> {
 pub fn digest(maps: &[FeatureMap; SCALES]) -> String {
     let mut hash = Sha256::new();
     for map in maps {
-        let (height, width, channels) = (map.height, map.width, map.channels);
+        let height = map.height;
+        let width = map.width;
+        let channels = map.channels;
         hash.update(format!("{height} {width} {channels} {:?}\n", map.steps));
         hash.update(f32::to_bytes(&map.data));
     }

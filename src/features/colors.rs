@@ -7,7 +7,7 @@ use crate::weights::{HostTensor, WeightFile};
 use std::path::Path;
 
 /// Most Gaussians that the components are fitted on.
-const FITTED: usize = 20_000;
+const FITTED_GAUSSIANS: usize = 20_000;
 /// Gaussians that are projected at once.
 const BLOCK: usize = 4_096;
 /// Shares of the Gaussians that are darker than black and brighter than full brightness.
@@ -23,8 +23,8 @@ pub struct FeatureColors {
 }
 
 impl FeatureColors {
-    /// Of the features of all scales, each `[N, dimensions]`. A component runs from 0 at its 2nd percentile to 1 at its 98th; one
-    /// without variance is 0.5.
+    /// Colours of the features of all scales, each `[N, dimensions]`. A component is 0 at its 2nd percentile and 1 at its 98th. A
+    /// component without variance is 0.5.
     ///
     /// # Errors
     /// [`crate::Error::NonFinite`] for features that are not finite.
@@ -32,7 +32,7 @@ impl FeatureColors {
         let channels = SCALES * dimensions;
         let count = scales[0].len() / dimensions.max(1);
         let mut moments = Moments::new(channels);
-        let fitted = (0..count).step_by(count.div_ceil(FITTED).max(1));
+        let fitted = (0..count).step_by(count.div_ceil(FITTED_GAUSSIANS).max(1));
         let fitted = joined(scales, dimensions, fitted);
         moments.add(&fitted, "lifted features", channels)?;
         let pca = Pca::fit(&moments, 3);

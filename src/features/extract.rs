@@ -15,7 +15,7 @@ pub const PCA_CELLS: usize = 100_000;
 
 /// Unreduced maps kept in memory between fitting and applying, bytes; views beyond it are extracted twice (or read from
 /// the cache).
-const KEPT_BYTES: usize = 1 << 30;
+const MAX_KEPT_BYTES: usize = 1 << 30;
 
 /// Views extracted side by side.
 const BATCH: usize = 8;
@@ -29,8 +29,8 @@ pub struct ViewFeatures {
     pub maps: [FeatureMap; SCALES],
 }
 
-/// The fitted reductions of a scene's features and their extractor: four maps of each training view, reduced by a PCA per scale
-/// that is fitted on all of them, then L2-normalised. The unreduced maps need not fit in memory together.
+/// The extractor of a scene's features and the fitted reductions. Each training view has four maps. A PCA per scale, fitted on all
+/// training views, reduces them; then each cell is L2-normalised. The unreduced maps need not fit in memory together.
 pub struct Reduction<'a> {
     /// Where the features come from, see [`Extractor`].
     pub name: String,
@@ -67,7 +67,8 @@ impl<'a> Reduction<'a> {
         let mut kept_bytes = 0;
         let mut moments: Option<[Moments; SCALES]> = None;
         // Imported maps do not depend on photos: their own digest identifies them.
-        let (key, mut imported) = (extractor.cache_key.clone(), Sha256::new());
+        let key = extractor.cache_key.clone();
+        let mut imported = Sha256::new();
         let quota = PCA_CELLS.div_ceil(train.len().max(1));
         for batch in train.chunks(BATCH) {
             let look = |view: &&View| {
@@ -89,7 +90,7 @@ impl<'a> Reduction<'a> {
                     )?;
                 }
                 kept_bytes += maps.iter().map(|m| 4 * m.data.len()).sum::<usize>();
-                kept.push((kept_bytes <= KEPT_BYTES).then_some(maps));
+                kept.push((kept_bytes <= MAX_KEPT_BYTES).then_some(maps));
                 if let ControlFlow::Break(stop) = viewed() {
                     return Ok(ControlFlow::Break(stop));
                 }

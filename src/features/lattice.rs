@@ -113,8 +113,8 @@ impl Axis {
         (at - self.offset) / self.stride
     }
 
-    /// The cells before and after an image coordinate and the weight of the latter; beyond the outermost centres the
-    /// border cell twice.
+    /// The cells before and after an image coordinate, and the weight of the cell after it. Beyond the outermost centres both are
+    /// the border cell.
     pub fn taps(&self, at: f64) -> (usize, usize, f32) {
         let last = self.cells.max(1) - 1;
         let x = self.cell(at).clamp(0.0, last as f64);

@@ -88,10 +88,10 @@ impl Extractor {
                 (name, Some(key), Source::MobileNetV2(Box::new(net)))
             }
             FeatureSource::Dino => {
-                let (path, norm) = (weights("DINO")?, config.final_norm);
-                let net = dino::Vit::load(path, &device)?.with_final_norm(norm);
+                let path = weights("DINO")?;
+                let net = dino::Vit::load(path, &device)?;
                 let name = format!("dino {}", path.display());
-                let key = format!("{} {} norm {norm}", dino::VERSION, file_digest(path)?);
+                let key = format!("{} {} norm true", dino::VERSION, file_digest(path)?);
                 (name, Some(key), Source::Dino(Box::new(net)))
             }
             FeatureSource::Segmenter(tensor) => {

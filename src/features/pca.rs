@@ -1,7 +1,7 @@
 //! Principal components of feature vectors: centred, signs fixed, deterministic.
 //!
-//! Mean and scatter are accumulated in f64, block by block, and merged in a fixed order by the pairwise update of Chan,
-//! Golub and LeVeque (1979), so the result does not depend on the number of threads and large means do not cancel.
+//! Mean and scatter are accumulated in f64, block by block. The blocks are merged in a fixed order by the pairwise update of Chan,
+//! Golub and LeVeque (1979). So the result does not depend on the number of threads, and large means do not cancel.
 
 use super::FeatureMap;
 use crate::error::{Error, Result, ensure};
@@ -96,8 +96,7 @@ pub struct Pca {
     pub rank: usize,
     /// Mean of the rows, `[channels]`.
     pub mean: Vec<f64>,
-    /// Unit components as rows, descending by variance, `[rank, channels]`; of each, the entry of largest magnitude is
-    /// positive.
+    /// Unit components as rows, descending by variance, `[rank, channels]`. The entry of largest magnitude of each is positive.
     pub components: Vec<f64>,
     /// Variance along each component, `[rank]`, descending.
     pub variances: Vec<f64>,
@@ -110,8 +109,8 @@ pub struct Pca {
 impl Pca {
     /// The leading `dimensions` components.
     ///
-    /// Directions whose variance is within rounding of zero (1e-10 of the largest, or the square of f32 rounding of the
-    /// largest value) are left out; the output has zeros in their place.
+    /// Directions whose variance is zero within rounding (1e-10 of the largest, or the square of f32 rounding of the largest value)
+    /// are left out. The output has zeros in their place.
     pub fn fit(moments: &Moments, dimensions: usize) -> Self {
         let channels = moments.mean.len();
         let covariance = &moments.scatter / moments.count.max(1.0);

@@ -1,7 +1,7 @@
 //! Scalar columns of a PLY element, read and written in blocks of rows, for point clouds and Gaussian scenes.
 //!
-//! The format itself is `ply-rs-bw`'s. Its rows are addressed by property name; here every wanted property is renamed
-//! once, in a private copy of the element definition, to its column number, so that no row compares names.
+//! The format itself is `ply-rs-bw`'s. Its rows are addressed by property name. Here every wanted property is renamed once to its
+//! column number, in a private copy of the element definition. So no row compares names.
 
 use super::{Limits, kind};
 use crate::error::{Error, Result, bail, invalid};
@@ -225,8 +225,8 @@ impl PlyFile {
         Ok(())
     }
 
-    /// The size of a binary file of scalar columns follows from its header; a wrong one is refused before anything is read.
-    /// Much longer files have rows with more in them than declared, such as a column name used twice.
+    /// The size of a binary file of scalar columns follows from its header. A file of another size is refused before anything is
+    /// read. Much longer files have rows with more in them than declared, such as a column name used twice.
     fn check_size(&mut self) -> Result<()> {
         let unreadable = |e| Error::io(&self.path, "measure", e);
         let start = self
@@ -241,7 +241,8 @@ impl PlyFile {
             .metadata()
             .map_err(unreadable)?
             .len();
-        let (mut expected, mut rows) = (u128::from(start), 0);
+        let mut expected = u128::from(start);
+        let mut rows = 0;
         for element in self.header.elements.values() {
             let sizes = element
                 .properties

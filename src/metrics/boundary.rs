@@ -7,19 +7,20 @@ use crate::data::{Classes, LabelMap};
 /// Distance from a mask's outline up to which pixels count, as a share of the image's diagonal: that of the authors.
 const DISTANCE: f64 = 0.02;
 
-/// Mean boundary IoU (Cheng et al. 2021) over the classes present in the truth, all views counted together: the IoU of the pixels
-/// of each class that are near the outline of its mask, in the truth and in the prediction. `views` are pairs of true and
-/// predicted maps of ids; pairs of different sizes add nothing. `None` where no pixel counts.
+/// Mean boundary IoU (Cheng et al. 2021) over the classes present in the truth, all views counted together. The boundary IoU of a
+/// class is the IoU of the pixels near the outlines of its true and its predicted mask. `views` are pairs of true and predicted
+/// maps of ids; pairs of different sizes add nothing. `None` where no pixel counts.
 ///
 /// A pixel is near the outline where the square of pixels at most d away from it leaves the mask or the image. d is 2 % of the
-/// image's diagonal, rounded, and at least 1. Pixels that do not count belong to no mask, neither a true nor a predicted one:
-/// those whose truth is the ignored id and, with [`Void::LeftOut`], those whose prediction is void.
+/// image's diagonal, rounded, and at least 1. Pixels whose truth is the ignored id belong to no mask, true or predicted. With
+/// [`Void::LeftOut`], pixels whose prediction is void do not either.
 pub fn boundary_iou(
     classes: &Classes,
     views: impl IntoIterator<Item = (LabelMap, LabelMap)>,
     void: Void,
 ) -> Option<f64> {
-    let (lookup, none) = (classes.lookup(), classes.len());
+    let lookup = classes.lookup();
+    let none = classes.len();
     let indices = |map: &LabelMap| -> Vec<usize> {
         let index = |&id: &u16| usize::from(lookup[usize::from(id)]).min(none);
         map.ids.iter().map(index).collect()
@@ -30,7 +31,8 @@ pub fn boundary_iou(
         if size != [prediction.width, prediction.height] || size.contains(&0) {
             continue;
         }
-        let (mut truth, mut prediction) = (indices(&truth), indices(&prediction));
+        let mut truth = indices(&truth);
+        let mut prediction = indices(&prediction);
         for (t, p) in truth.iter_mut().zip(&mut prediction) {
             if *t == none || (void == Void::LeftOut && *p == none) {
                 (*t, *p) = (none, none);

@@ -54,7 +54,8 @@ fn clusters(features: &[f32], dimensions: usize, labels: &[u16]) -> Option<Vec<C
 /// `None` unless 2 <= clusters < N, all values are finite, the lengths agree and the clusters have any spread.
 pub fn calinski_harabasz(features: &[f32], dimensions: usize, labels: &[u16]) -> Option<f64> {
     let clusters = clusters(features, dimensions, labels)?;
-    let (n, k) = (labels.len() as f64, clusters.len() as f64);
+    let n = labels.len() as f64;
+    let k = clusters.len() as f64;
     let sums = clusters.iter().map(|c| &c.centroid * c.size);
     let mean = sums.sum::<DVector<f64>>() / n;
     let between = clusters

@@ -35,7 +35,9 @@ impl ImageScores {
     /// As [`crate::data::Photo::pixels`]; [`crate::Error::Argument`] for a mask of another size than the photo.
     pub fn of_view(image: &[f32], view: &View) -> Result<Self> {
         view.check_mask()?;
-        let (photo, width, height) = (view.rgb()?, view.image.width(), view.image.height());
+        let photo = view.rgb()?;
+        let width = view.image.width();
+        let height = view.image.height();
         let Some(mask) = &view.mask else {
             return Ok(Self::of(image, &photo, width, height));
         };
@@ -89,8 +91,8 @@ const SIGMA: f64 = 1.5;
 
 /// Mean structural similarity of `[height, width, channels]` images clamped to 0..1 (Wang et al. 2004).
 ///
-/// Gaussian window 11x11, sigma 1.5, population covariance, K1 = 0.01, K2 = 0.03, range 1; the border of 5 pixels is
-/// left out; channels are averaged. The same as scikit-image's `structural_similarity(gaussian_weights=True, sigma=1.5,
+/// Gaussian window 11x11, sigma 1.5, population covariance, K1 = 0.01, K2 = 0.03, range 1. The border of 5 pixels is left out.
+/// Channels are averaged. The same as scikit-image's `structural_similarity(gaussian_weights=True, sigma=1.5,
 /// use_sample_covariance=False, data_range=1)`. All arithmetic in f64.
 ///
 /// `None` when a side is shorter than 11 pixels, the lengths do not fit, there are no channels, or a value is NaN.

@@ -1,5 +1,4 @@
-//! Scores of instance maps, whose predicted ids need not be those of the truth: association accuracy, instance mIoU,
-//! panoptic quality.
+//! Scores of instance maps: association accuracy, instance mIoU, panoptic quality. Predicted ids need not equal true ids.
 
 use super::{assignment, mean};
 use serde::{Deserialize, Serialize};
@@ -20,7 +19,7 @@ pub struct InstanceScores {
     pub miou: Option<f64>,
     /// Panoptic quality of each view's segments, all views counted together, one class.
     pub panoptic: Quality,
-    /// The same with all views as one image, so that an object which changes its id between views is two.
+    /// The same with all views as one image: an object that changes its id between views counts as two.
     pub scene: Quality,
     /// True instances in the views.
     pub instances: usize,
@@ -110,8 +109,8 @@ struct ClassMatches {
 
 /// Counts segments towards [`Quality`], image by image.
 ///
-/// As in panopticapi: segments of one class match above an IoU of 0.5; pixels without truth (id 0) are taken out of
-/// unions, and a predicted segment without a match that lies on them by more than half is no false positive.
+/// As in panopticapi, segments of one class match above an IoU of 0.5. Pixels without truth (id 0) do not count in unions. An
+/// unmatched prediction is no false positive if more than half of it lies on such pixels.
 #[derive(Clone, Debug, Default)]
 pub struct PanopticQuality(BTreeMap<u16, ClassMatches>);
 
@@ -164,7 +163,7 @@ impl PanopticQuality {
         self.quality_of(|_| true)
     }
 
-    /// The mean over those of these classes that occur.
+    /// The mean over the classes that occur.
     pub fn quality_of(&self, wanted: impl Fn(u16) -> bool) -> Quality {
         let weight = |t: &ClassMatches| t.matched as f64 + 0.5 * t.unmatched as f64;
         let occurs = || {
@@ -187,12 +186,13 @@ impl PanopticQuality {
     }
 }
 
-/// Scores `views` of (true instance ids, predicted object ids), each `[H, W]`, one after the other; id 0 is no instance,
-/// and pixels whose truth is 0 are left out.
+/// Scores `views` of (true instance ids, predicted object ids), each `[H, W]`, one after the other. Id 0 is no instance. Pixels
+/// whose truth is 0 are left out.
 pub fn instance_scores(
     views: impl IntoIterator<Item = (impl AsRef<[u16]>, impl AsRef<[u16]>)>,
 ) -> InstanceScores {
-    let (mut pooled, mut per_view) = (Pairs::default(), PanopticQuality::default());
+    let mut pooled = Pairs::default();
+    let mut per_view = PanopticQuality::default();
     let one: &dyn Fn(u16) -> u16 = &|_| 0;
     for (truth, prediction) in views {
         let mut pairs = Pairs::default();

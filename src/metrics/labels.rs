@@ -30,8 +30,8 @@ impl Confusion {
         }
     }
 
-    /// Counts one view, given as class indices. A true index of `classes` or more means 'not labelled' and leaves the
-    /// pixel out; a predicted one is void. Pixels past the shorter slice are not counted.
+    /// Counts one view, given as class indices. A true index of `classes` or more means 'not labelled': the pixel is left out. A
+    /// predicted index of `classes` or more is void. Pixels past the shorter slice are not counted.
     pub fn add(
         &mut self,
         truth: impl IntoIterator<Item = usize>,
@@ -118,8 +118,8 @@ pub struct LabelScores {
     pub per_class: Vec<(u16, f64)>,
 }
 
-/// Scores `views` of (true ids, predicted ids), each `[H, W]`, one after the other; pixels whose truth is the ignored id
-/// are left out.
+/// Scores `views` of (true ids, predicted ids), each `[H, W]`, one after the other. Pixels whose truth is the ignored id are left
+/// out.
 ///
 /// A view without any counted pixel adds nothing to the mean over views.
 pub fn label_scores(

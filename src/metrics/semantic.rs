@@ -6,7 +6,7 @@ use crate::data::Classes;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Scores of a set of views against true classes, each in 0..1; an object counts as its class.
+/// Scores of a set of views against true classes, each in 0..1. An object counts as its class.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SemanticScores {
     /// Mean IoU of all views counted together, over the classes in their truth.
@@ -35,13 +35,13 @@ pub struct ClassIou {
 /// Panoptic quality as a mean over classes; segments of different classes never match.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PanopticScores {
-    /// Of all classes, each view's segments, all views counted together.
+    /// All classes. Segments match within a view; all views are counted together.
     pub all: Quality,
-    /// Of the classes of things alone.
+    /// The classes of things alone.
     pub things: Quality,
-    /// Of the classes of stuff alone.
+    /// The classes of stuff alone.
     pub stuff: Quality,
-    /// Of all classes with all views as one image, so that an object which changes its id between views is two.
+    /// All classes, with all views as one image: an object that changes its id between views counts as two.
     pub scene: Quality,
 }
 
@@ -56,11 +56,11 @@ pub struct SemanticView<'a> {
     pub objects: &'a [u16],
 }
 
-/// Scores `views`: `objects` says of which class each object is, `classes` is the table of the true labels, and `stuff`
-/// names its classes of which there are no instances.
+/// Scores `views`. `objects` gives the class of each object, `classes` is the table of the true labels, and `stuff` names its
+/// classes without instances.
 ///
-/// Pixels whose truth is the ignored id are left out; an object without a class is void, which is wrong. A true segment is
-/// an instance of a class of things, or all of a class of stuff; pixels of things without an instance have no true segment.
+/// Pixels whose truth is the ignored id are left out. An object without a class is void, which counts as wrong. A true segment is
+/// an instance of a class of things, or all pixels of a class of stuff. Pixels of things without an instance have no true segment.
 pub fn semantic_scores<'a>(
     objects: &Classes,
     classes: &Classes,
@@ -118,7 +118,8 @@ fn panoptic(
     views: &[SemanticView<'_>],
 ) -> Option<PanopticScores> {
     let mut segments = Segments::default();
-    let (mut pooled, mut each) = (Pairs::default(), Vec::new());
+    let mut pooled = Pairs::default();
+    let mut each = Vec::new();
     for view in views {
         let Some(instances) = view.instances else {
             continue;
@@ -151,7 +152,8 @@ fn panoptic(
         each.push(pairs);
     }
     let of: [&dyn Fn(u16) -> u16; 2] = [&|id| segments.class(id), &|id| class_of[usize::from(id)]];
-    let (mut quality, mut scene) = (PanopticQuality::default(), PanopticQuality::default());
+    let mut quality = PanopticQuality::default();
+    let mut scene = PanopticQuality::default();
     each.iter().for_each(|pairs| quality.count(pairs, of));
     scene.count(&pooled, of);
     (!each.is_empty()).then(|| PanopticScores {

@@ -26,10 +26,11 @@ impl NeighbourGraph {
         Ok(Self { neighbours })
     }
 
-    /// Share of the pairs of a Gaussian and a neighbour, both of which have a label, whose labels differ; 0 without pairs.
+    /// Share of the labelled pairs (Gaussian, neighbour) whose labels differ, 0..1; 0 without labelled pairs.
     pub fn disagreement(&self, identities: &Identities) -> f64 {
         let labels = identities.labels();
-        let (mut pairs, mut differ) = (0_u64, 0_u64);
+        let mut pairs = 0_u64;
+        let mut differ = 0_u64;
         for (own, row) in labels.iter().zip(self.neighbours.chunks_exact(NEIGHBOURS)) {
             let Some(own) = own else { continue };
             for other in row.iter().filter_map(|&j| labels[j as usize]) {

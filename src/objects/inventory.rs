@@ -6,7 +6,7 @@ use glam::DVec3;
 use std::collections::BTreeMap;
 
 /// Share of an object's Gaussians beyond its box on each side. Strays would make the box as large as the scene.
-const BEYOND: f64 = 0.01;
+const CLIPPED_SHARE: f64 = 0.01;
 
 /// The Gaussians of one label.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,7 +40,8 @@ pub fn inventory(gaussians: &Gaussians, labels: &[u16]) -> Vec<Object> {
         rows.entry(id).or_default().push(row);
     }
     let object = |(id, rows): (u16, Vec<u32>)| {
-        let beyond = ((BEYOND * rows.len() as f64).ceil() as usize).min((rows.len() - 1) / 2);
+        let beyond =
+            ((CLIPPED_SHARE * rows.len() as f64).ceil() as usize).min((rows.len() - 1) / 2);
         let [x, y, z] = [0, 1, 2].map(|axis| {
             let mut along: Vec<f32> = rows
                 .iter()

@@ -44,7 +44,7 @@ enum Blended<'a> {
 }
 
 impl<'a> LabelMaps<'a> {
-    /// Of `identities` over `classes` by `rule`.
+    /// The maps of `identities` over `classes` by `rule`.
     pub fn new(identities: &'a Identities, classes: &'a Classes, rule: LabelRule) -> Self {
         let blended = match rule.source {
             LabelSource::Labels => {

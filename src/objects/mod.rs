@@ -1,4 +1,4 @@
-//! Which thing each Gaussian belongs to: association of segments across views, the vote over raw labels, stored identities, label rendering.
+//! Labels of Gaussians: association of segments across views, votes over raw labels, stored identities, label rendering.
 
 mod association;
 mod calibration;

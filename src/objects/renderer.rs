@@ -31,13 +31,14 @@ pub struct RenderOptions {
     pub settings: Settings,
     /// Colour behind the scene, sRGB in 0..1.
     pub background: [f32; 3],
-    /// The least alpha at which a pixel has a label: all have one at 0 where a Gaussian weighs anything, none above 1.
+    /// Smallest alpha at which a pixel has a label. At 0 every pixel with a contributing Gaussian has one; above 1 no pixel has.
     pub min_coverage: f32,
 }
 
 impl RenderOptions {
     fn check(&self) -> Result<()> {
-        let ([r, g, b], least) = (self.background, self.min_coverage);
+        let [r, g, b] = self.background;
+        let least = self.min_coverage;
         ensure!([r, g, b, least].iter().all(|value| value.is_finite()),
             argument "render options"; found "background {r}, {g}, {b}, min_coverage {least}";
             expected "finite numbers"; help "pass a colour and a share");
@@ -68,8 +69,9 @@ impl Default for RenderOptions {
 
 /// A scene that is rendered view after view. It is sent to a GPU once.
 ///
-/// Beside the memory of a [`SplatView`], a GPU holds channels of 32-bit floats: for every pixel three and one a label, and for
-/// every Gaussian one a label. Where either exceeds a quarter of its largest allocation, or 1 GiB, labels are blended in blocks.
+/// Beside the memory of a [`SplatView`], a GPU holds channels of 32-bit floats: for every pixel three and one for each label, and
+/// for every Gaussian one for each label. Where either exceeds a quarter of its largest allocation, or 1 GiB, labels are blended in
+/// blocks.
 #[derive(Debug)]
 pub struct Renderer {
     options: RenderOptions,

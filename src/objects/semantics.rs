@@ -5,8 +5,8 @@ use crate::data::{Classes, LabelRuns, Scene, Split, View};
 use crate::metrics::{SemanticScores, SemanticView, semantic_scores};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Whether labels of `view` can be scored: against its true labels, or, where `association` makes objects of segments, against
-/// true instances or by the classes of `semantics`.
+/// Whether labels of `view` can be scored. Class labels need its true labels. Where `association` makes objects of segments, they
+/// need true instances or the classes of `semantics`.
 pub fn has_truth(view: &View, association: Association, semantics: Option<&Semantics>) -> bool {
     match association {
         Association::None => view.truth.is_some(),

@@ -10,9 +10,9 @@ use crate::splat::Gaussians;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
-/// Result of the association.
+/// Numbers of an association, as metrics.json stores them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Associated {
+pub struct AssociationCounts {
     /// Segments of the training views.
     pub segments: usize,
     /// Objects that they show.
@@ -25,8 +25,17 @@ pub struct Associated {
     pub seconds: f64,
 }
 
-/// Replaces the raw labels of `scene` by objects, and its classes with them. Returns the counts, and what the classes of the
-/// objects are scored against. None where `progress` stopped it. Nothing is stored: a resumed run makes the same objects again.
+/// The result of [`associate`].
+#[derive(Clone, Debug)]
+pub struct Associated {
+    /// How many segments became how many objects.
+    pub counts: AssociationCounts,
+    /// What the classes of the objects are scored against, where the objects have classes.
+    pub semantics: Option<Semantics>,
+}
+
+/// Makes the objects that the segments of `scene` show its raw labels and its classes. None where `progress` stopped it. Nothing
+/// is stored: a resumed run finds the same objects again.
 ///
 /// # Errors
 /// As [`objects::associate`].
@@ -35,8 +44,9 @@ pub fn associate(
     scene: &mut Scene,
     config: &Config,
     progress: &mut dyn Progress,
-) -> Result<Option<(Associated, Option<Semantics>)>> {
-    let (clock, settings) = (Instant::now(), Settings::from(&config.raster));
+) -> Result<Option<Associated>> {
+    let clock = Instant::now();
+    let settings = Settings::from(&config.raster);
     let steps = Association::steps(scene, &config.association);
     let mut viewing = Viewing::begin(progress, "association", steps);
     let advance = &mut |views| viewing.advance(views);
@@ -45,7 +55,7 @@ pub fn associate(
         return Ok(None);
     };
     viewing.end();
-    let counts = Associated {
+    let mut counts = AssociationCounts {
         segments: found.segments,
         objects: found.groups.len(),
         dropped: found.dropped,
@@ -55,6 +65,6 @@ pub fn associate(
     // The true labels leave the scene below.
     let semantics = Semantics::of(scene);
     found.apply(scene);
-    let seconds = clock.elapsed().as_secs_f64();
-    Ok(Some((Associated { seconds, ..counts }, semantics)))
+    counts.seconds = clock.elapsed().as_secs_f64();
+    Ok(Some(Associated { counts, semantics }))
 }

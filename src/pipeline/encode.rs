@@ -38,7 +38,7 @@ pub struct Inputs<'a> {
 }
 
 impl<'a> Inputs<'a> {
-    /// Of `gaussians`, without lifted features, semantics and scores of feature fields.
+    /// Inputs for `gaussians`, without lifted features, semantics and scores of feature fields.
     pub fn new(
         scene: &'a Scene,
         gaussians: &'a Gaussians,
@@ -92,7 +92,8 @@ struct EncodedView {
 /// # Errors
 /// Those of the encoder's weights and of [`encoder::encode`].
 pub fn encode(inputs: &Inputs, spatial: &SpatialConfig) -> Result<Encodings> {
-    let (gaussians, seed) = (inputs.gaussians, inputs.config.seed);
+    let gaussians = inputs.gaussians;
+    let seed = inputs.config.seed;
     let (encoder, weights) = load_spatial(spatial, seed, inputs.device)?;
     let train = inputs.scene.split(Split::Train).collect::<Vec<_>>();
     let (_, extent) = spread(train.iter().map(|view| view.camera.center));

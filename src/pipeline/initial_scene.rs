@@ -9,12 +9,12 @@ use burn::tensor::Device;
 use std::path::Path;
 
 /// Training photos that the Gaussians are compared with.
-const PHOTOS: usize = 8;
-/// PSNR in dB below which Gaussians do not show the photos. Those of the built-in room have 31 in place; moved by a tenth of its
-/// size, turned by ten degrees, mirrored, of half the size or with other axes they have 7 to 14.
-const MISPLACED: f64 = 15.0;
+const COMPARED_PHOTOS: usize = 8;
+/// PSNR in dB below which Gaussians do not show the photos. Those of the built-in room have 31 in place. Moved by a tenth of its
+/// size, turned by ten degrees, mirrored, halved in size or with other axes, they have 7 to 14.
+const MIN_PSNR: f64 = 15.0;
 
-/// The Gaussians of the PLY at `path`, relative to the origin of `scene`; warns where they do not show its photos. The run will
+/// The Gaussians of the PLY at `path`, relative to the origin of `scene`. Warns where they do not show its photos. The run will
 /// write `scene_file`.
 ///
 /// # Errors
@@ -70,10 +70,10 @@ pub fn compare_with_photos(
     device: &Device,
 ) -> Result<()> {
     let views: Vec<_> = scene.split(Split::Train).collect();
-    let every = views.len().div_ceil(PHOTOS).max(1);
+    let every = views.len().div_ceil(COMPARED_PHOTOS).max(1);
     let scores =
         Pictures::new(gaussians, config, device)?.score(views.into_iter().step_by(every))?;
-    if let Some(psnr) = scores.psnr.filter(|psnr| *psnr < MISPLACED) {
+    if let Some(psnr) = scores.psnr.filter(|psnr| *psnr < MIN_PSNR) {
         tracing::warn!(
             "the Gaussians of {} show the training photos at {psnr:.1} dB: they look misplaced. Their positions have to be in the \
              units and axes of the cameras of this scene; nerfstudio keeps these with `nerfstudio-data --orientation-method none \

@@ -15,7 +15,7 @@ use std::ops::ControlFlow;
 use std::time::Instant;
 
 /// A larger share of pruned Gaussians is warned of; trained scenes lose a thousandth.
-const MANY_PRUNED: f64 = 0.05;
+const MAX_PRUNED_SHARE: f64 = 0.05;
 
 /// Image features lifted onto the Gaussians that enough pixels show.
 pub struct LiftedFeatures {
@@ -49,7 +49,8 @@ impl LiftedFeatures {
         let clock = Instant::now();
         let views = scene.split(Split::Train).count();
         let mut viewing = Viewing::begin(progress, "features", views);
-        let (features, seed) = (&config.features, config.seed);
+        let features = &config.features;
+        let seed = config.seed;
         let advance = &mut || viewing.advance(1);
         let reduction = Reduction::fit(scene, features, seed, device, advance)?;
         let ControlFlow::Continue(mut reduction) = reduction else {
@@ -61,7 +62,8 @@ impl LiftedFeatures {
         }
         let extraction = clock.elapsed().as_secs_f64();
         let clock = Instant::now();
-        let (name, content) = (reduction.name.clone(), reduction.content.clone());
+        let name = reduction.name.clone();
+        let content = reduction.content.clone();
         let mut viewing = Viewing::begin(progress, "unprojection", views);
         let lifted = unproject(
             gaussians,
@@ -187,7 +189,7 @@ pub(crate) fn lift(
     } else {
         (gaussians.clone(), test)
     };
-    if removed as f64 > MANY_PRUNED * before as f64 {
+    if removed as f64 > MAX_PRUNED_SHARE * before as f64 {
         tracing::warn!(
             "attendance pruning removed {removed} of {before} Gaussians, because few pixels see them; a smaller \
              unprojection.attendance than {} keeps more",

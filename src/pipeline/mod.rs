@@ -23,7 +23,7 @@ pub(crate) mod variant_training;
 pub(crate) mod variants;
 mod vote_share;
 
-pub use self::associate::{Associated, associate};
+pub use self::associate::{Associated, AssociationCounts, associate};
 pub use self::encode::{Encodings, Inputs, encode};
 pub use self::evaluate::{FieldScores, HeldOut, HeldOutScores, Pictures, score_images};
 pub use self::initial_scene::compare_with_photos;

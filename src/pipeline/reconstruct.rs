@@ -103,7 +103,8 @@ fn take(
     config: &Config,
     files: &RunFiles,
 ) -> Result<Reconstruction> {
-    let (built, initial) = (files.building(), files.initial());
+    let built = files.building();
+    let initial = files.initial();
     let provenance = Provenance::initial_scene(config, scene, &gaussians);
     if built.is_file() {
         let stored = TrainerState::load(&built)?.provenance;
@@ -137,7 +138,8 @@ fn build(
     device: &Device,
     progress: &mut dyn Progress,
 ) -> Result<Reconstruction> {
-    let (checkpoint, taken) = (files.building(), files.initial());
+    let checkpoint = files.building();
+    let taken = files.initial();
     if taken.is_file() {
         let stored = Checkpoint::load(&taken, INITIAL_KIND)?.get("provenance")?;
         Provenance::stage_one(config, scene).check(&stored, false, &taken)?;
@@ -155,7 +157,8 @@ fn build(
         None => Trainer::new(scene, config, device)?,
     };
     let mut stage = stage.checkpoint_at(checkpoint);
-    let (earlier, first) = (stage.seconds(), stage.iteration());
+    let earlier = stage.seconds();
+    let first = stage.iteration();
     stage.run(progress)?;
     let gaussians = stage.gaussians()?;
     Ok(Reconstruction {

@@ -1,6 +1,6 @@
 //! The main job: a scene in, a segmented Gaussian scene out, with everything that a report needs.
 
-use super::associate::{Associated, associate};
+use super::associate::{Associated, AssociationCounts, associate};
 use super::encode::Inputs;
 use super::evaluate::score_images;
 use super::lift::{Pruned, lift};
@@ -20,8 +20,8 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::time::Instant;
 
-/// Seconds spent in each part of the job; evaluations count in their stage. Training in earlier parts of a resumed run counts;
-/// steps that it repeats (loading, association, features, unprojection) count once.
+/// Seconds spent in each part of the job; evaluations count in their stage. Training in earlier parts of a resumed run counts.
+/// Steps that it repeats (loading, association, features, unprojection) count once.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Seconds {
     /// Stage one.
@@ -50,7 +50,7 @@ pub struct Outcome {
     /// Attendance pruning, where stage two was reached.
     pub pruned: Option<Pruned>,
     /// Association, where settings ask for it and training views have raw labels.
-    pub association: Option<Associated>,
+    pub association: Option<AssociationCounts>,
     /// What the classes of objects are scored against, where association found objects with classes.
     pub semantics: Option<Semantics>,
     /// Variants of the label table, in the order of the settings; empty without labels.
@@ -90,7 +90,10 @@ impl Outcome {
     /// The variant whose identities the scene stores: `ours` where it was trained, else the last with identities.
     pub fn stored(&self) -> Option<(&VariantOutcome, &Identities)> {
         let with = |row: &VariantOutcome| row.identities.is_some();
-        let row = self.rows.iter().find(|r| r.row == Variant::Ours && with(r));
+        let row = self
+            .rows
+            .iter()
+            .find(|r| r.variant == Variant::Ours && with(r));
         let row = row.or_else(|| self.rows.iter().rfind(|r| with(r)))?;
         Some((row, row.identities.as_ref()?))
     }
@@ -165,7 +168,7 @@ pub fn run_on(
     progress: &mut dyn Progress,
 ) -> Result<Outcome> {
     let start = Instant::now();
-    let config = &settled(config, &scene);
+    let config = &resolved(config, &scene);
     if !config.segmentation.rows().is_empty() && !has_raw_labels(&scene) {
         tracing::warn!(
             "no training view has raw labels: only the Gaussians are built. raw_label_path in transforms.json or data.raw_labels \
@@ -197,7 +200,7 @@ impl Outcome {
             return Ok(false);
         }
         let found = associate(&self.gaussians, &mut self.scene, &self.config, progress)?;
-        let Some((counts, semantics)) = found else {
+        let Some(Associated { counts, semantics }) = found else {
             return Ok(false);
         };
         self.association = Some(counts);
@@ -260,9 +263,9 @@ impl Outcome {
     }
 }
 
-/// `config` with everything that follows from the scene: who made the labels, and with them the loss; the variants to train, where
-/// it names none.
-fn settled(config: &Config, scene: &Scene) -> Config {
+/// `config` with everything that follows from the scene: who made the labels, the loss for such labels, and the variants to train
+/// where it names none.
+fn resolved(config: &Config, scene: &Scene) -> Config {
     let mut config = config.clone();
     if has_raw_labels(scene) {
         trust_labels(&mut config, scene);
@@ -281,8 +284,8 @@ fn settled(config: &Config, scene: &Scene) -> Config {
     config
 }
 
-/// Share of labelled training photos up to which labels are taken for hand-made: a network labels all of them.
-const FEW: f64 = 0.25;
+/// Labels of at most this share of the training photos are taken for hand-made: a network labels all photos.
+const MAX_HAND_LABELLED: f64 = 0.25;
 
 /// Decides who made the labels. Where a person did, cross-entropy and the votes of each Gaussian take the place of the default loss
 /// and of the pooled votes, which withstand and correct errors that such labels do not have.
@@ -291,7 +294,7 @@ fn trust_labels(config: &mut Config, scene: &Scene) {
         let views = || scene.split(Split::Train);
         let labelled = scene.labelled().count() as f64;
         let has_scores = views().any(|view| view.scores.is_some());
-        let is_few = labelled <= FEW * views().count() as f64;
+        let is_few = labelled <= MAX_HAND_LABELLED * views().count() as f64;
         config.data.labels_by = if scene.drawn || (is_few && !has_scores) {
             LabelsBy::Hand
         } else {
@@ -342,11 +345,11 @@ mod tests {
     fn decided(scene: &Scene, change: impl Fn(&mut Config)) -> (LabelsBy, LabelLoss, Prior) {
         let mut config = Config::default();
         change(&mut config);
-        let settled = settled(&config, scene);
+        let resolved = resolved(&config, scene);
         (
-            settled.data.labels_by,
-            settled.segmentation.loss,
-            settled.segmentation.prior,
+            resolved.data.labels_by,
+            resolved.segmentation.loss,
+            resolved.segmentation.prior,
         )
     }
 

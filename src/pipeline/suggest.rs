@@ -9,9 +9,9 @@ use crate::splat::Gaussians;
 use serde::Serialize;
 
 /// Longer side of the pictures in which Gaussians are counted, in pixels.
-const SIDE: usize = 240;
+const PICTURE_SIDE: usize = 240;
 /// Blending weight, summed over these pixels, from which on a photo shows a Gaussian.
-const SHOWN: f32 = 0.25;
+const MIN_SHOWN_WEIGHT: f32 = 0.25;
 /// Opacity of Gaussians at points: those in front hide those behind.
 const OPACITY: f32 = 0.95;
 
@@ -26,10 +26,10 @@ pub struct Suggestion {
     pub together: f64,
 }
 
-/// Names up to `count` training photos of `scene`: each is the one that adds most to those before it (greedy maximum coverage,
-/// which reaches 63 % of the best choice at least). Fewer where the others add nothing.
+/// Names up to `count` training photos of `scene`. Each photo adds most to those before it (greedy maximum coverage, which reaches at
+/// least 63 % of the best choice). There are fewer where the others add nothing.
 ///
-/// What is covered are `gaussians`, relative to the origin of the scene. Without them, an opaque Gaussian stands at each initial
+/// The photos cover `gaussians`, relative to the origin of the scene. Without them, an opaque Gaussian stands at each initial
 /// point, or at points that photos agree on where the scene has none. A photo shows a Gaussian where the sum of alpha' T reaches
 /// a quarter of a pixel, in pictures of 240 pixels across. A Gaussian counts by this sum over all training photos, so that a share
 /// of the scene is a share of the pixels of all photos.
@@ -59,7 +59,9 @@ pub fn suggest(
     let mut shown: Vec<Vec<u32>> = Vec::with_capacity(views.len());
     for view in &views {
         let weights = weights(gaussians, view, &settings)?;
-        let of_view = (0..).zip(&weights).filter(|(_, weight)| **weight >= SHOWN);
+        let of_view = (0..)
+            .zip(&weights)
+            .filter(|(_, weight)| **weight >= MIN_SHOWN_WEIGHT);
         shown.push(of_view.map(|(gaussian, _)| gaussian).collect());
         for (worth, weight) in worth.iter_mut().zip(weights) {
             *worth += f64::from(weight);
@@ -81,14 +83,14 @@ pub fn suggest(
 /// The blending weights of each Gaussian, summed over a small picture of the view.
 fn weights(gaussians: &Gaussians, view: &View, settings: &Settings) -> Result<Vec<f32>> {
     let camera = &view.camera;
-    let scale = SIDE as f64 / camera.width.max(camera.height).max(SIDE) as f64;
+    let scale = PICTURE_SIDE as f64 / camera.width.max(camera.height).max(PICTURE_SIDE) as f64;
     let side = |pixels: usize| ((pixels as f64 * scale).round() as usize).max(1);
     let camera = camera.resized(side(camera.width), side(camera.height));
     Ok(Projected::<f32>::new(&gaussians.splats(), &camera, settings)?.weight_sums())
 }
 
-/// Up to `count` sets of `shown`, each the one that adds most of `worth`: its index, and the share that it adds. Of equal sets it
-/// is the first one.
+/// Up to `count` sets of `shown`: index, and the share of `worth` that the set adds. Each set adds most to those before it; among
+/// equal sets the first is taken.
 fn greedy(shown: &[Vec<u32>], mut worth: Vec<f64>, count: usize) -> Vec<(usize, f64)> {
     let all: f64 = worth.iter().sum();
     let mut chosen = Vec::new();

@@ -10,8 +10,8 @@ use crate::progress::CurvePoint;
 #[derive(Clone, Debug)]
 pub struct VariantOutcome {
     /// The variant.
-    pub row: Variant,
-    /// What the Gaussians store; none for the raw labels themselves, and where training was stopped before its end.
+    pub variant: Variant,
+    /// What the Gaussians store. `None` for the raw labels themselves, and where training was stopped before its end.
     pub identities: Option<Identities>,
     /// Held-out scores.
     pub scores: HeldOutScores,
@@ -21,7 +21,7 @@ pub struct VariantOutcome {
     pub compactness: Option<Compactness>,
     /// How far the raw labels agree about the Gaussians; of the vote.
     pub agreement: Option<Agreement>,
-    /// Scores of the feature field that it reads in all scales, where these were asked for.
+    /// Scores of the feature field that the variant reads in all scales, if they were requested.
     pub field: Option<FieldScores>,
     /// Training curve; empty where nothing was trained.
     pub curve: Vec<CurvePoint>,
@@ -39,9 +39,9 @@ pub struct VariantOutcome {
 
 impl VariantOutcome {
     /// A variant without identities or training.
-    pub(super) fn new(row: Variant, scores: HeldOutScores) -> Self {
+    pub(super) fn new(variant: Variant, scores: HeldOutScores) -> Self {
         Self {
-            row,
+            variant,
             identities: None,
             scores,
             void_left_out: None,
@@ -59,6 +59,6 @@ impl VariantOutcome {
 
     /// The variant's name in settings and reports.
     pub fn name(&self) -> &'static str {
-        self.row.key()
+        self.variant.key()
     }
 }

@@ -1,9 +1,9 @@
-//! How a variant is trained: its loss, its schedule, what its result follows from, and its decoder before the first step.
+//! Training of a variant: its loss, its schedule, its provenance, and its decoder before the first step.
 
 use super::encode::Inputs;
 use super::rivals::Grouping;
 use super::train_decoder::{
-    Adam, DecoderInput, DecoderModel, DecoderPlan, Plan, Schedule, Training,
+    Adam, DecoderInput, DecoderModel, DecoderPlan, Training, TrainingPlan, TrainingSchedule,
 };
 use crate::config::{Blend, Reduction, SegmentationConfig, Variant};
 use crate::error::Result;
@@ -17,16 +17,16 @@ use std::path::Path;
 const GJS_DROPOUT: f64 = 0.2;
 
 /// How `variant` is trained.
-pub(super) fn plan(variant: Variant, inputs: &Inputs) -> Result<Plan> {
+pub(super) fn plan(variant: Variant, inputs: &Inputs) -> Result<TrainingPlan> {
     let config = &inputs.config.segmentation;
     let loss = match variant {
         Variant::OursCe => LabelLoss::Ce,
         _ if variant.trains_decoder() => LabelLoss::from_config(config)?,
         _ => LabelLoss::Ce,
     };
-    let plan = Plan::new(config, loss, inputs.config.seed);
+    let plan = TrainingPlan::new(config, loss, inputs.config.seed);
     Ok(match variant {
-        Variant::Grouping => Plan {
+        Variant::Grouping => TrainingPlan {
             blend: Blend::Logits,
             // The original divides cross-entropy by its value for a uniform prediction.
             lambda: [
@@ -36,11 +36,11 @@ pub(super) fn plan(variant: Variant, inputs: &Inputs) -> Result<Plan> {
             reduction: Reduction::Mean,
             ..plan
         },
-        Variant::Distilled => Plan {
+        Variant::Distilled => TrainingPlan {
             blend: Blend::Logits,
             ..plan
         },
-        Variant::PanopticLifting => Plan {
+        Variant::PanopticLifting => TrainingPlan {
             blend: Blend::Probabilities,
             ..plan
         },
@@ -52,13 +52,17 @@ pub(super) fn plan(variant: Variant, inputs: &Inputs) -> Result<Plan> {
 ///
 /// # Errors
 /// [`crate::Error::Io`] when the file of the point encoder's weights cannot be read.
-pub(super) fn schedule(variant: Variant, inputs: &Inputs, checkpoints: &Path) -> Result<Schedule> {
+pub(super) fn schedule(
+    variant: Variant,
+    inputs: &Inputs,
+    checkpoints: &Path,
+) -> Result<TrainingSchedule> {
     let config = &inputs.config.segmentation;
     let or_a_tenth = |every: usize| match every {
         0 => config.iterations.div_ceil(10),
         every => every,
     };
-    Ok(Schedule {
+    Ok(TrainingSchedule {
         variant: variant.key(),
         gaussians: inputs.gaussians.len(),
         eval_every: or_a_tenth(config.eval_every),
@@ -93,14 +97,15 @@ fn provenance(variant: Variant, inputs: &Inputs) -> Result<Provenance> {
 /// of training views.
 pub fn decoder_training<'a>(
     variant: Variant,
-    plan: &Plan,
+    plan: &TrainingPlan,
     input: &'a DecoderInput,
     prior: Option<Vec<f32>>,
     inputs: &'a Inputs,
     views: usize,
 ) -> Training<DecoderModel<'a>> {
     let config: &SegmentationConfig = &inputs.config.segmentation;
-    let (seed, classes) = (inputs.config.seed, inputs.scene.classes.len());
+    let seed = inputs.config.seed;
+    let classes = inputs.scene.classes.len();
     let device = inputs.device.clone().autodiff();
     let pyramid = &input.scene().pyramid;
     let decoder = DecoderConfig::for_pyramid(pyramid, classes)

@@ -3,7 +3,9 @@
 use super::encode::{Encodings, Inputs, encode, spatial_of};
 use super::evaluate::{FieldScores, HeldOut, HeldOutScores};
 use super::rivals::{Grouping, LinearHead, PanopticLifting, distil};
-use super::train_decoder::{Adam, IdentityModel, PerGaussian, Plan, Training, TrainingViews};
+use super::train_decoder::{
+    Adam, IdentityModel, PerGaussian, Training, TrainingPlan, TrainingViews,
+};
 use super::variant_outcome::VariantOutcome;
 use super::variant_training::{decoder_training, plan, schedule};
 use super::vote_share::{best_share, mixed};
@@ -355,7 +357,7 @@ impl<'a> StageTwo<'a> {
         &mut self,
         variant: Variant,
         mut training: Training<M>,
-        plan: &Plan,
+        plan: &TrainingPlan,
         rate: f64,
         progress: &mut dyn Progress,
     ) -> Result<VariantOutcome> {

@@ -1,9 +1,8 @@
 //! The rasterizer: N-channel alpha blending of 3D Gaussians, its adjoint, and the handwritten backward pass.
 //!
-//! With frozen geometry, rendering is a constant sparse linear map `S = W s`, `W[p, i] = alpha'_i(p) T_i(p)`
-//! (Eq. 3-4). [`Projected`] holds what one view needs for it (projection, depth order, tile lists), and applies it both
-//! ways: [`Projected::blend`] and [`Projected::blend_adjoint`]. [`rasterize`] is the burn operation with gradients to
-//! every input.
+//! With frozen geometry, rendering is a constant sparse linear map `S = W s`, `W[p, i] = alpha'_i(p) T_i(p)` (Eq. 3-4).
+//! [`Projected`] holds the map of one view as projection, depth order and tile lists. [`Projected::blend`] applies `W`,
+//! [`Projected::blend_adjoint`] its transpose. [`rasterize`] is the burn operation with gradients to every input.
 //!
 //! `cpu` and `gpu` hold the kernels, `op` the burn operations over both.
 

@@ -20,8 +20,8 @@ const STEP: f64 = 0.125;
 /// Steps of the quadrature on either side of the centre.
 const STEPS: u32 = 88;
 
-/// Opacity logit of each of `copies` Gaussians at one place that look like one of opacity `sigmoid(logit)`, and what is added to
-/// their log-scales. The new logit is at least `floor`.
+/// `copies` Gaussians at one place that together look like one of opacity `sigmoid(logit)`: the opacity logit of each, and the
+/// shift of their log-scales. The new logit is at least `floor`.
 ///
 /// Eq. 9: with the old opacity `o`, `o' = 1 - (1 - o)^(1/N)`, so that all of them together let as much light through at the
 /// centre, and the scales times `o / D`,
@@ -122,8 +122,8 @@ pub fn relocate<'a>(
     }
 }
 
-/// `scale sigmoid(-k (o - t)) Sigma eta` for a Gaussian of opacity `o` and covariance `Sigma`, with a standard normal `eta`: noise
-/// along the axes of the Gaussian, and only where it is nearly transparent.
+/// `scale sigmoid(-k (o - t)) Sigma eta` for a Gaussian of opacity `o` and covariance `Sigma`, with a standard normal `eta`. The
+/// noise lies along the axes of the Gaussian, and only nearly transparent Gaussians get any.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PositionNoise {
     /// One over world units: the noise is a length, `Sigma` the square of one.

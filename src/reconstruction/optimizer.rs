@@ -140,7 +140,8 @@ pub fn find_non_finite<const D: usize>(name: &str, gradient: &Tensor<D>) -> Resu
 impl Parameters {
     /// Puts Gaussians and moments on `device` (without autodiff).
     pub fn new(gaussians: Gaussians, first: Moments, second: Moments, device: &Device) -> Self {
-        let (n, sh_degree) = (gaussians.len(), gaussians.sh_degree);
+        let n = gaussians.len();
+        let sh_degree = gaussians.sh_degree;
         let mut all = [into_values(gaussians), first, second];
         let widths = widths(sh_degree);
         let state = std::array::from_fn(|k| {

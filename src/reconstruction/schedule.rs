@@ -95,7 +95,8 @@ impl Schedule {
     /// Index among the training views at `step`: each epoch is a shuffle of all views.
     pub fn view(&self, seed: u64, step: usize) -> usize {
         let views = self.views.max(1);
-        let (epoch, place) = ((step.max(1) - 1) / views, (step.max(1) - 1) % views);
+        let epoch = (step.max(1) - 1) / views;
+        let place = (step.max(1) - 1) % views;
         let mut order: Vec<usize> = (0..self.views).collect();
         order.shuffle(&mut stream(seed, Purpose::ViewOrder, epoch as u64));
         order.get(place).copied().unwrap_or(0)
@@ -112,7 +113,7 @@ impl Schedule {
 }
 
 /// Cameras that reach less than this share of the distance of what they see count as standing at one place.
-const ONE_PLACE: f64 = 1e-6;
+const MIN_SPREAD: f64 = 1e-6;
 
 /// Mean position of the cameras, world units; the origin without any.
 pub fn center(views: &[&View]) -> DVec3 {
@@ -136,7 +137,7 @@ pub fn extent(views: &[&View], points: &Points) -> f64 {
         1.0
     };
     // Poses of one tripod differ by the rounding of the program that wrote them.
-    if reach > ONE_PLACE * surroundings {
+    if reach > MIN_SPREAD * surroundings {
         1.1 * reach
     } else {
         surroundings

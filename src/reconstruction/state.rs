@@ -40,7 +40,8 @@ pub struct TrainerState {
 impl TrainerState {
     /// The state before the first iteration.
     pub fn new(gaussians: Gaussians, seed: u64) -> Self {
-        let (first, second) = (zero_moments(&gaussians), zero_moments(&gaussians));
+        let first = zero_moments(&gaussians);
+        let second = zero_moments(&gaussians);
         let stats = GradientStatistics::new(gaussians.len());
         Self {
             seed,

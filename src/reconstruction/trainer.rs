@@ -47,10 +47,10 @@ pub struct StepReport {
 
 /// Trains Gaussians on the training views of a scene.
 ///
-/// An iteration renders one view, compares it with its photo (`(1 - w) L1 + w (1 - SSIM)`), takes one Adam step on all
-/// parameters, and densifies or resets when the [`Schedule`] says so. [`crate::config::Strategy::Mcmc`] adds a regularisation of
-/// opacities and scales to the loss, and noise to the means after the step. The same scene, settings and seed give the same bits
-/// at any thread count, interrupted or not.
+/// An iteration renders one view and compares it with its photo (`(1 - w) L1 + w (1 - SSIM)`). It takes one Adam step on all
+/// parameters. It densifies or resets when the [`Schedule`] says so. [`crate::config::Strategy::Mcmc`] adds a regularisation of
+/// opacities and scales to the loss, and noise to the means after the step. The same scene, settings and seed give the same bits at
+/// any thread count, interrupted or not.
 pub struct Trainer<'a> {
     pub(super) config: Config,
     pub(super) settings: Settings,
@@ -173,8 +173,8 @@ impl<'a> Trainer<'a> {
         })
     }
 
-    /// One iteration. After an error nothing has changed, with one exception: when a GPU fails in densification or in a reset, only
-    /// the last checkpoint is good.
+    /// One iteration. After an error nothing has changed, with one exception. When a GPU fails in densification or in a reset, only
+    /// the last checkpoint can be used.
     ///
     /// # Errors
     /// [`Error::NonFinite`] naming tensor, row, view and iteration when the loss or a gradient is not finite; [`Error::Limit`]
@@ -219,7 +219,8 @@ impl<'a> Trainer<'a> {
             self.parameters.reset_opacity()?;
         }
         self.seconds += start.elapsed().as_secs_f64();
-        let (view, gaussians) = (view.name.clone(), self.parameters.len());
+        let view = view.name.clone();
+        let gaussians = self.parameters.len();
         Ok(StepReport {
             iteration,
             view,

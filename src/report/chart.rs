@@ -32,13 +32,13 @@ pub(crate) const GRID: RGBColor = RGBColor(226, 226, 221);
 /// Ticks of an axis, about.
 const TICKS: usize = 6;
 /// A logarithmic axis spans this ratio or more.
-const LEAST_RATIO: f64 = 3.0;
+const MIN_RATIO: f64 = 3.0;
 /// Lines with more points than this are averaged in groups.
-const MOST_POINTS: usize = 160;
+const MAX_POINTS: usize = 160;
 /// Lines with at most this many points have markers.
 const MARKED_POINTS: usize = 40;
 
-/// `samples` averaged in equal groups, so that at most [`MOST_POINTS`] remain; also the group size. Non-finite values are
+/// `samples` averaged in equal groups, so that at most [`MAX_POINTS`] remain; also the group size. Non-finite values are
 /// left out.
 pub(super) fn thinned(samples: &[(usize, f64)]) -> (Vec<(f64, f64)>, usize) {
     let finite: Vec<(f64, f64)> = samples
@@ -46,7 +46,7 @@ pub(super) fn thinned(samples: &[(usize, f64)]) -> (Vec<(f64, f64)>, usize) {
         .filter(|(_, value)| value.is_finite())
         .map(|&(iteration, value)| (iteration as f64, value))
         .collect();
-    let group = finite.len().div_ceil(MOST_POINTS).max(1);
+    let group = finite.len().div_ceil(MAX_POINTS).max(1);
     let mean = |chunk: &[(f64, f64)]| {
         let n = chunk.len() as f64;
         let (x, y) = chunk
@@ -98,7 +98,7 @@ impl Chart {
         let low = values.clone().fold(f64::INFINITY, f64::min);
         let high = values.fold(0.0, f64::max);
         // Two digits tell the ticks of a logarithmic axis apart only over a wide range.
-        let log = self.log && low > 0.0 && high > LEAST_RATIO * low;
+        let log = self.log && low > 0.0 && high > MIN_RATIO * low;
         let place = |value: f64| if log { value.log10() } else { value };
         let y = around(points().map(|point| place(point.1)));
         let end = points().fold(1.0, |end: f64, point| end.max(point.0));

@@ -83,14 +83,14 @@ pub(super) fn segmentation(report: &Report<'_>) -> Vec<Markup> {
         .map(|trained| {
             let points = thinned(&trained.miou).0;
             Line {
-                name: trained.row.title(),
-                color: color(trained.row),
+                name: trained.variant.title(),
+                color: color(trained.variant),
                 points: points.into_iter().map(|(i, v)| (i, 100.0 * v)).collect(),
             }
         })
         .collect();
     for (row, scores) in &report.metrics.test.labels {
-        let is_trained = rows.iter().any(|trained| trained.row == *row);
+        let is_trained = rows.iter().any(|trained| trained.variant == *row);
         if let (false, Some(miou)) = (is_trained, scores.miou) {
             lines.push(Line {
                 name: row.title(),
@@ -106,8 +106,8 @@ pub(super) fn segmentation(report: &Report<'_>) -> Vec<Markup> {
         decimals: 1,
     };
     let losses = rows.iter().map(|trained| {
-        let title = format!("Loss, {}", trained.row.title());
-        loss(&title, color(trained.row), &trained.loss)
+        let title = format!("Loss, {}", trained.variant.title());
+        loss(&title, color(trained.variant), &trained.loss)
     });
     std::iter::once(miou)
         .chain(losses)

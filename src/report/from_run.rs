@@ -3,8 +3,8 @@
 use super::peak_memory_bytes;
 use super::views::shown_of;
 use super::{
-    BuildingHistory, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Sample,
-    TestScores,
+    BuildingHistory, HeldOutView, History, Metrics, Report, Sample, TestScores, VariantHistory,
+    VariantScores,
 };
 use crate::config::{Config, Variant};
 use crate::data::{Split, View};
@@ -27,7 +27,7 @@ impl Metrics {
                 psnr: outcome.test.psnr,
                 ssim: outcome.test.ssim,
                 views: Default::default(),
-                labels: rows.map(|row| (row.row, row_scores(row))).collect(),
+                labels: rows.map(|row| (row.variant, variant_scores(row))).collect(),
             },
             seconds: outcome.seconds,
             peak_memory_bytes: peak_memory_bytes(),
@@ -40,8 +40,8 @@ impl Metrics {
     }
 }
 
-fn row_scores(row: &VariantOutcome) -> RowScores {
-    RowScores {
+fn variant_scores(row: &VariantOutcome) -> VariantScores {
+    VariantScores {
         void_left_out: row.void_left_out.as_ref().map(Into::into),
         compactness: row.compactness,
         agreement: row.agreement,
@@ -49,7 +49,7 @@ fn row_scores(row: &VariantOutcome) -> RowScores {
         learning_rate: row.rate,
         vote_share: row.vote_share,
         seconds: row.curve.last().map(|_| row.seconds),
-        ..RowScores::from(&row.scores)
+        ..VariantScores::from(&row.scores)
     }
 }
 
@@ -76,8 +76,8 @@ impl History {
                 gaussians: samples(b, |p| Some(p.gaussians as f64)),
             },
             rows: rows
-                .map(|r| RowHistory {
-                    row: r.row,
+                .map(|r| VariantHistory {
+                    variant: r.variant,
                     loss: loss(&r.curve),
                     miou: samples(&r.curve, |p| p.miou),
                 })
@@ -86,9 +86,9 @@ impl History {
     }
 }
 
-/// Renders the held-out views of a finished run on `device`: colour, and the labels of the vote, of the per-Gaussian
-/// identities and of the row that the scene stores, where the run has them. Returns the views that the page shows; each
-/// other one goes to `beside` as soon as it is rendered.
+/// Renders the held-out views of a finished run on `device`: colour, and labels where the run has them. Labels are those of the
+/// vote, of the per-Gaussian identities and of the variant that the scene stores. Returns the views that the page shows. Each other
+/// view goes to `beside` as soon as it is rendered.
 ///
 /// # Errors
 /// As [`Pictures::labelled`]; those of `beside`.
@@ -98,13 +98,13 @@ pub fn held_out_views<'a>(
     device: &Device,
     mut beside: impl FnMut(HeldOutView<'a>) -> Result<()>,
 ) -> Result<Vec<HeldOutView<'a>>> {
-    let stored = outcome.stored().map(|(row, _)| row.row);
+    let stored = outcome.stored().map(|(row, _)| row.variant);
     let shown =
         |row: Variant| Some(row) == stored || matches!(row, Variant::Vote | Variant::PerGaussian);
     let rows: Vec<_> = outcome
         .rows
         .iter()
-        .filter(|r| shown(r.row) && r.identities.is_some())
+        .filter(|r| shown(r.variant) && r.identities.is_some())
         .collect();
     let rule = LabelRule::from(&config.segmentation);
     let classes = &outcome.scene.classes;
@@ -118,7 +118,7 @@ pub fn held_out_views<'a>(
     let mut views = Vec::new();
     for (i, view) in test.into_iter().enumerate() {
         let (rgb, scores, labels) = pictures.labelled(view)?;
-        let labels = rows.iter().map(|row| row.row).zip(labels).collect();
+        let labels = rows.iter().map(|row| row.variant).zip(labels).collect();
         let rendered = HeldOutView {
             view,
             rgb,
@@ -138,7 +138,7 @@ impl Report<'_> {
     /// Notes for a reader of the figures.
     pub fn notes_of(outcome: &Outcome, config: &Config) -> Vec<String> {
         let scene = &outcome.scene;
-        let rows = || outcome.rows.iter().map(|row| row.row);
+        let rows = || outcome.rows.iter().map(|row| row.variant);
         let mut notes = Vec::new();
         let mut note = |text: String| notes.push(text);
         if config.data.dir.is_none() {

@@ -11,8 +11,8 @@ pub type Sample = (usize, f64);
 pub struct History {
     /// Stage one.
     pub building: BuildingHistory,
-    /// Stage two, one entry for each trained row.
-    pub rows: Vec<RowHistory>,
+    /// Stage two, one entry for each trained variant.
+    pub rows: Vec<VariantHistory>,
 }
 
 /// Measurements of the building stage.
@@ -28,11 +28,12 @@ pub struct BuildingHistory {
     pub gaussians: Vec<Sample>,
 }
 
-/// Measurements of one row of the results table.
+/// Measurements of one variant of stage two.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct RowHistory {
-    /// The row.
-    pub row: Variant,
+pub struct VariantHistory {
+    /// The variant.
+    #[serde(rename = "row")]
+    pub variant: Variant,
     /// Training loss.
     pub loss: Vec<Sample>,
     /// Held-out mIoU, pooled, 0..1.

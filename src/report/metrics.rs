@@ -5,7 +5,7 @@ use crate::config::Variant;
 use crate::metrics::{
     Agreement, Compactness, ImageScores, InstanceScores, LabelScores, SemanticScores,
 };
-use crate::pipeline::{Associated, HeldOutScores, Seconds};
+use crate::pipeline::{AssociationCounts, HeldOutScores, Seconds};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -21,7 +21,7 @@ pub struct Metrics {
     pub gaussians: usize,
     /// The result of association, where the settings asked for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub association: Option<Associated>,
+    pub association: Option<AssociationCounts>,
     /// Scores on the held-out views.
     pub test: TestScores,
     /// Where the time went.
@@ -60,13 +60,13 @@ pub struct TestScores {
     /// Each held-out view by its name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub views: BTreeMap<String, ImageScores>,
-    /// Label scores by row.
-    pub labels: BTreeMap<Variant, RowScores>,
+    /// Label scores by variant.
+    pub labels: BTreeMap<Variant, VariantScores>,
 }
 
-/// Label scores of one row.
+/// Label scores of one variant.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct RowScores {
+pub struct VariantScores {
     /// Mean IoU over the classes in the test truth, all held-out pixels in one confusion matrix; `None` without truth.
     pub miou: Option<f64>,
     /// Mean over the held-out views of each view's own mean IoU.
@@ -94,21 +94,21 @@ pub struct RowScores {
     /// How far the raw labels agree about the Gaussians; only for the vote.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub agreement: Option<Agreement>,
-    /// Optimiser steps, for trained rows.
+    /// Optimiser steps, for trained variants.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
-    /// Learning rate, for trained rows.
+    /// Learning rate, for trained variants.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub learning_rate: Option<f64>,
-    /// Share of the vote in the identities, for rows of a decoder.
+    /// Share of the vote in the identities, for variants of the decoder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vote_share: Option<f64>,
-    /// Training time of this row alone.
+    /// Training time of this variant alone, seconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seconds: Option<f64>,
 }
 
-impl From<&HeldOutScores> for RowScores {
+impl From<&HeldOutScores> for VariantScores {
     fn from(scores: &HeldOutScores) -> Self {
         let labels = &scores.labels;
         Self {
@@ -134,7 +134,7 @@ impl From<&LabelScores> for Scores {
     }
 }
 
-/// The three label scores; see [`RowScores`].
+/// The three label scores; see [`VariantScores`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
     /// Pooled mean IoU.

@@ -13,8 +13,8 @@ mod units;
 mod views;
 
 pub use self::from_run::held_out_views;
-pub use self::history::{BuildingHistory, History, RowHistory, Sample};
-pub use self::metrics::{Command, Metrics, RowScores, Scores, TestScores, peak_memory_bytes};
+pub use self::history::{BuildingHistory, History, Sample, VariantHistory};
+pub use self::metrics::{Command, Metrics, Scores, TestScores, VariantScores, peak_memory_bytes};
 
 pub(crate) use self::units::thousands;
 

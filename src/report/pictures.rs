@@ -62,7 +62,8 @@ pub fn label_error(labels: &LabelMap, truth: &LabelMap, ignore: u16) -> RgbImage
 
 /// Share of labelled pixels with the right label; `None` when the truth has no labelled pixel.
 pub fn accuracy(labels: &LabelMap, truth: &LabelMap, ignore: u16) -> Option<f64> {
-    let (mut right, mut all) = (0_usize, 0_usize);
+    let mut right = 0_usize;
+    let mut all = 0_usize;
     for (id, t) in labels
         .ids
         .iter()
@@ -110,7 +111,7 @@ fn per_pixel(width: usize, height: usize, color: impl Fn(usize) -> [u8; 3]) -> R
     })
 }
 
-/// `picture` with a strip below that names every class that occurs in `labels`: swatch, id, name.
+/// `picture` with a strip below. The strip names each class in `labels`: swatch, id, name.
 pub fn with_legend(picture: &RgbImage, labels: &LabelMap, classes: &Classes) -> RgbImage {
     let mut present = vec![false; 1 << 16];
     for &id in &labels.ids {
@@ -124,7 +125,9 @@ pub fn with_legend(picture: &RgbImage, labels: &LabelMap, classes: &Classes) -> 
         entries.push((UNLABELLED, "unlabelled".into()));
     }
     let scale = if picture.width() >= 900 { 2 } else { 1 };
-    let (swatch, gap, line) = (9 * scale, 4 * scale, 15 * scale);
+    let swatch = 9 * scale;
+    let gap = 4 * scale;
+    let line = 15 * scale;
     let cell = |text: &str| swatch + gap + GLYPH * scale * text.chars().count() + 3 * gap;
     let widest = entries
         .iter()

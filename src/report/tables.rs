@@ -3,7 +3,7 @@
 use super::chart::swatch;
 use super::curves::color;
 use super::units::{bytes, duration, percent, thousands};
-use super::{Report, RowScores};
+use super::{Report, VariantScores};
 use crate::config::Variant;
 use crate::metrics::{InstanceScores, SemanticScores};
 use maud::{Markup, html};
@@ -37,7 +37,7 @@ fn share(share: Option<f64>, best: Option<f64>) -> Markup {
 /// The rows that have scores of one kind.
 fn rows_with<'a, T>(
     report: &'a Report<'_>,
-    pick: impl Fn(&'a RowScores) -> Option<T>,
+    pick: impl Fn(&'a VariantScores) -> Option<T>,
 ) -> Vec<(Variant, T)> {
     let labels = report.metrics.test.labels.iter();
     labels
@@ -48,7 +48,7 @@ fn rows_with<'a, T>(
 /// Scores of all rows. Raw labels have two lines: with unlabelled pixels as wrong, and with those left out.
 pub(super) fn scores(report: &Report<'_>) -> Markup {
     let labels = &report.metrics.test.labels;
-    let columns: [fn(&RowScores) -> Option<f64>; 3] =
+    let columns: [fn(&VariantScores) -> Option<f64>; 3] =
         [|s| s.miou, |s| s.miou_per_view, |s| s.accuracy];
     let best = columns.map(|pick| labels.values().filter_map(pick).max_by(f64::total_cmp));
     let or_dash = |text: Option<String>| text.unwrap_or_else(|| "–".into());

@@ -15,11 +15,11 @@ use maud::{Markup, html};
 use std::path::Path;
 
 /// More views than this are only in `renders/`.
-const SHOWN: usize = 6;
+const MAX_ON_PAGE: usize = 6;
 /// Views after these are folded away.
-const OPEN: usize = 2;
+const UNFOLDED: usize = 2;
 
-/// The section's content: legend and, for up to [`SHOWN`] views spread over the split, all pictures.
+/// The section's content: legend and, for up to [`MAX_ON_PAGE`] views spread over the split, all pictures.
 pub(super) fn views(report: &Report<'_>, path: &Path) -> Result<Markup> {
     if report.views.is_empty() {
         return Ok(html! { p.quiet { "The scene has no held-out views." } });
@@ -27,7 +27,7 @@ pub(super) fn views(report: &Report<'_>, path: &Path) -> Result<Markup> {
     let shown = shown_of(report.views.len())
         .map(|i| one(report, &report.views[i], path))
         .collect::<Result<Vec<_>>>()?;
-    let (open, folded) = shown.split_at(shown.len().min(OPEN));
+    let (open, folded) = shown.split_at(shown.len().min(UNFOLDED));
     let has_labels = |v: &HeldOutView| !v.labels.is_empty() || v.view.truth.is_some();
     Ok(html! {
         @if shown.len() < report.held_out {
@@ -48,9 +48,9 @@ pub(super) fn views(report: &Report<'_>, path: &Path) -> Result<Markup> {
     })
 }
 
-/// Which of `all` views the page shows: the middle of each of up to [`SHOWN`] equal parts.
+/// Which of `all` views the page shows: the middle of each of up to [`MAX_ON_PAGE`] equal parts.
 pub(super) fn shown_of(all: usize) -> impl Iterator<Item = usize> {
-    let shown = all.min(SHOWN);
+    let shown = all.min(MAX_ON_PAGE);
     (0..shown).map(move |i| (2 * i + 1) * all / (2 * shown))
 }
 

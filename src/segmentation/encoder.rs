@@ -74,7 +74,7 @@ impl Cloud<'_> {
 
 /// A point set of an [`Encoding`].
 #[derive(Clone, Debug)]
-pub struct Level {
+pub struct EncodedLevel {
     /// `[N_n]` rows of the encoded cloud; level 1 holds them all, in order.
     pub indices: Vec<u32>,
     /// `f_s,n` before its sampling, `[N_n, S_n]`; without autodiff.
@@ -85,9 +85,9 @@ pub struct Level {
 #[derive(Clone, Debug)]
 pub struct Encoding {
     /// Levels 1 to 4, `N / 4^(n-1)` points.
-    pub levels: Vec<Level>,
+    pub levels: Vec<EncodedLevel>,
     /// The last sampled set and its features `f_e`.
-    pub coarsest: Level,
+    pub coarsest: EncodedLevel,
     /// For n = 1 to 4, interpolation onto level n from level n + 1 (from the coarsest set for n = 4).
     pub upsample: Vec<Arc<SparseMatrix>>,
 }
@@ -116,7 +116,7 @@ pub fn encode(
         check_features(n, f)?;
     }
     let upsample = hierarchy.upsampling()?;
-    let level = |(indices, features)| Level { indices, features };
+    let level = |(indices, features)| EncodedLevel { indices, features };
     let indices = hierarchy.levels.into_iter().map(|level| level.indices);
     Ok(Encoding {
         levels: indices.zip(features).map(level).collect(),
@@ -174,8 +174,8 @@ fn check_features(level: usize, features: &Tensor<2>) -> Result<()> {
     }
 }
 
-/// Metres per world unit: the setting, or, where it is 0, what makes the cameras' extent (the largest distance of a
-/// camera from their mean, world units) two metres.
+/// Metres per world unit: the setting. Where it is 0, the cameras' extent (the largest distance of a camera from their mean, world
+/// units) is taken for two metres.
 ///
 /// # Errors
 /// [`Error::Config`] for a negative or non-finite setting, and for 0 without a usable extent.
@@ -190,7 +190,8 @@ pub fn metres_per_unit(config: &SpatialConfig, camera_extent: f64) -> Result<f64
     if scale.is_finite() && scale > 0.0 {
         return Ok(scale);
     }
-    let (found, expected) = (config.scale.to_string(), "a finite number above 0, or 0");
+    let found = config.scale.to_string();
+    let expected = "a finite number above 0, or 0";
     Err(invalid!(setting "spatial.scale"; found "{found}"; expected "{expected}"; help "{help}"))
 }
 
@@ -216,7 +217,7 @@ pub fn load_spatial(
     Ok((encoder, name))
 }
 
-/// SHA-256 of the weights that `config` asks for; of random ones, which their seed says, none.
+/// SHA-256 of the weights that `config` asks for; `None` for random weights, which the seed determines.
 ///
 /// # Errors
 /// [`Error::Io`] when their file cannot be read.
@@ -276,7 +277,8 @@ fn add_random_mlp(weights: &mut WeightFile, name: &str, shape: [usize; 2], rng: 
         ("running_var", 1.0),
     ];
     for (part, value) in statistics {
-        let (shape, values) = (vec![shape[1]], vec![value; shape[1]]);
+        let values = vec![value; shape[1]];
+        let shape = vec![shape[1]];
         weights.insert(
             &format!("{name}.bn.bn.{part}"),
             HostTensor { shape, values },
@@ -293,6 +295,7 @@ fn add_random_matrix(
 ) {
     let bound = (6.0 / input.max(1) as f64).sqrt() as f32;
     let draw = |_| bound * rng.random_range(-1.0f32..1.0);
-    let (shape, values) = (vec![output, input], (0..input * output).map(draw).collect());
+    let shape = vec![output, input];
+    let values = (0..input * output).map(draw).collect();
     weights.insert(name, HostTensor { shape, values });
 }

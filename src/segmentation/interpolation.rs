@@ -7,9 +7,9 @@ use crate::ops::SparseMatrix;
 /// Points each upsampled feature is mixed from.
 pub const SOURCES: usize = 3;
 
-/// The map from features of `coarse` to features of `fine`: row `i` mixes the three nearest coarse points with weights
-/// proportional to 1 / d^2, summing to one; a fine point that lies on a coarse one takes its feature. Fewer than three
-/// coarse points: as many as there are.
+/// The map from features of `coarse` to features of `fine`: row `i` mixes the three nearest coarse points with weights proportional
+/// to 1 / d^2 that sum to one. A fine point that lies on a coarse point takes its feature. Fewer than three coarse points: as many
+/// as there are.
 ///
 /// # Errors
 /// [`crate::Error::NonFinite`] naming the first bad row; [`crate::Error::Argument`] when `coarse` is empty and `fine` not.

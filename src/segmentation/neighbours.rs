@@ -7,7 +7,7 @@ use std::num::NonZero;
 
 /// Two squared distances closer than this share of the larger are looked at again in our own arithmetic, because the
 /// tree may round them differently.
-const TIE: f64 = 1e-12;
+const TIE_TOLERANCE: f64 = 1e-12;
 
 /// Rows of `k` neighbours.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -144,7 +144,7 @@ impl PointIndex {
         Ok((Neighbours { k, indices }, distances))
     }
 
-    /// Root mean square distance of each point to its `k` nearest other positions, fewer where there are fewer; `None` where
+    /// Root mean square distance of each point to its `k` nearest other positions, or to all where there are fewer. `None` where
     /// there is no other.
     pub fn rms_distances(&self, k: usize) -> Vec<Option<f64>> {
         let mut distances = vec![None; self.len()];
@@ -203,8 +203,8 @@ impl PointIndex {
         };
         let cut = (near.len() > k && k > 0).then(|| (near[k - 1].distance, near[k].distance));
         match cut {
-            Some((inside, outside)) if outside <= inside * (1.0 + TIE) => {
-                let radius = inside * (1.0 + TIE);
+            Some((inside, outside)) if outside <= inside * (1.0 + TIE_TOLERANCE) => {
+                let radius = inside * (1.0 + TIE_TOLERANCE);
                 for hit in tree
                     .query(query)
                     .within::<SquaredEuclidean<f64>>(radius)

@@ -33,8 +33,8 @@ impl Default for Switches {
 pub struct Level {
     /// Scene index of each point, `[N_n]`.
     pub points: Arc<Vec<u32>>,
-    /// Features side by side, `[N_n, D + S_n]`: unprojected image features of those very points, f_d,n, then spatial
-    /// features before their sampling, f_s,n; either is left out where it is off.
+    /// Features side by side, `[N_n, D + S_n]`: the unprojected image features f_d,n of the points, then their spatial features
+    /// f_s,n. A part that is switched off is left out.
     pub features: Tensor<2>,
     /// Interpolation onto these points from the next coarser set, `[N_n, N_(n+1)]`.
     pub upsample: Arc<SparseMatrix>,
@@ -198,11 +198,11 @@ impl Dependencies {
 
 /// Per-channel mean and spread of a pyramid's frozen features.
 ///
-/// Image features are unit vectors and spatial ones grow with depth; brought to one scale, the decoder learns in far
-/// fewer steps. The paper says nothing of it; `standardise = false` leaves the features as they are.
+/// Image features are unit vectors, and spatial features grow with depth. Brought to one scale, the decoder learns in far fewer
+/// steps. The paper says nothing of it; `standardise = false` leaves the features as they are.
 #[derive(Clone, Debug)]
 pub struct Standardisation {
-    /// Of each level, then of the set below them.
+    /// One for each level, then one for the set below them.
     channels: Vec<ChannelScale>,
 }
 
@@ -214,7 +214,7 @@ struct ChannelScale {
 }
 
 /// Spreads below this share of the channel's root mean square count as none.
-const FLAT: f32 = 1e-5;
+const MIN_SPREAD: f32 = 1e-5;
 
 impl ChannelScale {
     fn of(features: &Tensor<2>) -> Self {
@@ -232,7 +232,7 @@ impl ChannelScale {
             .powi_scalar(2)
             .mean_dim(0)
             .sqrt();
-        let varies = spread.clone().greater(square.sqrt() * FLAT).float();
+        let varies = spread.clone().greater(square.sqrt() * MIN_SPREAD).float();
         let factor = varies / spread.clamp_min(f32::MIN_POSITIVE);
         Self { mean, factor }
     }

@@ -24,7 +24,7 @@ const SHIPPED: [(&str, &str); 3] = [
     ),
 ];
 /// Longest side of an input, pixels.
-const LONGEST: usize = 8192;
+const MAX_INPUT_SIDE: usize = 8192;
 
 /// How a network reads photos and what its output means. `configs/segmenters/` has examples.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -55,7 +55,7 @@ pub struct Input {
     pub resize: Resize,
     /// Where a photo lies that does not fill the input.
     #[serde(default)]
-    pub place: Place,
+    pub place: Anchor,
     /// Red, green and blue, 0 to 255, of pixels beside the photo.
     #[serde(default)]
     pub pad: [f32; 3],
@@ -114,7 +114,7 @@ pub enum Resize {
 /// Where a photo lies that does not fill the input.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Place {
+pub enum Anchor {
     /// In the upper left corner.
     #[default]
     TopLeft,
@@ -142,9 +142,9 @@ pub enum Values {
     Probabilities,
 }
 
-/// Where a photo lies in an input.
+/// The area of an input that a photo fills.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Placed {
+pub struct PhotoArea {
     /// Pixels across and down of the photo as stored.
     pub photo: [usize; 2],
     /// Column and row of its upper left corner in the input.
@@ -154,8 +154,8 @@ pub struct Placed {
 }
 
 impl Contract {
-    /// The contract for the network in `model`: the file or the shipped contract that `given` names; without it the file of
-    /// the model's name with the extension `toml` beside it, or the shipped contract of the model's name.
+    /// The contract for the network in `model`. `given` names a file or a shipped contract. Without it, the file beside the model
+    /// with its name and the extension `toml` is read, or else the shipped contract of the model's name.
     ///
     /// # Errors
     /// [`Error::Argument`] that lists the shipped contracts where none is found; as [`Contract::parse`].
@@ -210,8 +210,10 @@ impl Contract {
     fn check(&self) -> Result<()> {
         const HELP: &str = "correct the contract";
         let file = &self.file;
-        let (input, output, names) = (&self.input, &self.output, &self.classes.names);
-        let in_range = |side: &usize| (1..=LONGEST).contains(side);
+        let input = &self.input;
+        let output = &self.output;
+        let names = &self.classes.names;
+        let in_range = |side: &usize| (1..=MAX_INPUT_SIDE).contains(side);
         ensure!(input.size.iter().all(in_range), file, "input.size"; found "{:?}", input.size;
             expected "sides of 1 to 8192 pixels"; help "{HELP}");
         let numbers = [input.pad, input.mean, input.std];
@@ -257,7 +259,8 @@ impl Contract {
 
     /// Shape of the output tensor.
     pub fn output_shape(&self) -> [usize; 4] {
-        let ([width, height], classes) = (self.cells(), self.classes.names.len());
+        let [width, height] = self.cells();
+        let classes = self.classes.names.len();
         match self.output.layout {
             Layout::Nchw => [1, classes, height, width],
             Layout::Nhwc => [1, height, width, classes],
@@ -265,7 +268,7 @@ impl Contract {
     }
 
     /// Where a photo of this size lies in the input.
-    pub fn placed(&self, photo: [usize; 2]) -> Placed {
+    pub fn photo_area(&self, photo: [usize; 2]) -> PhotoArea {
         let room = self.input.size;
         let size = match self.input.resize {
             Resize::Stretch => room,
@@ -276,22 +279,22 @@ impl Contract {
             }
         };
         let at = match self.input.place {
-            Place::TopLeft => [0, 0],
-            Place::Center => [0, 1].map(|a| (room[a] - size[a]) / 2),
+            Anchor::TopLeft => [0, 0],
+            Anchor::Center => [0, 1].map(|a| (room[a] - size[a]) / 2),
         };
-        Placed { photo, at, size }
+        PhotoArea { photo, at, size }
     }
 
     /// The input tensor for a photo, and where the photo lies in it.
-    pub fn prepare(&self, photo: &RgbImage) -> (Vec<f32>, Placed) {
-        let placed = self.placed([photo.width() as usize, photo.height() as usize]);
-        let [width, height] = placed.size.map(|n| n as u32);
+    pub fn prepare(&self, photo: &RgbImage) -> (Vec<f32>, PhotoArea) {
+        let area = self.photo_area([photo.width() as usize, photo.height() as usize]);
+        let [width, height] = area.size.map(|n| n as u32);
         // As wide as the reduction, like the bilinear filter of Pillow.
         let small = resize(photo, width, height, FilterType::Triangle);
         let input = &self.input;
         let [across, down] = input.size;
         let value = |channel: usize, v: f32| (v - input.mean[channel]) / input.std[channel];
-        let place = |channel: usize, x: usize, y: usize| match input.layout {
+        let index = |channel: usize, x: usize, y: usize| match input.layout {
             Layout::Nchw => (channel * down + y) * across + x,
             Layout::Nhwc => (y * across + x) * 3 + channel,
         };
@@ -299,29 +302,29 @@ impl Contract {
         for channel in 0..3 {
             for y in 0..down {
                 for x in 0..across {
-                    values[place(channel, x, y)] = value(channel, input.pad[channel]);
+                    values[index(channel, x, y)] = value(channel, input.pad[channel]);
                 }
             }
         }
         for (x, y, pixel) in small.enumerate_pixels() {
-            let (x, y) = (x as usize + placed.at[0], y as usize + placed.at[1]);
+            let [x, y] = [x as usize + area.at[0], y as usize + area.at[1]];
             for channel in 0..3 {
-                values[place(channel, x, y)] = value(channel, f32::from(pixel.0[channel]));
+                values[index(channel, x, y)] = value(channel, f32::from(pixel.0[channel]));
             }
         }
-        (values, placed)
+        (values, area)
     }
 
     /// Where the cells of the output lie on a photo.
-    pub fn grid(&self, placed: &Placed) -> ScoreGrid {
+    pub fn grid(&self, area: &PhotoArea) -> ScoreGrid {
         let stride = self.output.stride as f64;
-        let scale = |a: usize| placed.size[a] as f64 / placed.photo[a] as f64 / stride;
+        let scale = |a: usize| area.size[a] as f64 / area.photo[a] as f64 / stride;
         let offset = |a: usize| match self.output.alignment {
-            Alignment::Corners => (placed.at[a] as f64 - 0.5) / stride,
-            Alignment::HalfPixel => placed.at[a] as f64 / stride - 0.5,
+            Alignment::Corners => (area.at[a] as f64 - 0.5) / stride,
+            Alignment::HalfPixel => area.at[a] as f64 / stride - 0.5,
         };
         ScoreGrid {
-            photo: placed.photo,
+            photo: area.photo,
             scale: [0, 1].map(scale),
             offset: [0, 1].map(offset),
         }

@@ -19,7 +19,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc;
 
 /// Bytes of memory that photos in work take at most, the network's weights aside.
-const MEMORY: usize = 700 << 20;
+const MAX_PHOTO_BYTES: usize = 700 << 20;
 /// Bytes for each pixel of a photo: decoded, its label map, and both while they are encoded.
 const PIXEL_BYTES: usize = 12;
 /// Changes with the arithmetic: labels of another version are made again.
@@ -66,7 +66,8 @@ pub struct Labelled {
 pub fn label_scene(job: &Job<'_>, progress: &mut dyn Progress) -> Result<Labelled> {
     check_outputs("--out", &[job.out], Some((job.dir, job.options)))?;
     let listing = frames(job)?;
-    let (contract, scene) = (&job.network.contract, &listing.classes);
+    let contract = &job.network.contract;
+    let scene = &listing.classes;
     let mapping = match job.classes {
         Some(user) => Mapping::of_user(contract, user, scene)?,
         None => Mapping::all(contract),
@@ -156,13 +157,16 @@ impl Work<'_> {
     fn run(&self, progress: &mut dyn Progress) -> Result<(usize, bool)> {
         let frames = &self.listing.frames;
         let mut viewing = Viewing::begin(progress, "labels", frames.len());
-        let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
+        let next = AtomicUsize::new(0);
+        let stop = AtomicBool::new(false);
         let (sender, done) = mpsc::channel();
         let mut cached = 0;
         let mut result = Ok(());
         std::thread::scope(|scope| {
             for _ in 0..self.workers() {
-                let (sender, next, stop) = (sender.clone(), &next, &stop);
+                let sender = sender.clone();
+                let next = &next;
+                let stop = &stop;
                 scope.spawn(move || {
                     while let Some(frame) = frames.get(next.fetch_add(1, Ordering::Relaxed)) {
                         if stop.load(Ordering::Relaxed) || sender.send(self.label(frame)).is_err() {
@@ -196,7 +200,7 @@ impl Work<'_> {
         let pixels = |frame: &Frame| frame.camera.width * frame.camera.height;
         let largest = self.listing.frames.iter().map(pixels).max().unwrap_or(0);
         let bytes = self.network.working_bytes() + PIXEL_BYTES * largest;
-        (MEMORY / bytes.max(1)).clamp(1, rayon::current_num_threads())
+        (MAX_PHOTO_BYTES / bytes.max(1)).clamp(1, rayon::current_num_threads())
     }
 
     /// Labels a photo; true where its labels were there already.

@@ -9,9 +9,9 @@ use tract_onnx::pb::{tensor_proto, tensor_shape_proto, type_proto};
 use tract_onnx::prelude::Framework;
 
 /// Names of tensors that an error lists.
-const LISTED: usize = 12;
+const MAX_LISTED: usize = 12;
 /// What to do about a network that does not fit.
-pub(super) const OTHER: &str =
+pub(super) const UNFIT_HELP: &str =
     "choose the contract of this network (--contract), or export the network again";
 
 pub(super) fn one_line(text: &str) -> String {
@@ -147,12 +147,12 @@ fn check_input(file: &Path, graph: &GraphProto, contract: &Contract) -> Result<(
             .is_none_or(|name| *name == input.name)
     };
     let [input] = inputs[..] else {
-        bail!(file, "inputs"; found "{}", described(&inputs); expected "one input"; help "{OTHER}");
+        bail!(file, "inputs"; found "{}", described(&inputs); expected "one input"; help "{UNFIT_HELP}");
     };
     if !named(input) {
         let expected = contract.input.tensor.as_deref().unwrap_or_default();
         bail!(file, "inputs"; found "{}", described(&inputs);
-            expected "{expected:?}, as {} says", contract.file.display(); help "{OTHER}");
+            expected "{expected:?}, as {} says", contract.file.display(); help "{UNFIT_HELP}");
     }
     let expected = contract.input_shape();
     let declared = shape(input);
@@ -163,7 +163,7 @@ fn check_input(file: &Path, graph: &GraphProto, contract: &Contract) -> Result<(
         declared.len() == expected.len() && declared.iter().zip(&expected).all(same)
     });
     ensure!(fits, file, "tensor {}", input.name; found "shape {}", shape_text(declared.as_deref());
-        expected "{expected:?}, as {} says", contract.file.display(); help "{OTHER}");
+        expected "{expected:?}, as {} says", contract.file.display(); help "{UNFIT_HELP}");
     Ok(())
 }
 
@@ -178,14 +178,14 @@ fn choose_output(file: &Path, graph: &mut GraphProto, name: Option<&str>) -> Res
                 "one output, or its name in the contract".to_owned(),
                 |name| format!("{name:?}"),
             );
-            bail!(file, "outputs"; found "{}", described(&outputs); expected "{expected}"; help "{OTHER}");
+            bail!(file, "outputs"; found "{}", described(&outputs); expected "{expected}"; help "{UNFIT_HELP}");
         }
     };
     // The library takes this for granted.
     let made = graph.node.iter().flat_map(|node| &node.output);
     let given = graph.input.iter().map(|input| &input.name);
     ensure!(made.chain(given).any(|made| *made == name),
-        file, "tensor {name}"; found "no operator that makes it"; expected "an output of the graph"; help "{OTHER}");
+        file, "tensor {name}"; found "no operator that makes it"; expected "an output of the graph"; help "{UNFIT_HELP}");
     graph.output.retain(|output| output.name == name);
     graph.output.truncate(1);
     Ok(name)
@@ -234,7 +234,7 @@ fn expose(file: &Path, graph: &mut GraphProto, tensor: &str) -> Result<()> {
         .collect();
     if !made.contains(&tensor) {
         let nearest = nearest_first(tensor, made.into_iter());
-        let nearest = nearest[..nearest.len().min(LISTED)].join(", ");
+        let nearest = nearest[..nearest.len().min(MAX_LISTED)].join(", ");
         bail!(file, "tensor"; found "{tensor:?}"; expected "a tensor of the network, such as {nearest}";
             help "correct the name");
     }

@@ -51,7 +51,8 @@ pub struct Mapping {
 }
 
 impl Mapping {
-    /// Every class of the network is one of the labels; ids count from 1, and 0 is what the network calls none of them.
+    /// Every class of the network is a label. Ids count from 1; the class by which the network names
+    /// none of the others is 0.
     pub fn all(contract: &Contract) -> Self {
         let names = &contract.classes.names;
         let first = u16::from(contract.output.none != Some(0));

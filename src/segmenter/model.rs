@@ -1,7 +1,7 @@
 //! The network: an ONNX file that fits its contract.
 
 use super::contract::Contract;
-use super::graph::{self, OTHER, one_line};
+use super::graph::{self, UNFIT_HELP, one_line};
 use crate::error::{Error, Result, ensure, invalid};
 use sha2::{Digest, Sha256};
 use std::cell::Cell;
@@ -16,7 +16,7 @@ use tract_onnx::prelude::{
 };
 
 /// Most values of a tensor within a network: 4 GB.
-const LARGEST: u128 = 1 << 30;
+const MAX_TENSOR_VALUES: u128 = 1 << 30;
 
 /// A network that was read and prepared for one size of input.
 pub struct Network {
@@ -43,10 +43,9 @@ impl fmt::Debug for Network {
 impl Network {
     /// Reads the ONNX file and prepares the network for the input of `contract`.
     ///
-    /// # Errors
-    /// [`Error::Io`]; [`Error::Input`] naming tensor or operator: a file that is cut off or no ONNX, weights that lie in other
-    /// files or do not fill their shapes, operators that are not implemented, inputs and outputs of other names, types
-    /// or shapes than the contract says; [`Error::Limit`] for tensors of more than 4 GB.
+    /// # Errors [`Error::Io`]; [`Error::Input`] naming tensor or operator, where the file is cut off or no ONNX, weights lie in
+    /// other files or do not fill their shapes, an operator is not implemented, or inputs and outputs differ from the contract in
+    /// name, type or shape; [`Error::Limit`] for tensors of more than 4 GB.
     pub fn load(file: &Path, contract: Contract) -> Result<Self> {
         Self::open(file, contract, None)
     }
@@ -154,7 +153,7 @@ fn guarded<T>(file: &Path, work: impl FnOnce() -> Result<T, TractError>) -> Resu
         Err(_) => "a graph that is malformed".to_owned(),
     };
     Err(
-        invalid!(file, "network"; found "{found}"; expected "an ONNX network that tract runs"; help "{OTHER}"),
+        invalid!(file, "network"; found "{found}"; expected "an ONNX network that tract runs"; help "{UNFIT_HELP}"),
     )
 }
 
@@ -178,9 +177,9 @@ fn check_sizes(file: &Path, model: &TypedModel) -> Result<()> {
             let volume: u128 = shape
                 .iter()
                 .fold(1, |all, &side| all.saturating_mul(side as u128));
-            ensure!(volume <= LARGEST,
+            ensure!(volume <= MAX_TENSOR_VALUES,
                 limit "{}: values of tensor {} of shape {shape:?}", file.display(), node.name;
-                found "{volume}"; expected "{LARGEST}"; help "use a smaller network or a smaller input");
+                found "{volume}"; expected "{MAX_TENSOR_VALUES}"; help "use a smaller network or a smaller input");
         }
     }
     Ok(())
@@ -229,5 +228,5 @@ fn wrong_output(file: &Path, name: &str, found: String, contract: &Contract) -> 
     invalid!(file, "tensor {name}"; found "{found}";
         expected "F32 {:?}: {} classes and stride {} for an input of {width}x{height}, as {} says",
             contract.output_shape(), contract.classes.names.len(), contract.output.stride, contract.file.display();
-        help "{OTHER}")
+        help "{UNFIT_HELP}")
 }

@@ -9,9 +9,9 @@ use crate::error::Result;
 use image::RgbImage;
 
 /// Cells of scores on the longer side, at most: outputs that are finer are averaged over blocks.
-const MOST_CELLS: usize = 192;
+const MAX_CELLS: usize = 192;
 /// Probability of the listed classes below which a place is unlabelled: none of them would be stored.
-const NIL: f32 = 0.5 / 255.0;
+const MIN_PROBABILITY: f32 = 0.5 / 255.0;
 
 /// The output of a network for a photo, cut to the cells that the photo needs.
 #[derive(Clone, Debug)]
@@ -47,15 +47,16 @@ impl Network {
     /// # Errors
     /// [`crate::Error::Input`] where the network fails; [`crate::Error::NonFinite`].
     pub fn run(&self, photo: &RgbImage) -> Result<Logits> {
-        let (input, placed) = self.contract.prepare(photo);
+        let (input, area) = self.contract.prepare(photo);
         let values = self.output(&input)?;
-        let mut grid = self.contract.grid(&placed);
-        let ([across, down], classes) = (self.contract.cells(), self.contract.classes.names.len());
+        let mut grid = self.contract.grid(&area);
+        let [across, down] = self.contract.cells();
+        let classes = self.contract.classes.names.len();
         let needed = |a: usize, cells: usize| {
-            let place = |pixel: f64| grid.scale[a] * pixel + grid.offset[a];
-            let first = (place(0.5).max(0.0) as usize).min(cells - 1);
-            let last = (place(grid.photo[a] as f64 - 0.5).max(0.0).ceil() as usize)
-                .clamp(first, cells - 1);
+            let cell = |pixel: f64| grid.scale[a] * pixel + grid.offset[a];
+            let first = (cell(0.5).max(0.0) as usize).min(cells - 1);
+            let last =
+                (cell(grid.photo[a] as f64 - 0.5).max(0.0).ceil() as usize).clamp(first, cells - 1);
             first..last + 1
         };
         let (columns, rows) = (needed(0, across), needed(1, down));
@@ -92,7 +93,8 @@ impl Logits {
 
     /// The classes of the labels: the probability of a class is the sum of those that it consists of.
     fn mapped<'a>(&self, mapping: &'a Mapping) -> Mapped<'a> {
-        let (classes, channels) = (mapping.channels.len(), mapping.ids.len());
+        let classes = mapping.channels.len();
+        let channels = mapping.ids.len();
         let cells = self.width * self.height;
         let mut values = Vec::with_capacity(cells * channels);
         let mut listed = Vec::with_capacity(cells);
@@ -151,8 +153,8 @@ impl Between {
     /// For each pixel of an axis `a` with `cells` cells. Pixels outside take the border.
     fn axis(grid: &ScoreGrid, a: usize, cells: usize) -> Vec<Self> {
         let pixel = |pixel: usize| {
-            let place = grid.scale[a] * (pixel as f64 + 0.5) + grid.offset[a];
-            let (first, second, share) = beside(place, cells);
+            let cell = grid.scale[a] * (pixel as f64 + 0.5) + grid.offset[a];
+            let (first, second, share) = beside(cell, cells);
             let share = share as f32;
             Self {
                 first,
@@ -196,7 +198,8 @@ impl Mapped<'_> {
                         best
                     }
                 });
-                let is_known = across.of(listed[across.first], listed[across.second]) >= NIL;
+                let is_known =
+                    across.of(listed[across.first], listed[across.second]) >= MIN_PROBABILITY;
                 let id = best
                     .filter(|_| is_known)
                     .map_or(self.mapping.classes.ignore, |best| self.mapping.ids[best]);
@@ -220,7 +223,7 @@ impl Mapped<'_> {
 
     /// The `best` most probable classes of each cell, or block of cells.
     fn scores(&self, best: usize) -> ScoreMap {
-        let block = self.width.max(self.height).div_ceil(MOST_CELLS);
+        let block = self.width.max(self.height).div_ceil(MAX_CELLS);
         let [width, height] = [self.width, self.height].map(|n| n.div_ceil(block));
         let classes = best.clamp(1, self.mapping.ids.len());
         let mut ids = vec![0; classes * width * height];
@@ -242,7 +245,8 @@ impl Mapped<'_> {
                 probabilities[n * width * height + cell] = (255.0 * sums[channel]) as u8;
             }
         }
-        let (scale, offset) = (self.grid.scale, self.grid.offset);
+        let scale = self.grid.scale;
+        let offset = self.grid.offset;
         let grid = ScoreGrid {
             photo: self.grid.photo,
             scale: scale.map(|scale| scale / block as f64),
@@ -273,7 +277,7 @@ impl Mapped<'_> {
             for x in column * block..((column + 1) * block).min(self.width) {
                 cells += 1.0;
                 let cell = y * self.width + x;
-                if self.listed[cell] < NIL {
+                if self.listed[cell] < MIN_PROBABILITY {
                     continue;
                 }
                 let values = &self.values[cell * sums.len()..][..sums.len()];

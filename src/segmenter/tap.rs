@@ -43,13 +43,13 @@ impl Tap {
         &self.network.digest
     }
 
-    /// The features of a photo, bilinear between the cells of the tensor; what lies beside the photo is left out.
+    /// The features of a photo, bilinear between the cells of the tensor. Cells beside the photo are left out.
     ///
     /// # Errors
     /// As [`Network::run`].
     pub fn map(&self, photo: &RgbImage) -> Result<TapMap> {
         let contract = &self.network.contract;
-        let (input, placed) = contract.prepare(photo);
+        let (input, area) = contract.prepare(photo);
         let values = self.network.output(&input)?;
         let shape = self.network.shape();
         let [down, across, channels] = match contract.output.layout {
@@ -62,19 +62,20 @@ impl Tap {
         };
         let axis = |a: usize, cells: usize| -> Vec<(usize, usize, f64)> {
             let side = contract.input.size[a] as f64;
-            let (at, size) = (placed.at[a] as f64, placed.size[a] as f64);
+            let at = area.at[a] as f64;
+            let size = area.size[a] as f64;
             let count = (cells as f64 * size / side).round().max(1.0) as usize;
-            let place = |i: usize| {
+            let taps = |i: usize| {
                 let input = at + (i as f64 + 0.5) * size / count as f64;
-                let place = match contract.output.alignment {
+                let cell = match contract.output.alignment {
                     Alignment::Corners => {
                         (input - 0.5) * (cells as f64 - 1.0) / (side - 1.0).max(1.0)
                     }
                     Alignment::HalfPixel => input * cells as f64 / side - 0.5,
                 };
-                beside(place, cells)
+                beside(cell, cells)
             };
-            (0..count).map(place).collect()
+            (0..count).map(taps).collect()
         };
         let columns = axis(0, across);
         let rows = axis(1, down);

@@ -133,7 +133,7 @@ impl Gaussians {
         (self.sh_degree + 1).pow(2)
     }
 
-    /// Checks that all lengths agree, that of `labels` too, that the degree is at most 3, and that every value is finite.
+    /// Checks that all lengths agree (`labels` included), that the degree is at most 3, and that every value is finite.
     ///
     /// # Errors
     /// [`Error::Argument`] for a length or degree; [`Error::NonFinite`] naming tensor and row.
@@ -170,7 +170,7 @@ impl Gaussians {
     }
 }
 
-/// The rotation of a quaternion (w, x, y, z) of any length; one without direction is the identity, as in the rasterizer.
+/// The rotation of a quaternion (w, x, y, z) of any length. A quaternion of length 0 gives the identity, as in the rasterizer.
 pub(crate) fn rotation(quaternion: &[f32; 4]) -> glam::DQuat {
     let [w, x, y, z] = quaternion.map(f64::from);
     let q = glam::DQuat::from_xyzw(x, y, z, w);

@@ -95,11 +95,11 @@ pub fn write(
     })
 }
 
-/// Reads a 3DGS PLY (ascii or binary, either byte order). Unknown columns are ignored; the SH degree follows from the
-/// number of `f_rest` columns (0, 9, 24 or 45); positions may be float or double.
+/// Reads a 3DGS PLY (ascii or binary, either byte order). Unknown columns are ignored. The SH degree follows from the number of
+/// `f_rest` columns (0, 9, 24 or 45). Positions may be float or double.
 ///
-/// The origin is the one recorded by [`write()`]; in other files it is the mean position when that lies so far out that
-/// float positions would lose precision, else zero.
+/// The origin is what [`write()`] recorded. In other files it is the mean position, where that lies so far out that float positions
+/// would lose precision, else zero.
 ///
 /// # Errors
 /// [`crate::Error::Input`] naming file, row and column: missing columns, cut-off files, non-finite values, labels that are not

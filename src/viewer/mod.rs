@@ -17,9 +17,9 @@ use serde::Serialize;
 use std::path::Path;
 
 /// Bytes of the columns in one element, a multiple of three: browsers limit the length of a text.
-const PART: usize = 3 << 25;
+const PART_BYTES: usize = 3 << 25;
 /// Cosine of 3 degrees: directions that close are equal.
-const NEARLY: f64 = 0.9986;
+const MIN_COSINE: f64 = 0.9986;
 
 /// The parts of the page's program, in order.
 const SCRIPT: [&str; 10] = [
@@ -160,7 +160,7 @@ impl Viewer<'_> {
             ("shaders", &shaders),
             (
                 "columns",
-                &columns.chunks(PART).map(part).collect::<String>(),
+                &columns.chunks(PART_BYTES).map(part).collect::<String>(),
             ),
             ("script", &SCRIPT.concat()),
         ]))
@@ -257,7 +257,7 @@ fn part(bytes: &[u8]) -> String {
 fn upright(up: DVec3) -> DVec3 {
     let axes = DVec3::AXES.into_iter().flat_map(|axis| [axis, -axis]);
     axes.into_iter()
-        .find(|axis| axis.dot(up) > NEARLY)
+        .find(|axis| axis.dot(up) > MIN_COSINE)
         .unwrap_or(up)
 }
 

@@ -50,7 +50,8 @@ impl Gpu {
 
     /// `len` times `value`; at least once.
     pub fn filled(&self, len: usize, value: u32) -> CubeTensor {
-        let (client, device) = (self.client.clone(), self.device.clone());
+        let client = self.client.clone();
+        let device = self.device.clone();
         full_client(client, Shape::new([len.max(1)]), device, value)
     }
 

@@ -2,10 +2,10 @@
 
 mod buffers;
 mod finite;
-mod needs;
+mod requirements;
 mod sum;
 
 pub use self::buffers::{Gpu, UNITS, arg, largest_buffer};
 pub use self::finite::{add_non_finite, is_finite};
-pub use self::needs::shortfall;
+pub use self::requirements::missing_capability;
 pub use self::sum::sum_cube;

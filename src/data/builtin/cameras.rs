@@ -10,9 +10,9 @@ use std::f64::consts::{PI, TAU};
 /// Distance every test camera keeps from every training camera, metres.
 pub const TEST_DISTANCE: f64 = 0.3;
 /// Free space around every camera, metres.
-const FREE: f64 = 0.32;
+const CLEARANCE: f64 = 0.32;
 /// Depth that nine tenths of a picture should exceed, metres.
-const NEAR: f64 = 1.1;
+const MIN_DEPTH: f64 = 1.1;
 
 /// A camera, its split, and its place along the walk (0..1), which defines neighbouring views.
 pub(super) struct Shot {
@@ -114,8 +114,9 @@ fn walk(room: &Room, start: f64, along: f64) -> (DVec3, DVec3) {
 /// Quality of a camera at `eye` that looks at `target`; 1 or more is good. A good camera has free space around it, and near
 /// objects fill at most a tenth of its picture.
 fn goodness(room: &Room, eye: DVec3, target: DVec3) -> f64 {
-    let free = room.clearance(eye) / FREE;
-    if free < 0.7 || (eye.abs().truncate() - room.size.truncate() / 2.0).max_element() > -FREE {
+    let free = room.clearance(eye) / CLEARANCE;
+    if free < 0.7 || (eye.abs().truncate() - room.size.truncate() / 2.0).max_element() > -CLEARANCE
+    {
         return free.min(0.0);
     }
     let camera = look(eye, target, 8, 6);
@@ -125,7 +126,7 @@ fn goodness(room: &Room, eye: DVec3, target: DVec3) -> f64 {
     };
     let mut depths: Vec<f64> = (0..48).map(depth).collect();
     depths.sort_by(f64::total_cmp);
-    free.min(depths[4] / NEAR)
+    free.min(depths[4] / MIN_DEPTH)
 }
 
 /// The good place nearest to `eye`, searched on a spiral around it.
@@ -135,7 +136,8 @@ fn good_place(room: &Room, eye: DVec3, target: DVec3) -> DVec3 {
         if best.0 >= 1.0 {
             break;
         }
-        let (r, a) = (0.06 * f64::from(step).sqrt(), f64::from(step) * 2.399_963);
+        let r = 0.06 * f64::from(step).sqrt();
+        let a = f64::from(step) * 2.399_963;
         let at = eye + DVec3::new(r * a.cos(), r * a.sin(), 0.1 * f64::from(step % 3));
         let good = goodness(room, at, target);
         if good > best.0 {

@@ -19,7 +19,7 @@ pub struct Corruption {
     pub run_length: f64,
     /// A segment takes a wrong class in one view.
     pub swap: f64,
-    /// A segment takes the class of the neighbour with the longest shared border; small ones three times as often.
+    /// A segment takes the class of the neighbour with the longest shared border. Small segments do so three times as often.
     pub merge: f64,
     /// A segment is cut by a line and its smaller part mislabelled or void.
     pub split: f64,
@@ -285,7 +285,8 @@ fn corrupt_segments(
         } = segment;
         let share = pixels.len() as f64 / map.ids.len() as f64;
         let hard = objects.difficulty.get(&id).copied().unwrap_or(1.0);
-        let (small, tiny) = (share < 0.02, share < 0.006);
+        let small = share < 0.02;
+        let tiny = share < 0.006;
         let mut paint = |part: &[usize], c: u16| part.iter().for_each(|&i| out.ids[i] = c);
         // Always the same number of draws, so that one outcome does not shift the next segment's.
         let [swap, merge, drop, split, fate] = [(); 5].map(|()| rng.random::<f64>());

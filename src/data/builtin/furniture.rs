@@ -105,7 +105,9 @@ fn legs(o: &mut Object, [width, depth]: [f64; 2], height: f64, thickness: f64, m
 
 fn sofa(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize, rng: &mut ChaCha8Rng) {
     let cloth = s.cloths[variant % 2];
-    let (arm, seat, back) = (0.2_f64.min(w * 0.2), 0.42, 0.24);
+    let arm = 0.2_f64.min(w * 0.2);
+    let seat = 0.42;
+    let back = 0.24;
     let inner = w - 2.0 * arm;
     let behind = -d / 2.0 + back;
     legs(o, [w - 0.08, d - 0.1], 0.1, 0.06, s.woods[1]);

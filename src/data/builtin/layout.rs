@@ -250,7 +250,8 @@ impl Decorator<'_> {
         self.put(Kind::DiningTable, at, turn, size, look);
         let variant = self.rng.random_range(0..12);
         let axes = DMat3::from_rotation_z(turn);
-        let (w, d) = (size[0] / 2.0, size[1] / 2.0);
+        let w = size[0] / 2.0;
+        let d = size[1] / 2.0;
         let mut seats = vec![(-w * 0.5, -d - 0.12, 0.0), (w * 0.5, -d - 0.12, 0.0)];
         seats.extend([(-w * 0.5, d + 0.12, PI), (w * 0.5, d + 0.12, PI)]);
         if self.rng.random_bool(0.6) {

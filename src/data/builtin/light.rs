@@ -8,9 +8,9 @@ use rayon::prelude::*;
 use std::f64::consts::PI;
 
 /// Reach of ambient occlusion, metres.
-const REACH: f64 = 1.5;
+const OCCLUSION_REACH: f64 = 1.5;
 /// Distance of shadow rays from their surface, metres.
-const LIFT: f64 = 2e-3;
+const SHADOW_OFFSET: f64 = 2e-3;
 
 /// Solids and lights: all that light depends on.
 #[derive(Clone, Debug)]
@@ -22,10 +22,10 @@ pub(super) struct Lit<'a> {
 }
 
 impl Lit<'_> {
-    /// Light arriving at room point `p` with unit normal `n` (linear, white is about 1), and the share of open
-    /// directions, which is 0 for points buried in furniture.
+    /// Light that arrives at room point `p` with unit normal `n` (linear, white is about 1), and the share of open directions.
+    /// Points inside furniture have no open direction.
     pub fn arriving(&self, p: DVec3, n: DVec3) -> (DVec3, f64) {
-        let o = p + n * LIFT;
+        let o = p + n * SHADOW_OFFSET;
         let (open, ambient) = self.ambient(o, n);
         if open <= 0.02 {
             return (DVec3::ZERO, 0.0);
@@ -40,16 +40,17 @@ impl Lit<'_> {
     fn ambient(&self, o: DVec3, n: DVec3) -> (f64, f64) {
         let (t, b) = n.any_orthonormal_pair();
         let count = self.quality.0;
-        let (mut open, mut sum) = (0.0, 0.0);
+        let mut open = 0.0;
+        let mut sum = 0.0;
         for i in 0..count {
             // Vogel spiral, lifted to the hemisphere: the same rays for every point, so light maps stay smooth.
             let r2 = (i as f64 + 0.5) / count as f64;
             let angle = i as f64 * 2.399_963_229_728_653;
             let r = r2.sqrt();
             let d = t * (r * angle.cos()) + b * (r * angle.sin()) + n * (1.0 - r2).sqrt();
-            let hit = self.solids.first_opaque(o, d, REACH);
+            let hit = self.solids.first_opaque(o, d, OCCLUSION_REACH);
             open += hit.map_or(1.0, |hit| if hit.t > 0.02 { 1.0 } else { 0.0 });
-            sum += hit.map_or(1.0, |hit| 0.18 + 0.82 * (hit.t / REACH).powf(0.6));
+            sum += hit.map_or(1.0, |hit| 0.18 + 0.82 * (hit.t / OCCLUSION_REACH).powf(0.6));
         }
         (open / count as f64, sum / count as f64)
     }
@@ -124,7 +125,8 @@ impl LightMap {
     pub fn bake(lit: &Lit, index: usize, texel: f64, interior: DVec3) -> Self {
         let solid = &lit.solids.all[index];
         let sides = [0, 1, 2, 3, 4, 5].map(|side| {
-            let (axis, sign) = (side / 2, if side % 2 == 0 { -1.0 } else { 1.0 });
+            let axis = side / 2;
+            let sign = if side % 2 == 0 { -1.0 } else { 1.0 };
             let (ua, va) = ((axis + 1) % 3, (axis + 2) % 3);
             let cells = |half: f64| ((2.0 * half / texel).round() as usize).clamp(2, 160);
             let (columns, rows) = (cells(solid.half[ua]), cells(solid.half[va]));
@@ -186,7 +188,8 @@ impl LightMap {
 fn smooth(raw: &[(DVec3, f64)], columns: usize, rows: usize) -> Vec<[f32; 3]> {
     let mean = |i: usize, reach: usize| {
         let (x, y) = (i % columns, i / columns);
-        let (mut sum, mut weight) = (DVec3::ZERO, 0.0);
+        let mut sum = DVec3::ZERO;
+        let mut weight = 0.0;
         for v in y.saturating_sub(reach)..(y + reach + 1).min(rows) {
             for u in x.saturating_sub(reach)..(x + reach + 1).min(columns) {
                 let (value, open) = raw[v * columns + u];

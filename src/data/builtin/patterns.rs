@@ -74,7 +74,8 @@ pub(super) struct Spot {
 impl Spot {
     /// The spot of local point `p` with local `normal`.
     pub fn new(solid: &Solid, p: DVec3, normal: DVec3) -> Self {
-        let (half, n) = (solid.half, normal.abs());
+        let half = solid.half;
+        let n = normal.abs();
         let axis = n.max_position();
         let round = matches!(solid.shape, Shape::Ellipsoid | Shape::Frustum(..)) && axis < 2;
         let (u, v, face) = match axis {

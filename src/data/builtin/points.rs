@@ -23,11 +23,10 @@ pub struct LabelledPoints {
     pub classes: Vec<u16>,
 }
 
-/// `count` points of a random room, distributed like the means of trained Gaussians: on surfaces visible from standing places,
-/// denser near those, 1-2 cm off the surface, with 1 % of outliers (which keep the class of the first object along their
-/// ray). Layout, furniture, colours and lights are drawn from `seed`, of a
-/// random stream that no scene uses: whatever the seed, the room is not one that [`super::scene`] makes.
-/// Takes time in proportion to `count`.
+/// `count` points of a random room, distributed like the means of trained Gaussians. They lie 1-2 cm off the surfaces that are
+/// visible from standing places, and denser near those places. 1 % are outliers, with the class of the first object along their
+/// ray. Layout, furniture, colours and lights are drawn from `seed` and a random stream that no scene uses. So no seed gives a room
+/// of [`super::scene`]. Takes time in proportion to `count`.
 pub fn labelled_points(seed: u64, count: usize) -> LabelledPoints {
     let room = Room::for_pretraining(seed);
     let rng = &mut stream(seed, Purpose::Points);
@@ -110,8 +109,8 @@ fn gauss3(rng: &mut ChaCha8Rng) -> DVec3 {
     DVec3::new(gauss(rng), gauss(rng), gauss(rng))
 }
 
-/// About `count` points back-projected from the depth of training views, thinned to one an 8 cm cell: 0.3 % of depth
-/// plus 5 mm of noise, slightly wrong colours, and 2 % of outliers anywhere in the room.
+/// About `count` points back-projected from the depth of training views, thinned to one in a cell of 8 cm. They have noise of 0.3 %
+/// of depth plus 5 mm and slightly wrong colours; 2 % are outliers anywhere in the room.
 pub(super) fn initial_points(
     room: &Room,
     views: &[(&Camera, &Truth)],

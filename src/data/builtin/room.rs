@@ -48,7 +48,7 @@ pub struct Truth {
 }
 
 /// Smallest number of objects of some classes in the room of a scene.
-const LEAST: [(u16, usize); 7] = [
+const MIN_OBJECTS: [(u16, usize); 7] = [
     (class::WINDOW, 3),
     (class::PICTURE, 5),
     (class::TABLE, 3),
@@ -78,7 +78,7 @@ impl Room {
             let (b, size) = layout::furnish(Some(DVec3::new(6.4, 5.2, 2.7)), &mut rng);
             let count = layout::census(&b);
             // A few layouts are enough.
-            if LEAST
+            if MIN_OBJECTS
                 .iter()
                 .all(|(class, least)| count[usize::from(*class)] >= *least)
             {

@@ -70,7 +70,7 @@ pub(super) struct Solid {
 }
 
 /// Distance from a surface, metres, at which a ray has reached it.
-const REACHED: f64 = 1e-11;
+const HIT_DISTANCE: f64 = 1e-11;
 /// More steps than any ray needs that is not a tangent.
 const STEPS: usize = 50;
 
@@ -85,15 +85,15 @@ impl Solid {
         self.axes * p + self.center
     }
 
-    /// Where the local ray `o + t d` enters the solid, `near < t < far`, and the outward normal there; `None` where it
-    /// misses, and where it starts inside.
+    /// Where the local ray `o + t d` enters the solid, `near < t < far`, and the outward normal there. `None` where the ray misses
+    /// the solid or starts inside.
     ///
     /// Newton's method on a convex function never passes the first zero when it starts before it.
     pub fn entry(&self, o: DVec3, d: DVec3, near: f64, far: f64) -> Option<(f64, DVec3)> {
         let mut t = near;
         for _ in 0..STEPS {
             let (level, gradient) = self.shape.level(o + d * t, self.half);
-            if level < REACHED {
+            if level < HIT_DISTANCE {
                 return (t > near).then(|| (t, gradient.normalize_or_zero()));
             }
             let slope = gradient.dot(d);

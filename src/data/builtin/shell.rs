@@ -9,7 +9,7 @@ use glam::DVec3;
 use rand::Rng;
 
 /// Thickness of walls, floor and ceiling, metres.
-const SLAB: f64 = 0.2;
+const THICKNESS: f64 = 0.2;
 
 const PAINTS: [[u32; 2]; 6] = [
     [0xdcd3c2, 0xcdc2ae],
@@ -39,7 +39,11 @@ impl Decorator<'_> {
         };
         let floor = self.builder.matt(floor);
         let mut o = self.builder.object(class::FLOOR, DVec3::ZERO, 0.0);
-        o.cuboid([0.0, 0.0, -SLAB / 2.0], [w + 0.4, d + 0.4, SLAB], floor);
+        o.cuboid(
+            [0.0, 0.0, -THICKNESS / 2.0],
+            [w + 0.4, d + 0.4, THICKNESS],
+            floor,
+        );
     }
 
     fn walls(&mut self) {
@@ -59,7 +63,8 @@ impl Decorator<'_> {
         };
         let special = self.builder.matt(special);
         let wainscot = self.rng.random_bool(0.5);
-        let (panel, groove) = (rgb(0xe4dfd2), rgb(0xb5aea0));
+        let panel = rgb(0xe4dfd2);
+        let groove = rgb(0xb5aea0);
         let panelling = self
             .builder
             .matt(Pattern::Panels(panel, groove, panel, [6, 1]));
@@ -69,7 +74,11 @@ impl Decorator<'_> {
             let material = if k == accent { special } else { base };
             let at = self.plan.on_wall(k, 0.0, 0.0, 0.0);
             let mut o = self.builder.object(class::WALL, at, yaw(k));
-            o.cuboid([0.0, -SLAB / 2.0, h / 2.0], [length, SLAB, h], material);
+            o.cuboid(
+                [0.0, -THICKNESS / 2.0, h / 2.0],
+                [length, THICKNESS, h],
+                material,
+            );
             if wainscot && k != accent {
                 o.cuboid([0.0, 0.006, 0.42], [length, 0.012, 0.84], panelling);
                 o.cuboid([0.0, 0.014, 0.86], [length, 0.028, 0.05], white);
@@ -84,7 +93,11 @@ impl Decorator<'_> {
         let plaster = self.builder.matt(plaster);
         let beams = self.rng.random_bool(0.6);
         let mut o = self.builder.object(class::CEILING, DVec3::Z * h, 0.0);
-        o.cuboid([0.0, 0.0, SLAB / 2.0], [w + 0.4, d + 0.4, SLAB], plaster);
+        o.cuboid(
+            [0.0, 0.0, THICKNESS / 2.0],
+            [w + 0.4, d + 0.4, THICKNESS],
+            plaster,
+        );
         if beams {
             let n = (w / 1.4).round();
             for i in 0..n as usize {
@@ -118,13 +131,15 @@ impl Decorator<'_> {
     }
 
     fn build_window(&mut self, k: usize, s: f64, [w, low, high]: [f64; 3], color: DVec3) {
-        let (white, metal) = (self.style.white, self.style.metal);
+        let white = self.style.white;
+        let metal = self.style.metal;
         let view = Pattern::Scenery(yaw(k) + 0.25 * s);
         let view = self.builder.add_material(view, 0.95, 0.0);
         let cloth = self.builder.matt(Pattern::Folds(color, 0.11));
         let at = self.plan.on_wall(k, s, 0.0, 0.0);
         let mut o = self.builder.object(class::WINDOW, at, yaw(k));
-        let (middle, height) = ((low + high) / 2.0, high - low);
+        let middle = (low + high) / 2.0;
+        let height = high - low;
         o.cuboid([0.0, 0.004, middle], [w, 0.008, height], view);
         o.translucent();
         let light = Light::Pane {

@@ -30,7 +30,7 @@ pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
     let mut problems = Problems::default();
     let mut checked = Checked::default();
     let listing = notices::list(dir, options, &mut problems);
-    if let Some(mut listing) = problems.keep(listing) {
+    if let Some(mut listing) = problems.ok(listing) {
         checked.layout = Some(listing.layout);
         checked.frames = listing.frames.len();
         checked.notices = std::mem::take(&mut listing.notices);
@@ -45,7 +45,7 @@ pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
 /// Checks the files of a listing. Faults go to `problems`; notices are returned.
 fn check_listing(listing: &Listing, options: &LoadOptions, problems: &mut Problems) -> Vec<String> {
     let limits = &options.limits;
-    problems.keep(listing.check_sizes(limits));
+    problems.ok(listing.check_sizes(limits));
     // Without a class table, which is a fault that was reported, no id can be wrong.
     let known = if listing.classes.is_empty() {
         vec![0; 1 << 16]
@@ -114,11 +114,11 @@ impl FrameCheck {
         let mut check = Self::default();
         let opened = frame
             .present
-            .then(|| problems.keep(frame.open(&listing.file, limits)))
+            .then(|| problems.ok(frame.open(&listing.file, limits)))
             .flatten();
         let geometry = match opened {
             Some((file, geometry)) => {
-                problems.keep(geometry.photo(&file));
+                problems.ok(geometry.photo(&file));
                 check.turned = frame.may_be_turned(&file);
                 Some(geometry)
             }
@@ -126,7 +126,7 @@ impl FrameCheck {
             None => frame.own_geometry().ok(),
         };
         if let Some(geometry) = geometry.map(|geometry| geometry.limited_to(options.max_side)) {
-            let mask = problems.keep(frame.read_mask(&geometry, limits)).flatten();
+            let mask = problems.ok(frame.read_mask(&geometry, limits)).flatten();
             check.masked = mask
                 .as_ref()
                 .map(|mask| [mask.width() * mask.height(), mask.left_out()]);
@@ -138,12 +138,12 @@ impl FrameCheck {
                 limits,
                 mask,
             };
-            problems.keep(labels.truth());
-            let raw = problems.keep(labels.raw()).flatten();
+            problems.ok(labels.truth());
+            let raw = problems.ok(labels.raw()).flatten();
             check.void = raw.map(|raw| raw.map.ids.iter().all(|&id| id == listing.unlabelled()));
-            problems.keep(labels.instances());
+            problems.ok(labels.instances());
             let scores = labels.scores();
-            scores.map(|scores| problems.keep(scores.read(&listing.classes)));
+            scores.map(|scores| problems.ok(scores.read(&listing.classes)));
         }
         check.faults = problems.all();
         check

@@ -117,10 +117,8 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
     }
     let mut sizes: Vec<_> = sizes.into_iter().map(|((w, h), n)| (w, h, n)).collect();
     sizes.sort_by_key(|&(.., n)| Reverse(n));
-    let (left_out, pixels) = (
-        frames.iter().map(|f| f.left_out),
-        frames.iter().map(|f| f.pixels),
-    );
+    let left_out = frames.iter().map(|f| f.left_out);
+    let pixels = frames.iter().map(|f| f.pixels);
     let count = |of: fn(&&Frame) -> bool| listing.frames.iter().filter(of).count();
     Ok(Info {
         name: scene_name(dir),
@@ -252,7 +250,8 @@ pub struct Thumbnail {
     pub truth: Option<LabelMap>,
 }
 
-/// At most `count` views, evenly chosen among those with raw labels where there are any, `width` pixels wide, and the class table for their labels.
+/// At most `count` views, `width` pixels wide, and the class table for their labels. They are chosen evenly, among views with raw
+/// labels where there are any.
 ///
 /// # Errors
 /// As [`crate::data::load`].

@@ -15,11 +15,11 @@ use std::collections::HashMap;
 use std::path::Path;
 
 /// Cameras that are nearer to each other than this, in world units, count as being at one place.
-const ONE_PLACE: f64 = 1e-6;
+const MIN_CAMERA_DISTANCE: f64 = 1e-6;
 /// Range of the fields of view, in degrees, of lenses without fisheye projection.
-const FIELD_OF_VIEW: [f64; 2] = [5.0, 170.0];
+const USUAL_FIELDS_OF_VIEW: [f64; 2] = [5.0, 170.0];
 /// Range of the distance from the farthest camera to the mean of all, in metres, for captures of a room.
-const EXTENT: [f64; 2] = [1.0, 4.0];
+const USUAL_EXTENTS: [f64; 2] = [1.0, 4.0];
 
 /// Focal length, principal point and length of one side of a photo.
 type Side = fn(&Camera) -> [f64; 3];
@@ -42,7 +42,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let mut notices: Vec<String> = of_scene.into_iter().flatten().collect();
     notices.extend(cameras(&listing));
     notices.extend(without_raw(&listing));
-    notices.extend(drawn_in_vain(&listing));
+    notices.extend(held_out_drawn_labels(&listing));
     listing.notices.extend(notices);
     Ok(listing)
 }
@@ -57,7 +57,7 @@ fn frame_names(frames: &[&Frame]) -> String {
 fn unit(listing: &Listing, unit_is_metre: bool) -> Option<String> {
     let labelled = listing.frames.iter().any(|frame| frame.raw.is_some());
     let (_, extent) = listing.spread();
-    let [low, high] = EXTENT;
+    let [low, high] = USUAL_EXTENTS;
     let applies = listing.layout == Layout::Colmap && unit_is_metre && labelled;
     (applies && !(low..=high).contains(&extent)).then(|| {
         format!(
@@ -83,7 +83,8 @@ fn without_mask(listing: &Listing, folder: Option<&str>) -> Option<String> {
         .iter()
         .filter(|frame| frame.mask.is_none())
         .collect();
-    let (count, all) = (without.len(), listing.frames.len());
+    let count = without.len();
+    let all = listing.frames.len();
     if count == 0 {
         return None;
     }
@@ -100,7 +101,9 @@ fn without_mask(listing: &Listing, folder: Option<&str>) -> Option<String> {
 
 /// Masks that leave out most of their views. `masked` has, for each view with a mask, its pixels and the pixels left out.
 pub(crate) fn inverted_masks(masked: impl Iterator<Item = [usize; 2]>) -> Option<String> {
-    let (mut views, mut all, mut left_out) = (0, 0, 0);
+    let mut views = 0;
+    let mut all = 0;
+    let mut left_out = 0;
     for [pixels, out] in masked {
         views += 1;
         all += pixels;
@@ -122,7 +125,7 @@ pub(crate) fn cameras(listing: &Listing) -> Vec<String> {
     let size = centers().fold(DVec3::NEG_INFINITY, DVec3::max)
         - centers().fold(DVec3::INFINITY, DVec3::min);
     let mut notices = Vec::new();
-    if posed.len() > 1 && size.max_element() < ONE_PLACE {
+    if posed.len() > 1 && size.max_element() < MIN_CAMERA_DISTANCE {
         notices.push(format!(
             "all {} cameras stand at one place: depth can only be learned from photos of different places",
             posed.len()
@@ -180,7 +183,8 @@ fn equal_poses(posed: &[&Frame]) -> Option<String> {
         }
     }
     (!pairs.is_empty()).then(|| {
-        let (count, all) = (pairs.len(), posed.len());
+        let count = pairs.len();
+        let all = posed.len();
         format!(
             "{count} of {all} frames have exactly the pose of an earlier one: {}",
             first_names(&pairs)
@@ -208,7 +212,7 @@ fn unusual_field_of_view(posed: &[&Frame], side: Side, field: &str) -> Option<St
         let [focal, _, length] = side(&frame.camera);
         2.0 * (0.5 * length / focal).atan().to_degrees()
     };
-    let [low, high] = FIELD_OF_VIEW;
+    let [low, high] = USUAL_FIELDS_OF_VIEW;
     let unusual: Vec<&Frame> = posed
         .iter()
         .filter(|frame| !(low..=high).contains(&angle(frame)))
@@ -232,7 +236,8 @@ fn without_raw(listing: &Listing) -> Option<String> {
         .filter(|frame| frame.split == Split::Train);
     let (labelled, without): (Vec<&Frame>, Vec<&Frame>) =
         train.partition(|frame| frame.raw.is_some());
-    let (count, all) = (without.len(), without.len() + labelled.len());
+    let count = without.len();
+    let all = without.len() + labelled.len();
     (!without.is_empty() && !labelled.is_empty()).then(|| {
         format!(
             "{count} of {all} training frames have no raw labels: {}; {} have some",
@@ -242,8 +247,8 @@ fn without_raw(listing: &Listing) -> Option<String> {
     })
 }
 
-/// Held-out photos whose labels somebody drew.
-fn drawn_in_vain(listing: &Listing) -> Option<String> {
+/// Held-out photos with labels drawn by hand: no training view learns from them.
+fn held_out_drawn_labels(listing: &Listing) -> Option<String> {
     let is_drawn = |frame: &&Frame| frame.split == Split::Test && frame.raw.is_some();
     let drawn: Vec<&Frame> = listing.frames.iter().filter(is_drawn).collect();
     (listing.raw.are_drawn() && !drawn.is_empty()).then(|| {
@@ -265,7 +270,8 @@ pub(crate) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Opti
         .filter(|(_, void)| *void)
         .map(|(name, _)| *name)
         .collect();
-    let (count, all) = (void.len(), train.len());
+    let count = void.len();
+    let all = train.len();
     (count > 0).then(|| {
         let names = first_names(&void);
         let notice = format!(

@@ -1,7 +1,7 @@
 //! Finds the convention of poses in which neighbouring photos show the same things. Used if there is no cloud.
 //!
-//! Blocks of a small copy of a photo are searched in the next one at several depths (a plane sweep). With the right
-//! convention they are found; with another they are compared along wrong lines, and found by chance only.
+//! Blocks of a small copy of a photo are searched in the next one at several depths (a plane sweep). With the right convention they
+//! are found. With another one they are compared along wrong lines, and found by chance only.
 
 use super::convention::Convention;
 use crate::data::Limits;
@@ -15,30 +15,30 @@ use image::RgbImage;
 use image::imageops::{grayscale, thumbnail};
 use rayon::prelude::*;
 
-/// Largest number of neighbouring pairs that are compared, evenly chosen; with fewer than the second number there is no verdict.
-const PAIRS: usize = 12;
-const TOO_FEW_PAIRS: usize = 4;
+/// Neighbouring pairs that are compared, at most. They are chosen evenly. Fewer pairs than the second number give no verdict.
+const MAX_PAIRS: usize = 12;
+const MIN_PAIRS: usize = 4;
 /// Pixels across a small photo, and across a block.
-const ACROSS: u32 = 96;
-const BLOCK: usize = 8;
+const PHOTO_PIXELS: u32 = 96;
+const BLOCK_PIXELS: usize = 8;
 /// Depths, from infinity evenly in their inverse to the nearest one, in distances between the two cameras.
 const DEPTHS: usize = 24;
-const NEAREST: f64 = 1.5;
+const NEAREST_DEPTH: f64 = 1.5;
 /// Standard deviation of a block, of white, below which it looks like any other.
-const FLAT: f64 = 0.02;
+const MIN_DEVIATION: f64 = 0.02;
 /// Correlation from which two blocks are alike.
-const ALIKE: f64 = 0.8;
+const MIN_CORRELATION: f64 = 0.8;
 
-/// A convention is reported when the share of blocks that it finds again is above the first number, and the second number
-/// times the share of the layout's convention, and when the next photo shows at least the third share of the blocks.
+/// A convention is reported when the share of blocks that it finds again is above the first number and above the second number
+/// times the share of the layout's convention. The next photo must also show at least the third share of the blocks.
 ///
-/// Measured on two captures of objects and three of rooms: the right convention finds 0.47 to 0.82 of the blocks, a wrong
-/// one 0.07 to 0.56, at most 0.69 of the right share. With every 2nd, 4th and 12th photo the right one finds 0.08 to 0.78,
-/// and a wrong one never more than the first bound: sparse captures give no answer, nor does a video of hardly moving
-/// frames, which are alike in every convention.
-const FOUND: f64 = 0.45;
-const TIMES: f64 = 1.4;
-const SHOWN: f64 = 0.25;
+/// Measured on two captures of objects and three of rooms: the right convention finds 0.47 to 0.82 of the blocks, a wrong one 0.07
+/// to 0.56, at most 0.69 of the right share. With every 2nd, 4th and 12th photo the right one finds 0.08 to 0.78, and a wrong one
+/// never more than the first bound: sparse captures give no answer. Neither does a video whose camera hardly moves: its frames are
+/// alike in every convention.
+const MIN_FOUND: f64 = 0.45;
+const MIN_FOUND_RATIO: f64 = 1.4;
+const MIN_SHOWN: f64 = 0.25;
 
 /// A notice if neighbouring photos fit better in another convention than in that of the layout.
 pub(super) fn better_convention(listing: &Listing, limits: &Limits) -> Option<String> {
@@ -56,12 +56,12 @@ pub(super) fn better_convention(listing: &Listing, limits: &Limits) -> Option<St
             &geometry.camera,
         ))
     };
-    let first = evenly(frames.len().saturating_sub(1), PAIRS);
+    let first = evenly(frames.len().saturating_sub(1), MAX_PAIRS);
     let pairs = first
         .par_iter()
         .filter_map(|&i| Some([small(frames[i])?, small(frames[i + 1])?]));
     let pairs: Vec<[SmallPhoto; 2]> = pairs.collect();
-    if pairs.len() < TOO_FEW_PAIRS {
+    if pairs.len() < MIN_PAIRS {
         return None;
     }
     let of_layout = Convention::of(listing.layout);
@@ -71,8 +71,8 @@ pub(super) fn better_convention(listing: &Listing, limits: &Limits) -> Option<St
         .map(|other| (other, Blocks::count(&pairs, of_layout, other)));
     let (other, blocks) = others.max_by(|a, b| a.1.share().total_cmp(&b.1.share()))?;
     let share = blocks.share();
-    let is_shown = blocks.shown as f64 > SHOWN * blocks.all as f64;
-    (share > FOUND && share > TIMES * as_read && is_shown).then(|| {
+    let is_shown = blocks.shown as f64 > MIN_SHOWN * blocks.all as f64;
+    (share > MIN_FOUND && share > MIN_FOUND_RATIO * as_read && is_shown).then(|| {
         format!(
             "{}: the poses may be {}: {:.0} % of a photo are then found again in the next one, and {:.0} % as they are; if \
              so, {}",
@@ -94,11 +94,11 @@ struct SmallPhoto {
 impl SmallPhoto {
     fn new(photo: &RgbImage, camera: &Camera) -> Self {
         let height =
-            f64::from(ACROSS) * f64::from(photo.height()) / f64::from(photo.width().max(1));
-        let height = (height.round() as u32).clamp(1, 8 * ACROSS);
-        let grey = grayscale(&thumbnail(photo, ACROSS, height));
+            f64::from(PHOTO_PIXELS) * f64::from(photo.height()) / f64::from(photo.width().max(1));
+        let height = (height.round() as u32).clamp(1, 8 * PHOTO_PIXELS);
+        let grey = grayscale(&thumbnail(photo, PHOTO_PIXELS, height));
         Self {
-            camera: camera.resized(ACROSS as usize, height as usize),
+            camera: camera.resized(PHOTO_PIXELS as usize, height as usize),
             grey: grey
                 .pixels()
                 .map(|pixel| f64::from(pixel.0[0]) / 255.0)
@@ -135,7 +135,7 @@ impl Blocks {
         self.alike as f64 / self.shown.max(1) as f64
     }
 
-    /// Of all pairs, when poses that were read as `as_read` are read in another convention.
+    /// The blocks of all pairs, with poses that were read as `as_read` reread as `other`.
     fn count(pairs: &[[SmallPhoto; 2]], as_read: Convention, other: Convention) -> Self {
         let of_pair = |[from, to]: &[SmallPhoto; 2]| {
             let [camera, next] = [from, to].map(|photo| other.reread(as_read, &photo.camera));
@@ -152,20 +152,24 @@ impl Blocks {
     fn of_pair(from: &SmallPhoto, to: &SmallPhoto, camera: &Camera, next: &Camera) -> Self {
         let turn = next.rotation * camera.rotation.transpose();
         let shift = next.to_camera(camera.center);
-        let nearest = NEAREST * shift.length();
+        let nearest = NEAREST_DEPTH * shift.length();
         let inverse_depth = |i: usize| i as f64 / (DEPTHS - 1) as f64 / nearest;
         // Cameras at one place see the same at every depth.
         let depths = (0..DEPTHS).map(|i| if nearest > 0.0 { inverse_depth(i) } else { 0.0 });
-        let columns = camera.width / BLOCK;
+        let columns = camera.width / BLOCK_PIXELS;
         let mut blocks = Self::default();
-        for block in 0..columns * (camera.height / BLOCK) {
-            let corner = (block % columns * BLOCK, block / columns * BLOCK);
-            let pixels = (0..BLOCK * BLOCK).map(|i| (corner.0 + i % BLOCK, corner.1 + i / BLOCK));
+        for block in 0..columns * (camera.height / BLOCK_PIXELS) {
+            let corner = (
+                block % columns * BLOCK_PIXELS,
+                block / columns * BLOCK_PIXELS,
+            );
+            let pixels = (0..BLOCK_PIXELS * BLOCK_PIXELS)
+                .map(|i| (corner.0 + i % BLOCK_PIXELS, corner.1 + i / BLOCK_PIXELS));
             let own: Vec<f64> = pixels
                 .clone()
                 .map(|(x, y)| from.grey[y * camera.width + x])
                 .collect();
-            if variance(&own) < FLAT * FLAT {
+            if variance(&own) < MIN_DEVIATION * MIN_DEVIATION {
                 continue;
             }
             let ray = |(x, y): (usize, usize)| {
@@ -191,7 +195,7 @@ impl Blocks {
                 .reduce(f64::max);
             blocks.all += 1;
             blocks.shown += usize::from(best.is_some());
-            blocks.alike += usize::from(best.is_some_and(|best| best > ALIKE));
+            blocks.alike += usize::from(best.is_some_and(|best| best > MIN_CORRELATION));
         }
         blocks
     }
@@ -211,7 +215,7 @@ fn variance(values: &[f64]) -> f64 {
     covariance(values, values)
 }
 
-/// Of two blocks; near 0 where one of them is flat.
+/// Correlation of two blocks; near 0 where a block is flat.
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
     covariance(a, b) / (variance(a) * variance(b) + 1e-8).sqrt()
 }

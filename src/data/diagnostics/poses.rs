@@ -1,8 +1,8 @@
 //! Checks that poses are read in the convention in which they were written. With a wrong one, training fails without an error.
 //!
-//! A pose is a rotation and a translation, which may be camera-to-world or world-to-camera, in OpenGL or in OpenCV axes.
-//! The layout defines which; a folder that was put together by hand may hold another one. The initial cloud shows it: with
-//! the right convention its points lie in the photos, and have the colours of the pixels that they fall on.
+//! A pose is a rotation and a translation, which may be camera-to-world or world-to-camera, in OpenGL or in OpenCV axes. The layout
+//! defines the convention. A folder that was put together by hand may hold another one. The initial cloud shows it: with the right
+//! convention its points lie in the photos, and have the colours of the pixels that they fall on.
 
 use super::convention::Convention;
 use crate::config::Layout;
@@ -19,16 +19,16 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Largest number of cameras, photos and points that are examined, evenly chosen.
-const CAMERAS: usize = 256;
-const PHOTOS: usize = 16;
-const POINTS: usize = 4_096;
-/// With fewer points there is no verdict.
-const TOO_FEW_POINTS: usize = 100;
-/// Cells across and down a photo. Only the nearest point of a cell is compared, because it may hide the others.
-const CELLS: usize = 24;
-/// Points that a photo must hold to be compared.
-const COMPARED: usize = 8;
+/// Cameras, photos and points that are examined, at most. They are chosen evenly.
+const MAX_CAMERAS: usize = 256;
+const MAX_PHOTOS: usize = 16;
+const MAX_POINTS: usize = 4_096;
+/// Fewer points give no verdict.
+const MIN_POINTS: usize = 100;
+/// Cells across and down a photo. Only the nearest point in a cell is compared, because it may hide the others.
+const GRID_CELLS: usize = 24;
+/// A photo is compared if points lie in this many of its cells.
+const MIN_COMPARED: usize = 8;
 
 /// Agreement ([`Fit::agreement`]) below which the convention is clearly wrong, and above which it is clearly right.
 ///
@@ -36,15 +36,15 @@ const COMPARED: usize = 8;
 /// whole and thinned out to every 3rd, 10th and 40th photo, with points of a cloud or of depth images: 0.81 to 0.91 in the
 /// right convention, at most 0.18 in a wrong one; with only 200 points at least 0.50 and at most 0.32. A fault needs both
 /// bounds: made-up colours, or colours that change with the exposure, only hide it.
-const MISREAD: f64 = 0.3;
-const READ: f64 = 0.5;
-/// The same for the share of the points that some photo holds, which is all that a cloud without colours shows. Measured
-/// on the same captures: 0.95 to 1.00 in the right convention (0.38 for three photos of a room), 0.00 to 1.00 in a wrong
-/// one, as rooms have points on all sides. Wrong conventions above the first bound are not reported.
-const UNSEEN: f64 = 0.5;
-const SEEN: f64 = 0.9;
-/// The share below which points and photos are unrelated.
-const ELSEWHERE: f64 = 0.02;
+const MAX_WRONG_AGREEMENT: f64 = 0.3;
+const MIN_RIGHT_AGREEMENT: f64 = 0.5;
+/// The same bounds for the share of the points that some photo shows. A cloud without colours gives only this share. Measured on
+/// the same captures: 0.95 to 1.00 in the right convention (0.38 for three photos of a room), 0.00 to 1.00 in a wrong one, as
+/// rooms have points on all sides. Wrong conventions above the first bound are not reported.
+const MAX_WRONG_SEEN: f64 = 0.5;
+const MIN_RIGHT_SEEN: f64 = 0.9;
+/// Below this share, points and photos are unrelated.
+const MAX_UNRELATED_SEEN: f64 = 0.02;
 
 /// A conflict between the cloud and the poses.
 #[derive(Debug)]
@@ -55,17 +55,17 @@ pub(crate) enum Verdict {
     Unrelated(String),
 }
 
-/// A camera in world units, with its photo if that is compared.
-struct Shot {
+/// A camera in world units, with its photo if colours are compared there.
+struct CheckedView {
     camera: Camera,
     photo: Option<Arc<RgbImage>>,
 }
 
 /// A point with its colour, sRGB in 0..1.
-struct Anchor {
+struct CheckedPoint {
     position: DVec3,
     color: [f32; 3],
-    /// The shot whose depth image shows it; `position` is then in the axes of its camera, else in the world.
+    /// The view whose depth image shows it; `position` is then in the axes of its camera, else in the world.
     source: Option<usize>,
 }
 
@@ -73,10 +73,10 @@ struct Anchor {
 #[derive(Clone, Copy, Debug)]
 struct Fit {
     convention: Convention,
-    /// Share of the points that a photo holds, median over the cameras.
-    typical: f64,
-    /// Share of the points that some photo holds.
-    seen: f64,
+    /// Share of the points that a photo shows, median over the cameras.
+    median_share: f64,
+    /// Share of the points that some photo shows.
+    seen_share: f64,
     /// Correlation between colours of points and of the pixels they fall on, each photo's means taken out, times the
     /// share of the photos that hold points.
     agreement: f64,
@@ -89,33 +89,37 @@ pub(crate) fn of_listing(listing: &Listing, points: &Points, limits: &Limits) ->
         Cloud::Depth(depth) => Some(depth),
         _ => None,
     };
-    if posed.is_empty() || (depth.is_none() && points.len() < TOO_FEW_POINTS) {
+    if posed.is_empty() || (depth.is_none() && points.len() < MIN_POINTS) {
         return None;
     }
-    let most = if depth.is_some() { PHOTOS } else { CAMERAS };
+    let most = if depth.is_some() {
+        MAX_PHOTOS
+    } else {
+        MAX_CAMERAS
+    };
     let chosen = evenly(posed.len(), most);
-    let shots = shots(chosen.len(), |place, with_photo| {
-        let frame = posed[chosen[place]];
+    let views = checked_views(chosen.len(), |index, with_photo| {
+        let frame = posed[chosen[index]];
         let open = || {
             let (file, geometry) = frame.open(&listing.file, limits).ok()?;
             let photo = Some(Arc::new(geometry.photo(&file).ok()?));
-            Some(Shot {
+            Some(CheckedView {
                 camera: geometry.camera,
                 photo,
             })
         };
         let camera = frame.camera.clone();
-        with_photo.then(open).flatten().unwrap_or(Shot {
+        with_photo.then(open).flatten().unwrap_or(CheckedView {
             camera,
             photo: None,
         })
     });
     let Some(depth) = depth else {
-        return judge(
+        return verdict(
             listing.layout,
             &listing.file,
-            &shots,
-            &anchors(points, listing.origin()),
+            &views,
+            &checked_points(points, listing.origin()),
         );
     };
     let files: Vec<_> = listing
@@ -124,112 +128,129 @@ pub(crate) fn of_listing(listing: &Listing, points: &Points, limits: &Limits) ->
         .zip(&depth.files)
         .filter(|(frame, _)| frame.posed)
         .collect();
-    let made = shots.par_iter().enumerate().map(|(place, shot)| {
-        let (frame, Some(file)) = files[chosen[place]] else {
+    let made = views.par_iter().enumerate().map(|(index, view)| {
+        let (frame, Some(file)) = files[chosen[index]] else {
             return Vec::new();
         };
-        let most = POINTS / shots.len();
-        let points = depth.of_frame(frame, file, &listing.file, most, shot.camera.center, limits);
-        let mut anchors = anchors(&points.unwrap_or_default(), DVec3::ZERO);
-        for anchor in &mut anchors {
-            anchor.position = shot.camera.rotation * anchor.position;
-            anchor.source = Some(place);
+        let most = MAX_POINTS / views.len();
+        let points = depth.of_frame(frame, file, &listing.file, most, view.camera.center, limits);
+        let mut points = checked_points(&points.unwrap_or_default(), DVec3::ZERO);
+        for point in &mut points {
+            point.position = view.camera.rotation * point.position;
+            point.source = Some(index);
         }
-        anchors
+        points
     });
-    let made: Vec<Vec<Anchor>> = made.collect();
-    let made: Vec<Anchor> = made.into_iter().flatten().collect();
-    judge(listing.layout, &listing.file, &shots, &made)
+    let made: Vec<Vec<CheckedPoint>> = made.collect();
+    let made: Vec<CheckedPoint> = made.into_iter().flatten().collect();
+    verdict(listing.layout, &listing.file, &views, &made)
 }
 
 /// Compares the points of a scene, which must not come from depth images, with its poses. `file` lists its frames.
 pub(crate) fn of_scene(layout: Layout, file: &Path, scene: &Scene) -> Option<Verdict> {
     // Before photos are decoded for it.
-    if scene.points.len() < TOO_FEW_POINTS {
+    if scene.points.len() < MIN_POINTS {
         return None;
     }
-    let chosen = evenly(scene.views.len(), CAMERAS);
-    let shots = shots(chosen.len(), |place, with_photo| {
-        let view = &scene.views[chosen[place]];
+    let chosen = evenly(scene.views.len(), MAX_CAMERAS);
+    let views = checked_views(chosen.len(), |index, with_photo| {
+        let view = &scene.views[chosen[index]];
         let camera = view.camera.moved(scene.origin);
         let photo = with_photo.then(|| view.image.pixels().ok()).flatten();
-        Shot { camera, photo }
+        CheckedView { camera, photo }
     });
-    judge(layout, file, &shots, &anchors(&scene.points, scene.origin))
+    verdict(
+        layout,
+        file,
+        &views,
+        &checked_points(&scene.points, scene.origin),
+    )
 }
 
-/// `count` shots, some of them with photos, by their places.
-fn shots(count: usize, shot: impl Fn(usize, bool) -> Shot + Sync) -> Vec<Shot> {
-    let photos = evenly(count, PHOTOS);
+/// `count` views by their index, some of them with photos.
+fn checked_views(
+    count: usize,
+    view: impl Fn(usize, bool) -> CheckedView + Sync,
+) -> Vec<CheckedView> {
+    let photos = evenly(count, MAX_PHOTOS);
     (0..count)
         .into_par_iter()
-        .map(|place| shot(place, photos.contains(&place)))
+        .map(|index| view(index, photos.contains(&index)))
         .collect()
 }
 
-fn anchors(points: &Points, origin: DVec3) -> Vec<Anchor> {
-    let anchor = |i: usize| Anchor {
+fn checked_points(points: &Points, origin: DVec3) -> Vec<CheckedPoint> {
+    let point = |i: usize| CheckedPoint {
         position: DVec3::from(points.positions[i].map(f64::from)) + origin,
         color: points.colors[i],
         source: None,
     };
-    evenly(points.len(), POINTS)
+    evenly(points.len(), MAX_POINTS)
         .into_iter()
-        .map(anchor)
+        .map(point)
         .collect()
 }
 
-fn judge(layout: Layout, file: &Path, shots: &[Shot], anchors: &[Anchor]) -> Option<Verdict> {
-    if anchors.len() < TOO_FEW_POINTS {
+fn verdict(
+    layout: Layout,
+    file: &Path,
+    views: &[CheckedView],
+    points: &[CheckedPoint],
+) -> Option<Verdict> {
+    if points.len() < MIN_POINTS {
         return None;
     }
     let of_layout = Convention::of(layout);
-    let as_read = Fit::new(of_layout, of_layout, shots, anchors);
-    if as_read.agreement >= MISREAD {
+    let as_read = Fit::new(of_layout, of_layout, views, points);
+    if as_read.agreement >= MAX_WRONG_AGREEMENT {
         return None;
     }
     let others: Vec<Fit> = of_layout
         .others()
-        .map(|other| Fit::new(of_layout, other, shots, anchors))
+        .map(|other| Fit::new(of_layout, other, views, points))
         .collect();
     let best = |by: fn(&Fit) -> f64| others.iter().max_by(|a, b| by(a).total_cmp(&by(b)));
-    let by_color = best(|fit| fit.agreement)?;
-    if by_color.agreement > READ {
+    let by_agreement = best(|fit| fit.agreement)?;
+    if by_agreement.agreement > MIN_RIGHT_AGREEMENT {
         let found = format!(
             "poses by which a photo holds {:.0} % of the initial points (median), whose colours correlate with its own by \
              {:.2}; {:.0} % and {:.2}",
-            100.0 * as_read.typical,
+            100.0 * as_read.median_share,
             as_read.agreement,
-            100.0 * by_color.typical,
-            by_color.agreement
+            100.0 * by_agreement.median_share,
+            by_agreement.agreement
         );
-        return Some(misread(layout, file, &found, by_color.convention));
+        return Some(misread(layout, file, &found, by_agreement.convention));
     }
     // From here on colours say nothing, and points of depth images are in front of cameras in any convention.
-    if by_color.agreement >= MISREAD || anchors.iter().any(|anchor| anchor.source.is_some()) {
+    if by_agreement.agreement >= MAX_WRONG_AGREEMENT
+        || points.iter().any(|point| point.source.is_some())
+    {
         return None;
     }
-    let by_place = best(|fit| {
-        if fit.seen > SEEN {
-            1.0 + fit.typical
+    let by_seen = best(|fit| {
+        if fit.seen_share > MIN_RIGHT_SEEN {
+            1.0 + fit.median_share
         } else {
-            fit.seen
+            fit.seen_share
         }
     })?;
-    let is_better = by_place.seen > SEEN && by_place.typical > 2.0 * as_read.typical;
-    if as_read.seen < UNSEEN && is_better {
-        let (seen, other) = (100.0 * as_read.seen, 100.0 * by_place.seen);
+    let is_better =
+        by_seen.seen_share > MIN_RIGHT_SEEN && by_seen.median_share > 2.0 * as_read.median_share;
+    if as_read.seen_share < MAX_WRONG_SEEN && is_better {
+        let seen = 100.0 * as_read.seen_share;
+        let other = 100.0 * by_seen.seen_share;
         let found = format!(
             "poses by which the photos hold {seen:.0} % of the initial points; {other:.0} %"
         );
-        return Some(misread(layout, file, &found, by_place.convention));
+        return Some(misread(layout, file, &found, by_seen.convention));
     }
-    (as_read.seen < ELSEWHERE && by_place.seen <= SEEN).then(|| {
+    (as_read.seen_share < MAX_UNRELATED_SEEN && by_seen.seen_share <= MIN_RIGHT_SEEN).then(|| {
         Verdict::Unrelated(format!(
             "{}: the photos hold {:.1} % of the initial points, in every convention of poses: points and poses may be in \
              different coordinates",
             file.display(),
-            100.0 * as_read.seen
+            100.0 * as_read.seen_share
         ))
     })
 }
@@ -260,105 +281,105 @@ impl Fit {
     fn new(
         as_read: Convention,
         convention: Convention,
-        shots: &[Shot],
-        anchors: &[Anchor],
+        views: &[CheckedView],
+        points: &[CheckedPoint],
     ) -> Self {
-        let cameras: Vec<Camera> = shots
+        let cameras: Vec<Camera> = views
             .iter()
-            .map(|shot| convention.reread(as_read, &shot.camera))
+            .map(|view| convention.reread(as_read, &view.camera))
             .collect();
-        let world = |anchor: &Anchor| match anchor.source {
-            Some(i) => cameras[i].rotation.transpose() * anchor.position + cameras[i].center,
-            None => anchor.position,
+        let world = |point: &CheckedPoint| match point.source {
+            Some(i) => cameras[i].rotation.transpose() * point.position + cameras[i].center,
+            None => point.position,
         };
-        let positions: Vec<DVec3> = anchors.iter().map(world).collect();
-        let look = |(i, shot): (usize, &Shot)| {
-            ShotFit::new(i, &cameras[i], shot.photo.as_deref(), anchors, &positions)
+        let positions: Vec<DVec3> = points.iter().map(world).collect();
+        let look = |(i, view): (usize, &CheckedView)| {
+            ViewFit::new(i, &cameras[i], view.photo.as_deref(), points, &positions)
         };
-        let fits: Vec<ShotFit> = shots.par_iter().enumerate().map(look).collect();
+        let fits: Vec<ViewFit> = views.par_iter().enumerate().map(look).collect();
         let mut shares: Vec<f64> = fits.iter().map(|fit| fit.share).collect();
         shares.sort_by(f64::total_cmp);
-        let seen = (0..anchors.len())
-            .filter(|&i| fits.iter().any(|fit| fit.held[i]))
+        let seen = (0..points.len())
+            .filter(|&i| fits.iter().any(|fit| fit.inside[i]))
             .count();
         let moments: Vec<DVec3> = fits.iter().filter_map(|fit| fit.moments).collect();
         let sum: DVec3 = moments.iter().sum();
-        let photos = shots.iter().filter(|shot| shot.photo.is_some()).count();
+        let photos = views.iter().filter(|view| view.photo.is_some()).count();
         let correlation = sum.x / (sum.y * sum.z).sqrt().max(1e-9);
         Self {
             convention,
-            typical: shares.get(shares.len() / 2).copied().unwrap_or(0.0),
-            seen: seen as f64 / anchors.len().max(1) as f64,
+            median_share: shares.get(shares.len() / 2).copied().unwrap_or(0.0),
+            seen_share: seen as f64 / points.len().max(1) as f64,
             agreement: correlation * moments.len() as f64 / photos.max(1) as f64,
         }
     }
 }
 
-/// Which points a shot shows.
-struct ShotFit {
-    /// Whether each lies in the image.
-    held: Vec<bool>,
-    /// Share of those that do, points of its own depth image left out.
+/// How well the points fit one view.
+struct ViewFit {
+    /// For each point, whether it lies in the image.
+    inside: Vec<bool>,
+    /// Share of the points that lie in the image, without those of its own depth image.
     share: f64,
     /// Sums of products of the deviations of colours: of points and pixels, of points, of pixels. None without a photo, or
     /// with too few points in it.
     moments: Option<DVec3>,
 }
 
-impl ShotFit {
+impl ViewFit {
     fn new(
         i: usize,
         camera: &Camera,
         photo: Option<&RgbImage>,
-        anchors: &[Anchor],
+        points: &[CheckedPoint],
         positions: &[DVec3],
     ) -> Self {
         let (w, h) = (camera.width as f64, camera.height as f64);
-        let mut held = vec![false; anchors.len()];
+        let mut inside = vec![false; points.len()];
         let mut nearest: BTreeMap<[usize; 2], (f64, usize, [f64; 2])> = BTreeMap::new();
         let mut own = 0;
-        for (k, (anchor, position)) in anchors.iter().zip(positions).enumerate() {
-            if anchor.source == Some(i) {
+        for (k, (point, position)) in points.iter().zip(positions).enumerate() {
+            if point.source == Some(i) {
                 own += 1;
                 continue;
             }
-            let place = camera.project(*position);
+            let projected = camera.project(*position);
             let Some((u, v, z)) =
-                place.filter(|(u, v, _)| *u >= 0.0 && *v >= 0.0 && *u < w && *v < h)
+                projected.filter(|(u, v, _)| *u >= 0.0 && *v >= 0.0 && *u < w && *v < h)
             else {
                 continue;
             };
-            held[k] = true;
-            let cell = [v / h, u / w].map(|share| (share * CELLS as f64) as usize);
+            inside[k] = true;
+            let cell = [v / h, u / w].map(|share| (share * GRID_CELLS as f64) as usize);
             let nearest = nearest.entry(cell).or_insert((z, k, [u, v]));
             if z < nearest.0 {
                 *nearest = (z, k, [u, v]);
             }
         }
-        let count = held.iter().filter(|held| **held).count();
-        let share = count as f64 / (anchors.len() - own).max(1) as f64;
-        let photo = photo.filter(|_| nearest.len() >= COMPARED);
+        let count = inside.iter().filter(|inside| **inside).count();
+        let share = count as f64 / (points.len() - own).max(1) as f64;
+        let photo = photo.filter(|_| nearest.len() >= MIN_COMPARED);
         let moments = photo.map(|photo| {
             let pairs = nearest.values().map(|(_, k, [u, v])| {
                 let x = (*u as u32).min(photo.width() - 1);
                 let y = (*v as u32).min(photo.height() - 1);
                 let pixel = photo.get_pixel(x, y).0.map(|c| f64::from(c) / 255.0);
                 (
-                    DVec3::from(anchors[*k].color.map(f64::from)),
+                    DVec3::from(points[*k].color.map(f64::from)),
                     DVec3::from(pixel),
                 )
             });
             moments(&pairs.collect::<Vec<_>>())
         });
         Self {
-            held,
+            inside,
             share,
             moments,
         }
     }
 }
 
-/// Sums over the colours of points and pixels, as in [`ShotFit::moments`].
+/// Sums over the colours of points and pixels, as in [`ViewFit::moments`].
 fn moments(pairs: &[(DVec3, DVec3)]) -> DVec3 {
     let count = pairs.len() as f64;
     let point = pairs.iter().map(|(point, _)| point).sum::<DVec3>() / count;

@@ -164,7 +164,7 @@ impl Geometry {
         self.preprocessing.size == Some(size)
     }
 
-    /// A label map of any size as the view's camera sees it; `declared` is what a file beside it says of its camera.
+    /// A label map of any size, as the view's camera sees it. `declared` is the geometry that a file beside it states.
     pub fn labels(&self, map: LabelMap, declared: Option<MapGeometry>) -> LabelMap {
         match declared {
             Some(MapGeometry::Undistorted) => self.resized(map),

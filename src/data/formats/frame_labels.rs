@@ -55,7 +55,7 @@ impl<'a> FrameLabels<'a> {
             map.translate(path, ids)?;
         }
         let classes = &self.listing.classes;
-        map.settle_ids(path, classes, self.known, "")?;
+        map.check_ids(path, classes, self.known, "")?;
         Ok(Some(self.in_view(path, map, classes.ignore)))
     }
 
@@ -101,7 +101,7 @@ impl<'a> FrameLabels<'a> {
         LabelMap::decode(path, &file)
     }
 
-    /// The map that was read from `path` as the view's camera sees it; masked pixels have the id `unlabelled`.
+    /// The map that was read from `path`, as the view's camera sees it. Masked pixels have the id `unlabelled`.
     fn in_view(&self, path: &Path, map: LabelMap, unlabelled: u16) -> LabelMap {
         let mut map = self.geometry.labels(map, self.listing.geometries.of(path));
         if let Some(mask) = &self.mask {
@@ -110,8 +110,8 @@ impl<'a> FrameLabels<'a> {
         map
     }
 
-    /// Refuses a file of the labels at `path` whose size is neither that of the stored nor of the reduced photo; where maps
-    /// are resampled it only needs the same proportions.
+    /// Refuses a label file at `path` unless it has the size of the stored or of the reduced photo. Where maps are resampled, the
+    /// same proportions are enough.
     fn check_size(&self, path: &Path, file: &ImageFile) -> Result<()> {
         let declared = self.listing.geometries.of(path).is_some();
         if !declared && self.geometry.is_reduced_size(file.size) {

@@ -10,7 +10,7 @@ use crate::files::names;
 use std::path::Path;
 
 /// Largest number of inner folders that are searched for a layout.
-const MOST_FOLDERS: usize = 256;
+const MAX_FOLDERS: usize = 256;
 
 impl Layout {
     /// The name that settings have for it.
@@ -25,8 +25,7 @@ impl Layout {
     }
 }
 
-/// The layout of the scene folder `dir`: the one that the options name, or the one whose files are there. Cheap: a run asks
-/// before it begins.
+/// The layout of the scene folder `dir`: the options name it, or its files show it. Cheap: a run asks before it begins.
 ///
 /// # Errors
 /// [`Error::Missing`] when there is no such folder; [`Error::Input`] when it is a file, or has the files of no layout or of
@@ -111,7 +110,7 @@ fn nothing(dir: &Path, options: &LoadOptions) -> Error {
     let others = transforms::alternatives(dir);
     let inner = names(dir, |_, path| path.is_dir())
         .into_iter()
-        .take(MOST_FOLDERS)
+        .take(MAX_FOLDERS)
         .find_map(|name| {
             let (layout, _) = markers(&dir.join(&name), &LoadOptions::default())
                 .into_iter()

@@ -79,8 +79,8 @@ impl Problems {
         self.0.push(error);
     }
 
-    /// The value; an error is recorded.
-    pub fn keep<T>(&mut self, result: Result<T>) -> Option<T> {
+    /// The value, if there is one. An error is recorded.
+    pub fn ok<T>(&mut self, result: Result<T>) -> Option<T> {
         result.map_err(|error| self.push(error)).ok()
     }
 
@@ -100,8 +100,8 @@ impl Problems {
 }
 
 impl Listing {
-    /// A listing without a cloud. Its class table is that of the folder, or where labels need one and the folder has none,
-    /// the one of the `dataset`. Raw labels are added by [`Listing::with_raw_labels`].
+    /// A listing without a cloud. Its class table is the folder's. Where labels need one and the folder has none, it is the table
+    /// of the `dataset`. Raw labels are added by [`Listing::with_raw_labels`].
     pub fn new(
         folder: Folder<'_>,
         file: PathBuf,
@@ -128,7 +128,7 @@ impl Listing {
             layout,
             file,
             frames,
-            classes: problems.keep(classes).unwrap_or_default(),
+            classes: problems.ok(classes).unwrap_or_default(),
             occurring_classes,
             truth_ids: None,
             raw: RawLabels::grey(),
@@ -147,8 +147,8 @@ impl Listing {
         options: &LoadOptions,
         problems: &mut Problems,
     ) -> Self {
-        let settled = RawLabels::settle(dir, options, &raw_files(&self.frames), &self.classes);
-        match problems.keep(settled) {
+        let detected = RawLabels::detect(dir, options, &raw_files(&self.frames), &self.classes);
+        match problems.ok(detected) {
             Some((raw, vocabulary)) => {
                 // One file may hold the shapes of all photos.
                 let is_empty =

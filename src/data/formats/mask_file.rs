@@ -11,7 +11,7 @@ use crate::error::{Error, Result, bail, ensure, invalid};
 use std::path::{Path, PathBuf};
 
 /// The folder of masks of a COLMAP project.
-const USUAL: &str = "masks";
+const COLMAP_MASKS: &str = "masks";
 
 /// Where the masks of a scene folder lie.
 pub(crate) enum Masks {
@@ -23,8 +23,7 @@ pub(crate) enum Masks {
     In(PathBuf),
 }
 
-/// The folder of masks: the one that the user names, or the usual one of the layout, where it is there and holds neither
-/// photos nor raw labels.
+/// The folder of masks, where it exists: the user's, or the usual folder of the layout if it holds neither photos nor raw labels.
 pub(crate) fn folder_name<'a>(folder: Folder<'a>) -> Option<&'a str> {
     let Folder {
         dir,
@@ -37,8 +36,12 @@ pub(crate) fn folder_name<'a>(folder: Folder<'a>) -> Option<&'a str> {
     let name = match options.masks.as_deref() {
         Some(NO_MASKS) => None,
         Some(name) => Some(name),
-        None if layout != Layout::Colmap || taken.any(|name| is_folder(dir, name, USUAL)) => None,
-        None => Some(USUAL),
+        None if layout != Layout::Colmap
+            || taken.any(|name| is_folder(dir, name, COLMAP_MASKS)) =>
+        {
+            None
+        }
+        None => Some(COLMAP_MASKS),
     };
     name.filter(|name| dir.join(name).is_dir())
 }
@@ -50,7 +53,8 @@ fn is_folder(dir: &Path, a: &str, b: &str) -> bool {
 }
 
 impl Masks {
-    /// As the user says, or else the layout. A named folder that is not there is a fault; photos are then used whole.
+    /// The masks that the user names, or else those of the layout. A named folder that does not exist is a fault; photos are then
+    /// used whole.
     pub fn new(folder: Folder<'_>, problems: &mut Problems) -> Self {
         let dir = folder.dir;
         match (folder_name(folder), folder.options.masks.as_deref()) {

@@ -21,8 +21,8 @@ impl Points {
 
     /// Reads element `vertex` of a PLY file: `x y z` (any scalar type) and `red green blue`.
     ///
-    /// Colours: integer columns are divided by the largest value of their type; float columns are taken as 0..1, or as
-    /// 0..255 when one of them exceeds 1; without colour columns the points are mid-grey. `origin` is subtracted in f64.
+    /// Integer colours are divided by the largest value of their type. Float colours are 0..1, or 0..255 when one of them exceeds
+    /// 1. Without colour columns the points are mid-grey. `origin` is subtracted in f64.
     ///
     /// # Errors
     /// The file cannot be read, is cut off, lacks a column, or holds a non-finite value (its row and column are named).

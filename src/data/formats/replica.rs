@@ -2,8 +2,8 @@
 //! NICE-SLAM (`results/frame%06d.jpg`, `traj.txt`, `cam_params.json` beside or above the scene; no labels) and
 //! Semantic-NeRF (`rgb/rgb_N.png`, `semantic_class/semantic_class_N.png`, `traj_w_c.txt`).
 //!
-//! In both, row N of the trajectory is the camera-to-world pose of photo N in OpenCV axes, and pixel centres are at
-//! whole numbers: half a pixel is added to the principal point.
+//! In both, row N of the trajectory is the camera-to-world pose of photo N in OpenCV axes. Pixel centres are at whole numbers
+//! there, so half a pixel is added to the principal point.
 
 use super::camera_checks::FOCAL;
 use super::frame::Frame;
@@ -114,7 +114,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         let field = format!("line {}", line + 1);
         let camera = sequence::pose(row, &path, &field)
             .and_then(|pose| sequence::camera(&pose, &intrinsics, &path, &field));
-        let Some(camera) = problems.keep(camera) else {
+        let Some(camera) = problems.ok(camera) else {
             continue;
         };
         let frame = sequence::frame(image, split, camera, &folders, instances.get(number));
@@ -159,7 +159,7 @@ struct CameraParams {
     scale: f64,
 }
 
-/// As NICE-SLAM publishes it.
+/// The depth scale that NICE-SLAM publishes.
 fn scale() -> f64 {
     6553.5
 }

@@ -58,7 +58,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let mut lost = 0;
     let mut posed: Vec<(usize, &PathBuf, Pose)> = Vec::with_capacity(photos.len());
     for ((number, image), pose) in photos.iter().zip(poses) {
-        match problems.keep(pose) {
+        match problems.ok(pose) {
             Some(pose) if pose.iter().all(|v| v.is_finite()) => posed.push((*number, image, pose)),
             Some(_) => lost += 1,
             None => {}
@@ -86,7 +86,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     for (i, split) in kept {
         let (number, image, pose) = &posed[i];
         let camera = sequence::camera(pose, &intrinsics, &pose_file(image), "matrix");
-        if let Some(camera) = problems.keep(camera) {
+        if let Some(camera) = problems.ok(camera) {
             let frame = sequence::frame(image, split, camera, &folders, instances.get(number));
             frames.push(Frame {
                 truth: truth.get(number).cloned(),
@@ -97,7 +97,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let own_classes = dir.join("classes.json").is_file();
     let needs_table = !own_classes && frames.iter().any(|frame| frame.truth.is_some());
     let table = needs_table
-        .then(|| problems.keep(label_table(dir, options)))
+        .then(|| problems.ok(label_table(dir, options)))
         .flatten();
     let cloud = sequence::cloud(dir, &frames, MILLIMETRES, |name| {
         format!("depth/{name}.png")
@@ -160,8 +160,8 @@ fn classes(set: ScannetClasses) -> Classes {
     Classes::from_names(0, named.filter(|(id, _)| in_set(set, *id)))
 }
 
-/// Reads the table of labels that the options name, or that lies in `dir` or one of the three folders above it: the NYU40
-/// id of each label id, 0 for those outside of the set, [`UNMAPPED`] for those that the table lacks.
+/// Reads the table of labels that the options name, or that lies in `dir` or one of the three folders above it. Returns the NYU40
+/// id of each label id: 0 for labels outside of the set, [`UNMAPPED`] for labels that are not in the table.
 fn label_table(dir: &Path, options: &LoadOptions) -> Result<Vec<u32>> {
     let full = dir.canonicalize().unwrap_or_else(|_| dir.to_owned());
     let mut near = full.ancestors().take(4).map(|folder| folder.join(TABLE));

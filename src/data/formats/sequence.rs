@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 /// Value of a metre in depth images.
 pub(crate) const MILLIMETRES: f64 = 1000.0;
 
-/// The first of `folders` of label maps that is there, whose files are named `prefix` and a number; none without a folder.
+/// The first of `folders` of label maps that exists. Its files are named `prefix` and a number. `None` without such a folder.
 pub(crate) fn numbered_maps(dir: &Path, folders: &[&str], prefix: &str) -> Result<Numbered> {
     let mut folders = folders.iter().map(|name| dir.join(name));
     match folders.find(|folder| folder.is_dir()) {

@@ -40,7 +40,7 @@ impl Classes {
         self.index(id).map_or([0; 3], |i| self.entries[i].color)
     }
 
-    /// Colour of a label id, 8-bit sRGB: [`Classes::color`], or one of its own where no class is known.
+    /// Colour of a label id, 8-bit sRGB: [`Classes::color`], or [`class_color`] where no class is known.
     pub fn legend_color(&self, id: u16) -> [u8; 3] {
         if self.is_empty() {
             class_color(id)
@@ -49,7 +49,7 @@ impl Classes {
         }
     }
 
-    /// Name of a label id where the table has one: that of its class, or `void` for the ignored one.
+    /// Name of a label id: that of its class, or `void` for the ignored id. `None` for ids that are not in the table.
     pub fn known_name(&self, id: u16) -> Option<&str> {
         let known = self.index(id).is_some() || (id == self.ignore && !self.is_empty());
         known.then(|| self.name(id))

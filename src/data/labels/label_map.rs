@@ -20,9 +20,9 @@ impl LabelMap {
         Self::decode(path, &ImageFile::open(path, limits)?)
     }
 
-    /// Refuses ids other than those of `classes`, whose lookup `known` is, and the ignored one. [`USUALLY_IGNORED`] becomes
-    /// the ignored id where no class has it. `or` is added to the help.
-    pub(crate) fn settle_ids(
+    /// Refuses ids other than those of `classes` and the ignored id. `known` is the lookup table of `classes`. [`USUALLY_IGNORED`]
+    /// becomes the ignored id where no class has it. `or` is added to the help.
+    pub(crate) fn check_ids(
         &mut self,
         path: &Path,
         classes: &Classes,

@@ -2,8 +2,8 @@
 
 use crate::data::LabelMap;
 
-/// A label map as runs of equal ids, `[H, W]` row-major: neighbouring pixels mostly agree, and runs decode much faster than
-/// an image file. Never larger than the map.
+/// A label map as runs of equal ids, `[H, W]` row-major. Neighbouring pixels mostly agree, and runs decode much faster than an
+/// image file. Never larger than the map.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LabelRuns {
     width: usize,
@@ -13,9 +13,9 @@ pub struct LabelRuns {
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Ids {
-    /// Id and length of each run; longer ones are several.
+    /// Id and length of each run. Runs of more than 65,535 pixels are stored as several.
     Runs(Box<[(u16, u16)]>),
-    /// Of maps whose runs would be larger.
+    /// The ids themselves, where runs would take more memory.
     Plain(Box<[u16]>),
 }
 

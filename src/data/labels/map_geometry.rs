@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 
 /// Which camera the label maps of a folder belong to, as `geometry.json` in it says.
 ///
-/// Without that file maps belong to the stored photos, except maps of the very size that `data.max_side` reduces a
-/// photo to, which are taken for maps of the loaded scene.
+/// Without that file maps belong to the stored photos. Maps of exactly the size that `data.max_side` reduces a photo to are taken
+/// for maps of the loaded scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum MapGeometry {
@@ -58,7 +58,7 @@ impl MapGeometry {
 pub(crate) struct MapGeometries(HashMap<PathBuf, MapGeometry>);
 
 impl MapGeometries {
-    /// Of the folders that `maps` lie in. `fault` receives what is wrong with their files.
+    /// Reads the geometry of each folder that `maps` lie in. `fault` receives the errors in their files.
     pub fn read<'a>(maps: impl Iterator<Item = &'a PathBuf>, mut fault: impl FnMut(Error)) -> Self {
         let folders: BTreeSet<&Path> = maps.filter_map(|map| map.parent()).collect();
         let files = folders

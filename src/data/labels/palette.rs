@@ -13,8 +13,8 @@ pub fn class_color(id: u16) -> [u8; 3] {
     PALETTE[usize::from(id) % PALETTE.len()]
 }
 
-/// Farthest-point order of a grid of sRGB colours in OKLab: each colour is the one farthest from black (the colour of void), white
-/// (of paper) and all before it, ties by grid order.
+/// Farthest-point order of a grid of sRGB colours in OKLab. Each colour is farthest from black (void), white (paper) and all
+/// colours before it. Ties go to the first in grid order.
 fn palette() -> Vec<[u8; 3]> {
     let candidates: Vec<([u8; 3], [f64; 3])> = (0..LEVELS.pow(3))
         .map(|i| [i / (LEVELS * LEVELS), i / LEVELS % LEVELS, i % LEVELS])

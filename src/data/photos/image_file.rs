@@ -10,14 +10,14 @@ use std::path::{Path, PathBuf};
 
 /// How far the proportions of a label map may be from those of its photo when it is resampled: ScanNet's own sizes,
 /// 1296x968 and 640x480, differ by 0.4 %.
-const PROPORTION: f64 = 0.02;
+const MAX_PROPORTION_ERROR: f64 = 0.02;
 /// Help for a picture that lies across.
-pub(crate) const ACROSS: &str = "it is turned by a quarter: some programs turn photos by their EXIF orientation and others do not; \
+pub(crate) const TURNED_HELP: &str = "it is turned by a quarter: some programs turn photos by their EXIF orientation and others do not; \
     apply it to the photos or strip it (docs/from-photos.md, 1), before COLMAP and the segmenter see them";
 /// Help for a picture of another size.
-const SCALE: &str = "scale the image to that size (label maps without blending), or correct the size with focal length \
+const SIZE_HELP: &str = "scale the image to that size (label maps without blending), or correct the size with focal length \
     and centre";
-const AGAIN: &str = "copy or export it again";
+const DAMAGED_HELP: &str = "copy or export it again";
 
 /// An image file in memory, its header read and its end seen, not yet decoded.
 pub(crate) struct ImageFile {
@@ -49,10 +49,10 @@ impl ImageFile {
         };
         let name = name(format);
         ensure!(is_complete(&bytes), path, "image data"; found "{} bytes without the end of the image", bytes.len();
-            expected "a complete {name}"; help "{AGAIN}");
+            expected "a complete {name}"; help "{DAMAGED_HELP}");
         let size = ImageReader::with_format(Cursor::new(&bytes), format).into_dimensions();
         let (width, height) = size.map_err(
-            |e| invalid!(path, "header"; found "{e}"; expected "a valid {name}"; help "{AGAIN}"),
+            |e| invalid!(path, "header"; found "{e}"; expected "a valid {name}"; help "{DAMAGED_HELP}"),
         )?;
         let size = (width as usize, height as usize);
         limits.check_pixels(path, size.0, size.1)?;
@@ -86,7 +86,7 @@ impl ImageFile {
         });
         Err(
             invalid!(&self.path, "size"; found "{}x{} pixels{exif}", self.size.0, self.size.1;
-            expected "{}x{}, as {whose}", size.0, size.1; help "{}", if across { ACROSS } else { SCALE }),
+            expected "{}x{}, as {whose}", size.0, size.1; help "{}", if across { TURNED_HELP } else { SIZE_HELP }),
         )
     }
 
@@ -122,7 +122,7 @@ impl ImageFile {
         // The size was checked against our own limits.
         reader.no_limits();
         reader.decode().map_err(|e| {
-            invalid!(&self.path, "image data"; found "{e}"; expected "a valid {}", name(self.format); help "{AGAIN}")
+            invalid!(&self.path, "image data"; found "{e}"; expected "a valid {}", name(self.format); help "{DAMAGED_HELP}")
         })
     }
 
@@ -149,10 +149,10 @@ impl ImageFile {
     }
 }
 
-/// Whether two sizes have the same proportions, within [`PROPORTION`].
+/// Whether two sizes have the same proportions, within [`MAX_PROPORTION_ERROR`].
 pub(crate) fn proportional((w, h): (usize, usize), (width, height): (usize, usize)) -> bool {
     let ratio = (w as f64 / h as f64) / (width as f64 / height as f64);
-    (ratio - 1.0).abs() < PROPORTION
+    (ratio - 1.0).abs() < MAX_PROPORTION_ERROR
 }
 
 fn name(format: ImageFormat) -> &'static str {
@@ -180,8 +180,8 @@ fn png_is_complete(bytes: &[u8]) -> bool {
     false
 }
 
-/// Whether the segments and scans of a JPEG lead to its end marker. (Cut-off files end in grey rows when decoded, and
-/// an embedded thumbnail has an end marker of its own, so neither the decoder nor a search would notice.)
+/// Whether the segments and scans of a JPEG lead to its end marker. (A cut-off file decodes to grey rows at its end, which the
+/// decoder accepts. An embedded thumbnail has an end marker of its own, so a search for one is not enough.)
 fn jpeg_is_complete(bytes: &[u8]) -> bool {
     const END: u8 = 0xD9;
     const SCAN: u8 = 0xDA;

@@ -1,8 +1,8 @@
 //! Lens distortion (Brown-Conrady, as in OpenCV and COLMAP) and its removal from photos and label maps.
 //!
-//! The pinhole that a distorted photo becomes has its size and principal point, and the focal lengths times one factor:
-//! the smallest, hence the widest view, at which every pixel lies within the photo. So no pixel is made up, and none
-//! has to be masked; with barrel distortion the corners of the photo, with cushion distortion its rims are lost.
+//! A distorted photo becomes a pinhole of its size and principal point, with the focal lengths times one factor. The factor is the
+//! smallest at which every pixel lies within the photo, which gives the widest view. So no pixel is made up, and none has to be
+//! masked. Barrel distortion loses the corners of the photo, cushion distortion its rims.
 
 use crate::data::LabelMap;
 use crate::data::bilinear::{among, beside};
@@ -22,11 +22,11 @@ pub(crate) struct Lens {
 }
 
 /// Factors of the focal length among which [`Undistortion::new`] searches.
-const ZOOM: [f64; 2] = [0.25, 4.0];
+const FACTORS: [f64; 2] = [0.25, 4.0];
 /// Bisections of that range: 2^-40 of it is far below a pixel.
 const BISECTIONS: usize = 40;
 /// Points along each side of the image, and of a grid within it, at which a factor is tried.
-const SIDE: usize = 128;
+const POINTS_PER_SIDE: usize = 128;
 const GRID: usize = 17;
 
 impl Lens {
@@ -82,7 +82,7 @@ impl Undistortion {
                 ..photo.clone()
             },
         };
-        let [mut low, mut high] = ZOOM;
+        let [mut low, mut high] = FACTORS;
         if !zoomed(high).is_whole() {
             return None;
         }
@@ -142,8 +142,8 @@ impl Undistortion {
             let (x, y) = self.normalised(u, v);
             self.lens.determinant(x, y) > 1e-3
         };
-        let border = (0..SIDE).flat_map(|i| {
-            let (u, v) = (at(i, SIDE, w), at(i, SIDE, h));
+        let border = (0..POINTS_PER_SIDE).flat_map(|i| {
+            let (u, v) = (at(i, POINTS_PER_SIDE, w), at(i, POINTS_PER_SIDE, h));
             [(u, 0.5), (u, h - 0.5), (0.5, v), (w - 0.5, v)]
         });
         let grid = (0..GRID * GRID).map(|i| (at(i % GRID, GRID, w), at(i / GRID, GRID, h)));

@@ -12,9 +12,9 @@ use std::sync::Arc;
 
 /// The photo of a view, 8-bit sRGB.
 ///
-/// Photos of a scene folder stay in their files, which must not change while the scene is in use: [`Photo::pixels`]
-/// decodes them, and takes out the distortion of the lens, where the scene's [`PhotoCache`] does not hold them. The
-/// pixels are the same ones each time. Photos made in memory stay there.
+/// Photos of a scene folder stay in their files, which must not change while the scene is in use. [`Photo::pixels`] returns them
+/// from the scene's [`PhotoCache`], or decodes them and removes the distortion of the lens. The pixels are the same ones each time.
+/// Photos made in memory stay there.
 #[derive(Clone)]
 pub struct Photo {
     width: usize,
@@ -52,7 +52,8 @@ impl Photo {
         let (pixels, transparent) = preprocessing.decode(file)?;
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
         let kept = cache.admits(pixels.as_raw().len());
-        let (path, digest) = (file.path().to_owned(), file.digest());
+        let path = file.path().to_owned();
+        let digest = file.digest();
         let file = PhotoFile {
             path,
             digest,
@@ -107,8 +108,8 @@ impl Photo {
         }
     }
 
-    /// Adds to `hash` what the pixels follow from, without decoding any: the file as it was when the scene was loaded and what
-    /// becomes of its pixels, or the pixels where they lie in no file.
+    /// Adds to `hash` what determines the pixels, without decoding them: the file as it was when the scene was loaded, and how its
+    /// pixels are processed. Photos that lie in no file add their pixels.
     pub(crate) fn identify(&self, hash: &mut Sha256) {
         match &self.source {
             Source::Pixels(pixels) => {

@@ -45,7 +45,9 @@ pub fn responses(image: &image::RgbImage) -> FeatureMap {
                 linear[rgb[2] as usize],
             ]);
             let [r, g, bl] = [0, 1, 2].map(|i| f32::from(rgb[i]) / 255.0);
-            let (sum, high, low) = (r + g + bl + 0.05, r.max(g).max(bl), r.min(g).min(bl));
+            let sum = r + g + bl + 0.05;
+            let high = r.max(g).max(bl);
+            let low = r.min(g).min(bl);
             let (hue, chroma) = hue(r, g, bl);
             let (sin, cos) = (hue * std::f32::consts::TAU / HUES as f32).sin_cos();
             out[..MEANS].copy_from_slice(&[
@@ -62,7 +64,8 @@ pub fn responses(image: &image::RgbImage) -> FeatureMap {
                 *o = x * x;
             }
             let (hues, lights) = out[MEANS + SQUARES..].split_at_mut(HUES);
-            let (bin, share) = (hue as usize % HUES, hue.fract());
+            let bin = hue as usize % HUES;
+            let share = hue.fract();
             hues[bin] = chroma * (1.0 - share);
             hues[(bin + 1) % HUES] = chroma * share;
             let light = (l.clamp(0.0, 1.0) * (LIGHTS - 1) as f32).min((LIGHTS - 1) as f32 - 1e-4);

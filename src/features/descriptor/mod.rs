@@ -1,9 +1,9 @@
 //! The built-in multi-scale image descriptor: hand-made statistics, no weights, no learning, no position.
 //!
-//! Every pixel gets responses (`colour`: moments and soft histograms in several colour spaces; `texture`: gradient
-//! orientations, blobs and local binary patterns on a pyramid of four octaves). Scale n of the output is the Gaussian mean
-//! of these responses over a window that grows from local to global; second moments become standard deviations,
-//! histograms and energies are compressed, and the colour contrast against a wider surround is appended.
+//! Every pixel gets responses (`colour`: moments and soft histograms in several colour spaces; `texture`: gradient orientations,
+//! blobs and local binary patterns on a pyramid of four octaves). Scale n of the output is the Gaussian mean of these responses
+//! over a window that grows from local to global. Second moments become standard deviations. Histograms and energies are
+//! compressed. The colour contrast against a wider surround is appended.
 //!
 //! | scale | grid step (pixels) | window sigma (pixels) | surround sigma (pixels) |
 //! |---|---|---|---|

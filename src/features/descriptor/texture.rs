@@ -64,7 +64,8 @@ fn of_level(luma: &FeatureMap) -> FeatureMap {
                 if magnitude > 0.0 {
                     let turn = gy.atan2(gx) / std::f32::consts::PI; // -1..1; unsigned: period 1
                     let at = turn.rem_euclid(1.0) * ORIENTATIONS as f32;
-                    let (bin, share) = (at as usize % ORIENTATIONS, at.fract());
+                    let bin = at as usize % ORIENTATIONS;
+                    let share = at.fract();
                     out[bin] += magnitude * (1.0 - share);
                     out[(bin + 1) % ORIENTATIONS] += magnitude * share;
                 }

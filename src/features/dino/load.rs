@@ -60,7 +60,6 @@ impl Vit {
             },
             blocks: blocks.collect::<Result<_>>()?,
             norm: weights.norm("norm", width)?,
-            final_norm: true,
             queries: QUERIES,
         })
     }

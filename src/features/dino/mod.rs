@@ -1,11 +1,10 @@
 //! DINO's vision transformer (Caron et al. 2021; Dosovitskiy et al. 2020), for inference.
 //!
-//! The network cuts an image into patches, each a token of `width` numbers. A class token sees the whole image. After every
-//! quarter of the blocks (3, 6, 9 and 12 of the published 12) the patch tokens, each with that block's class token appended,
-//! are one scale of features. The paper takes "outputs of 4 transformer blocks", "concatenated with the expanded global feature
+//! The network cuts an image into patches, each a token of `width` numbers. A class token sees the whole image. Each quarter of the
+//! blocks (up to block 3, 6, 9 and 12 of the published 12) gives one scale of features: the patch tokens after it, each with that
+//! block's class token appended. The paper takes "outputs of 4 transformer blocks", "concatenated with the expanded global feature
 //! tensor". It says neither which blocks, nor which tensor, nor whether the final layer normalisation is applied. We apply it to
-//! each of the four ([`Vit::with_final_norm`]): raw block outputs grow with depth, and some channels would drown the rest in the
-//! PCA.
+//! each of the four: raw block outputs grow with depth, and some channels would drown the rest in the PCA.
 //!
 //! All four scales have one resolution, a cell a patch. Cells keep the stride of a patch whatever the image's size: the image's
 //! border pixels fill up the last column and row. The official code drops what does not fill a patch. Both agree where sizes
@@ -44,7 +43,6 @@ pub struct Vit {
     positions: PositionEmbedding,
     blocks: Vec<Block>,
     norm: LayerNorm,
-    final_norm: bool,
     queries: usize,
 }
 
@@ -115,12 +113,6 @@ impl Vit {
         std::array::from_fn(|n| (self.depth() * (n + 1)).div_ceil(SCALES))
     }
 
-    /// Whether feature maps take the final layer normalisation of each tapped block's output. They do by default.
-    pub fn with_final_norm(mut self, apply: bool) -> Self {
-        self.final_norm = apply;
-        self
-    }
-
     /// Computes attention for `queries` tokens at a time, at least 1. That changes the memory, and the result by rounding only.
     pub fn with_query_chunk(mut self, queries: usize) -> Self {
         self.queries = queries.max(1);
@@ -148,7 +140,8 @@ impl Vit {
     /// Patches times the embedding, plus position embeddings.
     fn embed(&self, images: Tensor<4>) -> Tensor<3> {
         let [batch, _, height, width] = images.dims();
-        let (p, d) = (self.patch, self.width());
+        let p = self.patch;
+        let d = self.width();
         let (rows, columns) = (height.div_ceil(p), width.div_ceil(p));
         let padding = (0, columns * p - width, 0, rows * p - height);
         let pixels = images
@@ -172,10 +165,7 @@ impl Vit {
         let rows = (image.height() as usize).div_ceil(self.patch);
         let mut maps: [FeatureMap; SCALES] = Default::default();
         for (map, tap) in maps.iter_mut().zip(self.taps()) {
-            let mut tokens = tokens[tap].clone();
-            if self.final_norm {
-                tokens = self.normalized(tokens);
-            }
+            let tokens = self.normalized(tokens[tap].clone());
             *map = self.map(tokens, rows, &format!("DINO block {tap}"))?;
         }
         Ok(maps)

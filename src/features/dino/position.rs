@@ -24,7 +24,8 @@ impl PositionEmbedding {
     /// The embeddings of the class token and `rows` x `columns` patches, `[1 + rows * columns, width]`: interpolated with
     /// bicubic kernels unless the patches are those of the grid.
     pub fn over(&self, rows: usize, columns: usize) -> Tensor<2> {
-        let (side, values) = (self.side, self.values.val());
+        let side = self.side;
+        let values = self.values.val();
         if (rows, columns) == (side, side) {
             return values;
         }

@@ -80,7 +80,8 @@ impl Convolution {
             let out = product + self.bias.val().reshape([1, outputs, 1]);
             return out.reshape([batch, outputs, height, width]);
         }
-        let (stride, padding) = (self.stride, kernel / 2);
+        let stride = self.stride;
+        let padding = kernel / 2;
         let options = ConvOptions::new([stride; 2], [padding; 2], [1; 2], inputs / group);
         conv2d(x, weight, Some(self.bias.val()), options)
     }

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 
 /// A view does not count for a group when it shows less than this share of what the best view shows: a sliver may be the rim
 /// of Gaussians that stand in front.
-const SLIVER: f64 = 0.1;
+const MIN_VISIBLE: f64 = 0.1;
 
 /// The segments of a view, in order. A segment that covers several groups of its category is divided among them: each Gaussian
 /// goes to the group with the most weight on it. `extents` are those of [`super::ownership::extents`].
@@ -26,7 +26,7 @@ pub(super) fn divided<'a>(
         };
         let category = Category::from(&view.segments[segment]);
         if groups.category(visible.set) == category
-            && visible.total > SLIVER * extents[visible.set as usize]
+            && visible.total > MIN_VISIBLE * extents[visible.set as usize]
         {
             let covered = covered.entry(segment).or_default();
             covered.push((visible.set, pixels));

@@ -6,14 +6,14 @@ use crate::metrics::assignment;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-/// Pixels of evidence that count as much as none: a Gaussian seen in one pixel is half known.
-const DOUBT: f64 = 1.0;
-/// What a pixel of a segment counts in the union where no view has shown its Gaussians yet.
-const UNKNOWN: f64 = 0.1;
+/// Pixels without a group that each Gaussian has beforehand: a Gaussian seen in one pixel is half known.
+const PRIOR_WEIGHT: f64 = 1.0;
+/// Weight in the union of a pixel whose Gaussians no view has shown yet.
+const UNSEEN_WEIGHT: f64 = 0.1;
 /// Weights below this are rounding left over after a segment is removed.
-const RESIDUE: f32 = 1e-3;
+const MIN_WEIGHT: f32 = 1e-3;
 /// An unmatched segment is part of the group that claims more than this share of it.
-const CONTAINED: f64 = 0.5;
+const MIN_CONTAINED: f64 = 0.5;
 /// Matching sums IoU in whole steps of one over this.
 const IOU_STEPS: f64 = (1_u64 << 48) as f64;
 
@@ -64,10 +64,10 @@ impl Assigned<'_> {
 /// What happens to a segment that is matched with no group.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Unmatched {
-    /// It opens a group.
-    Opens,
-    /// It joins the group that contains it, and opens a group if there is none.
-    JoinsOrOpens,
+    /// It creates a group.
+    Creates,
+    /// It joins the group that contains it, and creates one if there is none.
+    JoinsOrCreates,
     /// It joins the group that contains it, and has no group if there is none.
     Joins,
 }
@@ -95,7 +95,7 @@ impl Overlaps {
     fn iou(&self, segment: usize, total: f64, group: u32, claimed: f64) -> f64 {
         let known = self.known[segment];
         let visible = self.visible.get(&group).copied().unwrap_or(0.0);
-        let union = known + visible - claimed + UNKNOWN * (total - known).max(0.0);
+        let union = known + visible - claimed + UNSEEN_WEIGHT * (total - known).max(0.0);
         if union > 0.0 { claimed / union } else { 0.0 }
     }
 }
@@ -109,7 +109,7 @@ impl Groups {
         }
     }
 
-    /// Number of groups ever opened.
+    /// Number of groups ever created.
     pub fn len(&self) -> usize {
         self.categories.len()
     }
@@ -118,8 +118,8 @@ impl Groups {
         self.categories[group as usize]
     }
 
-    /// Opens an empty group.
-    pub fn open(&mut self, category: Category) -> u32 {
+    /// Creates an empty group.
+    pub fn create(&mut self, category: Category) -> u32 {
         self.categories.push(category);
         self.len() as u32 - 1
     }
@@ -161,7 +161,7 @@ impl Groups {
                 let owners = &mut self.owners[gaussian as usize];
                 if let Some(i) = owners.iter().position(|(g, _)| *g == group) {
                     owners[i].1 -= weight;
-                    if owners[i].1 < RESIDUE {
+                    if owners[i].1 < MIN_WEIGHT {
                         owners.remove(i);
                     }
                 }
@@ -182,7 +182,7 @@ impl Groups {
             let mut known = 0.0;
             for &(gaussian, weight) in &piece.weights {
                 let all = self.total(gaussian);
-                let share = f64::from(weight) / (all + DOUBT);
+                let share = f64::from(weight) / (all + PRIOR_WEIGHT);
                 known += share * all;
                 for &(group, weight) in &self.owners[gaussian as usize] {
                     sums.add(group, share * f64::from(weight));
@@ -198,16 +198,16 @@ impl Groups {
         overlaps
     }
 
-    /// Assigns a group to each segment of a view: one to one at the largest sum of IoU, without pairs below `least`.
+    /// Assigns a group to each segment of a view: one to one at the largest sum of IoU, without pairs below `min_iou`.
     /// `unmatched` says what happens to the others. All segments of a class of stuff belong to one group.
     pub fn assign<'a>(
         &mut self,
         pieces: Vec<Cow<'a, SegmentWeights>>,
-        least: f64,
+        min_iou: f64,
         unmatched: Unmatched,
     ) -> Assigned<'a> {
         let overlaps = self.overlaps(&pieces);
-        let mut groups = self.matched(&pieces, &overlaps, least);
+        let mut groups = self.matched(&pieces, &overlaps, min_iou);
         for (n, piece) in pieces.iter().enumerate() {
             if piece.weights.is_empty() {
                 continue;
@@ -216,11 +216,11 @@ impl Groups {
             if !category.thing {
                 let group = self.categories.iter().position(|c| *c == category);
                 groups[n] = group.map(|group| group as u32);
-            } else if groups[n].is_none() && unmatched != Unmatched::Opens {
+            } else if groups[n].is_none() && unmatched != Unmatched::Creates {
                 groups[n] = self.container(piece, &overlaps.claimed[n]);
             }
             if groups[n].is_none() && unmatched != Unmatched::Joins {
-                groups[n] = Some(self.open(category));
+                groups[n] = Some(self.create(category));
             }
         }
         Assigned { pieces, groups }
@@ -231,7 +231,7 @@ impl Groups {
         &self,
         pieces: &[Cow<'_, SegmentWeights>],
         overlaps: &Overlaps,
-        least: f64,
+        min_iou: f64,
     ) -> Vec<Option<u32>> {
         let things: Vec<usize> = (0..pieces.len())
             .filter(|&n| pieces[n].segment.thing)
@@ -245,7 +245,7 @@ impl Groups {
             let category = Category::from(&*pieces[n]);
             for &(group, claimed) in &overlaps.claimed[n] {
                 let iou = overlaps.iou(n, pieces[n].total, group, claimed);
-                if iou >= least && self.category(group) == category {
+                if iou >= min_iou && self.category(group) == category {
                     row[columns.partition_point(|column| *column < group)] =
                         (iou * IOU_STEPS) as i64;
                 }
@@ -264,7 +264,7 @@ impl Groups {
             .iter()
             .filter(|(group, _)| self.category(*group) == Category::from(piece));
         let most = fits.reduce(|best, other| if other.1 > best.1 { other } else { best });
-        most.filter(|(_, pixels)| *pixels > CONTAINED * piece.total)
+        most.filter(|(_, pixels)| *pixels > MIN_CONTAINED * piece.total)
             .map(|(group, _)| *group)
     }
 }

@@ -5,13 +5,13 @@ use super::ownership::{Evidence, Visible, evidence};
 use crate::error::{Error, Result, invalid};
 use std::collections::BTreeMap;
 
-/// Two groups can be one when the one has more than this share of the other's weight on the same Gaussians: neighbours share
-/// the Gaussians of their border.
-const SHARED: f64 = 0.02;
-/// Views that count as evidence for two objects before any view is asked: one view alone does not make one of two.
-pub(super) const DOUBT: f64 = 1.0;
+/// Two groups can be one object when they share more than this part of the lighter one's weight. Neighbours share the Gaussians of
+/// their border.
+const MIN_SHARED: f64 = 0.02;
+/// Views that count against a merge or a split beforehand, so that no view decides alone.
+pub(super) const PRIOR_VIEWS: f64 = 1.0;
 /// A group with a lower purity is a stray: others have most of its Gaussians.
-const PURITY: f64 = 0.15;
+const MIN_PURITY: f64 = 0.15;
 
 /// The size of a group.
 #[derive(Clone, Copy, Debug, Default)]
@@ -43,14 +43,14 @@ pub(super) fn totals(groups: &Groups) -> Vec<Total> {
 /// Pairs (smaller, larger) of groups to merge. Each group is in one pair at most. `visible` has what each view shows, `extents`
 /// the most that a view shows of each group.
 ///
-/// Two groups are merged where they share Gaussians and more than the share `above` of the views say that they are one
-/// ([`evidence`]). So a segmenter that sees a part in few views does not keep it apart, and one that joins two objects in few
-/// views, however large they are there, does not merge them.
+/// Two groups are merged where they share Gaussians and more than the share `min_agreement` of the views say that they are one
+/// ([`evidence`]). So a part that the segmenter separates in few views does not stay apart, and two objects that it joins in few
+/// views are not merged, however large they are there.
 pub(super) fn pairs(
     groups: &Groups,
     visible: &[Vec<Visible>],
     extents: &[f64],
-    above: f64,
+    min_agreement: f64,
 ) -> Vec<(u32, u32)> {
     let totals = totals(groups);
     let mut candidates = Vec::new();
@@ -58,12 +58,12 @@ pub(super) fn pairs(
         let [weight_a, weight_b] = [a, b].map(|group| totals[group as usize].weight);
         let category = groups.category(a);
         let can_merge = category.thing && category == groups.category(b);
-        if !can_merge || pixels <= SHARED * weight_a.min(weight_b) {
+        if !can_merge || pixels <= MIN_SHARED * weight_a.min(weight_b) {
             continue;
         }
         let Evidence { one, two } = evidence(visible, extents, [a, b]);
-        let all = one + two + DOUBT;
-        if one > above * all {
+        let all = one + two + PRIOR_VIEWS;
+        if one > min_agreement * all {
             let [small, large] = if weight_a >= weight_b { [b, a] } else { [a, b] };
             candidates.push((one / all, small, large));
         }
@@ -102,7 +102,7 @@ fn shared_weights(groups: &Groups) -> BTreeMap<(u32, u32), f64> {
 pub(super) fn negligible(groups: &Groups, least: f64) -> Result<Vec<bool>> {
     let totals = totals(groups);
     let all: f64 = totals.iter().map(|total| total.weight).sum();
-    let small = |total: &Total| total.weight <= least * all || total.purity < PURITY;
+    let small = |total: &Total| total.weight <= least * all || total.purity < MIN_PURITY;
     let negligible: Vec<bool> = totals.iter().map(small).collect();
     if negligible.iter().all(|negligible| *negligible) {
         return Err(nothing_left(&totals, least));
@@ -120,7 +120,7 @@ fn nothing_left(totals: &[Total], least: f64) -> Error {
             expected "Gaussians where the segments are";
             help "check that Gaussians and cameras are of one scene; {NONE}");
     }
-    let pure = totals.iter().filter(|total| total.purity >= PURITY);
+    let pure = totals.iter().filter(|total| total.purity >= MIN_PURITY);
     let Some(largest) = pure.map(|total| total.weight / all).reduce(f64::max) else {
         return invalid!(setting "data.association";
             found "gaussians, but others have most of the Gaussians of every group of segments";

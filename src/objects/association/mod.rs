@@ -2,17 +2,17 @@
 //!
 //! The ids of segments mean something within their view only. The Gaussians are what views have in common. A segment covers
 //! Gaussian i with weight `w_mi = sum_p alpha'_i T_i` over its pixels, and a group of segments with the sum of theirs. Of what a
-//! view shows, group g claims `sum_i w_mi W_gi / W_i` pixels of segment m. The IoU of segment and group in these pixels scores
-//! the pair. It compares what the view can see, so that a wall of which each view shows a part is one wall. Pairs are chosen one
+//! view shows, group g claims `sum_i w_mi W_gi / W_i` pixels of segment m. The IoU of segment and group in these pixels scores the
+//! pair. It compares only what the view can see. So a wall is one wall even if each view shows a part of it. Pairs are chosen one
 //! to one in each view (as Gaga, arXiv 2404.07977, and CCGS, arXiv 2502.16303, do on sets of points; weights in place of point
 //! tests are ours).
 //!
 //! The first sweep takes the views in an order of overlap and opens groups. Later sweeps remove each view from the groups and
 //! assign it again, so that no view confirms itself. Then groups that most views take for two objects are split, and groups that
-//! most views take for one are merged. Strays are dropped last. A segment that covers most of what its view shows of several
-//! groups means that the segmenter took two objects for one. The other views keep these groups apart, so the segment is divided
-//! among them, Gaussian by Gaussian and then pixel by pixel. (MaskClustering, arXiv 2401.07745, also counts the views that
-//! agree, and leaves such segments out.)
+//! most views take for one are merged. Strays are dropped last. Where a segment covers most of what its view shows of several
+//! groups, the segmenter took two objects for one. The other views keep these groups apart, so the segment is divided among them,
+//! Gaussian by Gaussian and then pixel by pixel. (MaskClustering, arXiv 2401.07745, also counts the views that agree, and leaves
+//! such segments out.)
 //!
 //! Memory grows with the pairs of segments and Gaussians, 8 bytes each, and as much again while the order of the views is found.
 //! It does not grow with their product.
@@ -22,8 +22,8 @@ mod groups;
 mod merge;
 mod order;
 mod ownership;
-mod paint;
-mod pair_evidence;
+mod part_evidence;
+mod relabel;
 mod segments;
 mod split;
 mod sums;
@@ -36,7 +36,7 @@ use crate::raster::Settings;
 use crate::splat::Gaussians;
 use groups::{Assigned, Category, Groups};
 use ownership::{extents, visible_in_views};
-use paint::paint;
+use relabel::relabelled;
 use segments::{UNLABELLED, ViewSegments, view_segments};
 use std::collections::{BTreeSet, HashMap};
 use std::ops::ControlFlow;
@@ -91,7 +91,7 @@ impl Association {
     /// Steps of [`associate`] in all: one for each pass over each view.
     pub fn steps(scene: &Scene, config: &AssociationConfig) -> usize {
         let [train, test] = [Split::Train, Split::Test].map(|split| scene.split(split).count());
-        // One pass finds the segments, then come the sweeps, and one pass paints the maps.
+        // One pass finds the segments, then come the sweeps, and one pass relabels the maps.
         (config.sweeps + 2) * train + test
     }
 
@@ -133,13 +133,13 @@ pub fn associate(
     settings: &Settings,
     progress: &mut dyn FnMut(usize) -> ControlFlow<()>,
 ) -> Result<Option<Association>> {
-    let run = Run {
+    let inputs = AssociationInputs {
         gaussians,
         scene,
         config,
         settings,
     };
-    let found = run.associate(&mut |views| match progress(views) {
+    let found = inputs.associate(&mut |views| match progress(views) {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(End::Stopped),
     });
@@ -151,14 +151,14 @@ pub fn associate(
 }
 
 /// The inputs of an association.
-struct Run<'a> {
+struct AssociationInputs<'a> {
     gaussians: &'a Gaussians,
     scene: &'a Scene,
     config: &'a AssociationConfig,
     settings: &'a Settings,
 }
 
-impl Run<'_> {
+impl AssociationInputs<'_> {
     fn associate(&self, progress: &mut Progress) -> Result<Association, End> {
         let mut views = Vec::new();
         for view in self.scene.split(Split::Train) {
@@ -175,7 +175,7 @@ impl Run<'_> {
         }
         let mut groups = Groups::new(self.gaussians.len());
         let assigned = sweeps::form_groups(&mut groups, &views, self.config, progress)?;
-        let (kept, found) = listed(&groups, &assigned)?;
+        let (kept, found) = numbered_groups(&groups, &assigned)?;
         let maps = self.maps(&mut groups, &views, &assigned, &kept, progress)?;
         let segments = || assigned.iter().flat_map(Assigned::by_segment);
         let categories = kept.iter().map(|&group| groups.category(group));
@@ -211,22 +211,22 @@ impl Run<'_> {
     ) -> Result<Vec<Option<LabelRuns>>, End> {
         let ids: HashMap<u32, u16> = kept.iter().copied().zip(1..).collect();
         let ids = |group: u32| ids.get(&group).copied().unwrap_or(UNLABELLED);
-        let sizes = extents(groups.len(), &visible_in_views(groups, views));
-        let paint = |view: &View, assigned: &Assigned<'_>| -> Result<Option<LabelRuns>> {
-            let map = paint(self.gaussians, view, assigned, &ids, self.settings)?;
+        let extents = extents(groups.len(), &visible_in_views(groups, views));
+        let relabel = |view: &View, assigned: &Assigned<'_>| -> Result<Option<LabelRuns>> {
+            let map = relabelled(self.gaussians, view, assigned, &ids, self.settings)?;
             Ok(map.map(LabelRuns::from))
         };
         let mut maps = vec![None; self.scene.views.len()];
         let slots = || (0..).zip(&self.scene.views);
         let trained = slots().filter(|(_, view)| view.split == Split::Train);
         for ((v, view), assigned) in trained.zip(assigned) {
-            maps[v] = paint(view, assigned)?;
+            maps[v] = relabel(view, assigned)?;
             progress(1)?;
         }
         for (v, view) in slots().filter(|(_, view)| view.split == Split::Test) {
             let segments = self.segments(view)?;
-            let assigned = sweeps::assign_view(groups, &segments, &sizes, sweeps::MIN_OVERLAP);
-            maps[v] = paint(view, &assigned)?;
+            let assigned = sweeps::assign_view(groups, &segments, &extents, sweeps::MIN_IOU);
+            maps[v] = relabel(view, &assigned)?;
             progress(1)?;
         }
         Ok(maps)
@@ -237,7 +237,7 @@ impl Run<'_> {
 ///
 /// # Errors
 /// [`Error::Limit`] for more groups than u16 has ids.
-fn listed(groups: &Groups, assigned: &[Assigned<'_>]) -> Result<(Vec<u32>, Vec<Group>)> {
+fn numbered_groups(groups: &Groups, assigned: &[Assigned<'_>]) -> Result<(Vec<u32>, Vec<Group>)> {
     let totals = merge::totals(groups);
     let weight = |group: u32| totals[group as usize].weight;
     let mut views = vec![0; groups.len()];

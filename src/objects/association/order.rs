@@ -2,9 +2,8 @@
 
 use super::segments::ViewSegments;
 
-/// Views in an order of overlap. Each is the one with most weight on Gaussians that the views before it show; the first is the
-/// one with most weight. Ties go to the lower index. Time grows with the pairs of segments and Gaussians, not with the number of
-/// views.
+/// Views in an order of overlap. Each view has most weight on the Gaussians that the views before it show. The first view has most
+/// weight in all. Ties go to the lower index. Time grows with the pairs of segments and Gaussians, not with the number of views.
 pub(super) fn view_order(views: &[ViewSegments], gaussians: usize) -> Vec<usize> {
     // For each Gaussian the views that show it, with the weights of their segments.
     let mut shown: Vec<Vec<(u32, f32)>> = vec![Vec::new(); gaussians];

@@ -9,12 +9,12 @@ use super::sums::SparseSums;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// A segment covers something when it shows more than this share of what all segments of the view show of it,
-const COVERED: f64 = 0.5;
-/// and more than this share of what the view shows of it: where its own segment is missing, neighbours show its rim.
-const IN_VIEW: f64 = 0.25;
-/// A view that shows less than this share of what the best view shows counts less than one.
-const ENOUGH: f64 = 0.1;
+/// A segment covers a set when it shows more than this share of what all segments of the view show of the set,
+const MIN_OF_LABELLED: f64 = 0.5;
+/// and more than this share of what the view shows of the set: where its own segment is missing, neighbours show its rim.
+const MIN_OF_VISIBLE: f64 = 0.25;
+/// A view counts fully from this share of what the best view shows; below it, in proportion.
+const FULL_WEIGHT_EXTENT: f64 = 0.1;
 
 /// What a view shows of some set of Gaussians, such as those of a group.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,7 +23,7 @@ pub(super) struct Visible {
     pub set: u32,
     /// Pixels in the whole view.
     pub total: f64,
-    /// The segment that covers it, where one does, and the pixels in that.
+    /// The segment that covers the set, if any, and its pixels of the set.
     pub covered_by: Option<(usize, f64)>,
 }
 
@@ -57,8 +57,9 @@ pub(super) fn visible<I: Iterator<Item = (u32, f64)>>(
         let labelled: f64 = segments.iter().map(|(_, pixels)| pixels).sum();
         let rest = unlabelled.next_if(|(other, _)| *other == set);
         let total = labelled + rest.map_or(0.0, |(_, pixels)| pixels);
-        let covers =
-            |&(_, pixels): &(usize, f64)| pixels > COVERED * labelled && pixels > IN_VIEW * total;
+        let covers = |&(_, pixels): &(usize, f64)| {
+            pixels > MIN_OF_LABELLED * labelled && pixels > MIN_OF_VISIBLE * total
+        };
         Visible {
             set,
             total,
@@ -107,21 +108,21 @@ pub(super) struct Evidence {
     pub two: f64,
 }
 
-/// The evidence of `views` on two sets. A view counts where a segment covers the one set and a segment covers the other. It
-/// says one where that is the same segment. A view that shows little of either, compared with the best view, counts less.
+/// The evidence of `views` on two sets. A view counts where segments cover both sets. One segment that covers both is evidence for
+/// one object, two segments are evidence for two. A view that shows little of a set, compared with the best view, counts less.
 pub(super) fn evidence(views: &[Vec<Visible>], extents: &[f64], pair: [u32; 2]) -> Evidence {
     let mut evidence = Evidence::default();
     for view in views {
         let found = pair.map(|set| {
-            let place = view.binary_search_by_key(&set, |visible| visible.set);
-            place.ok().map(|place| view[place])
+            let index = view.binary_search_by_key(&set, |visible| visible.set);
+            index.ok().map(|index| view[index])
         });
         let [Some(a), Some(b)] = found else { continue };
         let (Some((in_a, _)), Some((in_b, _))) = (a.covered_by, b.covered_by) else {
             continue;
         };
         let share = |visible: Visible| visible.total / extents[visible.set as usize];
-        let weight = (share(a).min(share(b)) / ENOUGH).min(1.0);
+        let weight = (share(a).min(share(b)) / FULL_WEIGHT_EXTENT).min(1.0);
         if in_a == in_b {
             evidence.one += weight;
         } else {

@@ -11,9 +11,9 @@ use std::collections::BTreeSet;
 /// The id of pixels that belong to no segment.
 pub(super) const UNLABELLED: u16 = 0;
 /// Pixels whose blending weights are held at once.
-pub(super) const BAND: usize = 1 << 18;
+pub(super) const BAND_PIXELS: usize = 1 << 18;
 /// Weights below a hundredth of a pixel are left out.
-const LEAST: f64 = 0.01;
+const MIN_WEIGHT: f64 = 0.01;
 
 /// A segment of a view, or a piece of one, and the Gaussians that it covers.
 #[derive(Clone, Debug)]
@@ -44,9 +44,9 @@ pub(super) fn view_segments(
     settings: &Settings,
 ) -> Result<ViewSegments> {
     let mut segments = empty_segments(view, raw);
-    let mut place = vec![0; 1 << 16];
+    let mut index_of_id = vec![0; 1 << 16];
     for (n, segment) in segments.iter().enumerate() {
-        place[usize::from(segment.segment.id)] = n;
+        index_of_id[usize::from(segment.segment.id)] = n;
     }
     let pixels: Vec<u32> = (0..raw.ids.len() as u32).collect();
     let projected = Projected::new(&gaussians.splats(), &view.camera, settings)?;
@@ -54,11 +54,11 @@ pub(super) fn view_segments(
         let mask = view.mask.as_ref();
         mask.is_none_or(|mask| mask.uses(pixel as usize))
     };
-    for band in pixels.chunks(BAND) {
+    for band in pixels.chunks(BAND_PIXELS) {
         let weights = projected.weights(Some(band));
         let mut rows = vec![Vec::new(); segments.len()];
         for (row, &pixel) in band.iter().enumerate().filter(|(_, pixel)| used(**pixel)) {
-            rows[place[usize::from(raw.ids[pixel as usize])]].push(row);
+            rows[index_of_id[usize::from(raw.ids[pixel as usize])]].push(row);
         }
         // Each segment's sums run over its pixels in order: the same bits at any number of threads.
         segments.par_iter_mut().zip(rows).for_each_init(
@@ -120,7 +120,7 @@ impl SegmentWeights {
             same
         });
         self.weights
-            .retain(|(_, weight)| f64::from(*weight) >= LEAST);
+            .retain(|(_, weight)| f64::from(*weight) >= MIN_WEIGHT);
         let weights = self.weights.iter();
         self.total = weights.map(|(_, weight)| f64::from(*weight)).sum();
     }
@@ -144,7 +144,8 @@ mod tests {
             sh: vec![0.0; 96],
             sh_degree: 0,
         };
-        let (rotation, center) = (glam::DMat3::IDENTITY, glam::DVec3::ZERO);
+        let rotation = glam::DMat3::IDENTITY;
+        let center = glam::DVec3::ZERO;
         let camera = Camera {
             rotation,
             center,

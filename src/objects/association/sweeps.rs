@@ -13,11 +13,11 @@ use crate::error::Result;
 use std::borrow::Cow;
 use std::collections::HashMap;
 
-/// Smallest overlap (IoU of a segment and a group as the view shows it) at which the two belong together.
-pub(super) const MIN_OVERLAP: f64 = 0.25;
-/// Two groups become one when more than this share of the views that show both put them into one segment. One view that keeps
-/// them apart is assumed. A group that more than the other views keep apart becomes two.
-const MERGE_ABOVE: f64 = 0.5;
+/// A segment and a group may belong together from this IoU on, in what the view shows of them.
+pub(super) const MIN_IOU: f64 = 0.25;
+/// Groups are merged when more than this share of the views that show both put them into one segment. A group is split when more
+/// than the rest of its views show two segments of it. [`merge::PRIOR_VIEWS`] views count against each change.
+const MIN_AGREEMENT: f64 = 0.5;
 
 /// Forms the groups of `views` and returns the group of each segment. Reports each view in each sweep to `progress`.
 ///
@@ -31,27 +31,34 @@ pub(super) fn form_groups<'a>(
 ) -> Result<Vec<Assigned<'a>>, End> {
     let order = view_order(views, groups.owners().len());
     let mut assigned = vec![Assigned::default(); views.len()];
-    let mut sizes = Vec::new();
+    let mut group_extents = Vec::new();
     for sweep in 0..config.sweeps {
         for &v in &order {
             groups.remove(&assigned[v]);
             assigned[v] = if sweep == 0 {
                 // No group is known yet that a segment may cover.
                 let whole = views[v].segments.iter().map(Cow::Borrowed).collect();
-                groups.assign(whole, MIN_OVERLAP, Unmatched::Opens)
+                groups.assign(whole, MIN_IOU, Unmatched::Creates)
             } else {
-                let pieces = divided(groups, &views[v], &sizes);
-                groups.assign(pieces, MIN_OVERLAP, Unmatched::JoinsOrOpens)
+                let pieces = divided(groups, &views[v], &group_extents);
+                groups.assign(pieces, MIN_IOU, Unmatched::JoinsOrCreates)
             };
-            sizes.resize(groups.len(), 0.0);
+            group_extents.resize(groups.len(), 0.0);
             groups.add(&assigned[v]);
             progress(1)?;
         }
         groups.rebuild(&assigned);
-        if split(groups, views, &mut assigned, &order, MERGE_ABOVE, progress)? {
+        if split(
+            groups,
+            views,
+            &mut assigned,
+            &order,
+            MIN_AGREEMENT,
+            progress,
+        )? {
             groups.rebuild(&assigned);
         }
-        sizes = merge_groups(groups, views, &mut assigned, MERGE_ABOVE, progress)?;
+        group_extents = merge_groups(groups, views, &mut assigned, MIN_AGREEMENT, progress)?;
     }
     drop_negligible(groups, &mut assigned, config.min_weight)?;
     Ok(assigned)
@@ -62,14 +69,14 @@ fn merge_groups(
     groups: &mut Groups,
     views: &[ViewSegments],
     assigned: &mut [Assigned<'_>],
-    above: f64,
+    min_agreement: f64,
     progress: &mut Progress,
 ) -> Result<Vec<f64>, End> {
     loop {
         progress(0)?;
         let visible = visible_in_views(groups, views);
         let extents = extents(groups.len(), &visible);
-        let pairs = merge::pairs(groups, &visible, &extents, above);
+        let pairs = merge::pairs(groups, &visible, &extents, min_agreement);
         if pairs.is_empty() {
             return Ok(extents);
         }
@@ -111,9 +118,9 @@ fn drop_negligible(
 pub(super) fn assign_view<'a>(
     groups: &mut Groups,
     view: &'a ViewSegments,
-    sizes: &[f64],
-    least: f64,
+    extents: &[f64],
+    min_iou: f64,
 ) -> Assigned<'a> {
-    let pieces = divided(groups, view, sizes);
-    groups.assign(pieces, least, Unmatched::Joins)
+    let pieces = divided(groups, view, extents);
+    groups.assign(pieces, min_iou, Unmatched::Joins)
 }

@@ -67,7 +67,10 @@ fn update_body<E: Real, const FMA: bool>(
         .zip(m.chunks_mut(tile).zip(v.chunks_mut(tile)));
     for ((p, g), (m, v)) in tiles {
         let n = p.len().min(g.len()).min(m.len()).min(v.len()).min(tile);
-        let (p, g, m, v) = (&mut p[..n], &g[..n], &mut m[..n], &mut v[..n]);
+        let p = &mut p[..n];
+        let g = &g[..n];
+        let m = &mut m[..n];
+        let v = &mut v[..n];
         let rates = &c.rates[..n];
         for i in 0..n {
             let first = multiply_add::<E, FMA>(c.beta1, m[i], c.rest1 * g[i]);
@@ -87,7 +90,8 @@ pub fn adam_step<B: HostBackend>(
     second: FloatTensor<B>,
     step: Arc<AdamStep>,
 ) -> Updated<B> {
-    let (device, shape) = (device_of::<B>(&param), param.shape());
+    let device = device_of::<B>(&param);
+    let shape = param.shape();
     real_kernel!(param, E => {
         let mut p = B::values::<E>(param).into_vec();
         let mut m = B::values::<E>(first).into_vec();

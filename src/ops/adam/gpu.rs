@@ -57,7 +57,9 @@ pub fn adam_step(
         return cpu::adam_step::<CubeBackend>(param, grad, first, second, step);
     }
     let gpu = Gpu::of(&param);
-    let (param, first, second) = (own(param), own(first), own(second));
+    let param = own(param);
+    let first = own(first);
+    let second = own(second);
     let (c1, c2) = step.corrections();
     let rates: Vec<f32> = step.rates.iter().map(|rate| (rate / c1) as f32).collect();
     let rate = rates.first().copied().unwrap_or_default();

@@ -159,7 +159,9 @@ mod tests {
         let device = Default::default();
         let make = |x: f32| <NdArray as HostBackend>::tensor(vec![x; 100], &[50, 2], &device);
         let address = |t: &FloatTensor<NdArray>| NdArray::values::<f32>(t.clone()).as_ptr();
-        let (p, m, v) = (make(1.0), make(0.0), make(0.0));
+        let p = make(1.0);
+        let m = make(0.0);
+        let v = make(0.0);
         let before = [address(&p), address(&m), address(&v)];
         let step = Arc::new(AdamStep::splatting(vec![0.1, 0.2], 1));
         let (p, m, v) = NdArray::adam_step(p, make(1.0), m, v, step);

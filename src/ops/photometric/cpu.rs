@@ -62,7 +62,8 @@ impl<E: Real> Moments<E> {
     /// From `[H, W, 3]` values in 0..1.
     fn new(rgb: Vec<E>, height: usize, width: usize) -> Self {
         let row = width * CHANNELS;
-        let (mut mean, mut variance) = (vec![E::zero(); rgb.len()], vec![E::zero(); rgb.len()]);
+        let mut mean = vec![E::zero(); rgb.len()];
+        let mut variance = vec![E::zero(); rgb.len()];
         let band = (row * BAND).max(1);
         mean.par_chunks_mut(band)
             .zip(variance.par_chunks_mut(band))
@@ -95,7 +96,8 @@ impl<E: Real> Moments<E> {
     ///
     /// Sums are taken in row order, so the bits do not depend on the number of threads.
     fn compare(&self, image: &[E], ssim_weight: f64) -> (f64, Vec<E>) {
-        let (n, row) = (image.len(), self.width * CHANNELS);
+        let n = image.len();
+        let row = self.width * CHANNELS;
         if n == 0 {
             return (0.0, Vec::new());
         }
@@ -112,7 +114,8 @@ impl<E: Real> Moments<E> {
                     })
                 });
                 let mut sums: [Vec<E>; 3] = std::array::from_fn(|_| vec![E::zero(); row]);
-                let (mut distance, mut total) = (vec![E::zero(); row], 0.0);
+                let mut distance = vec![E::zero(); row];
+                let mut total = 0.0;
                 for (k, (r, out)) in rows.zip(gradient.chunks_exact_mut(row)).enumerate() {
                     let both = bands.iter().zip(&mut sums);
                     both.for_each(|(band, sum)| band.convolved(k, sum));
@@ -125,7 +128,8 @@ impl<E: Real> Moments<E> {
                 total
             })
             .collect();
-        let (l1, ssim) = (l1.iter().sum::<f64>() / n as f64, ssim / n as f64);
+        let l1 = l1.iter().sum::<f64>() / n as f64;
+        let ssim = ssim / n as f64;
         let loss = (1.0 - ssim_weight) * l1 + ssim_weight * (1.0 - ssim);
         (loss, gradient)
     }
@@ -151,7 +155,8 @@ impl<E: Real> Moments<E> {
                     Band::new(&rows, self.height, row, |r, out| multiply(x(r), y(r), out)),
                 ];
                 let mut sums: [Vec<E>; 3] = std::array::from_fn(|_| vec![E::zero(); row]);
-                let (mut map, mut total) = (vec![E::zero(); row], 0.0);
+                let mut map = vec![E::zero(); row];
+                let mut total = 0.0;
                 let rows = rows
                     .zip(p.chunks_exact_mut(row))
                     .zip(q.chunks_exact_mut(row))
@@ -184,7 +189,8 @@ struct Band<E> {
 impl<E: Real> Band<E> {
     /// The band for output rows `rows` of an image of `height` rows of `row` scalars. `fill(r, out)` writes source row `r`.
     fn new(rows: &Range<usize>, height: usize, row: usize, fill: impl Fn(usize, &mut [E])) -> Self {
-        let (taps, pad) = (taps(), RADIUS * CHANNELS);
+        let taps = taps();
+        let pad = RADIUS * CHANNELS;
         let mut values = vec![E::zero(); (rows.len() + 2 * RADIUS) * row];
         let mut source = vec![E::zero(); row + 2 * pad];
         for (k, out) in values.chunks_exact_mut(row).enumerate() {
@@ -252,7 +258,8 @@ fn sum_wide_body<E: Real, const FMA: bool>(values: &[E]) -> f64 {
 }
 
 wide_kernel! {
-    /// SSIM of a row and its scaled derivatives; `sums` are windowed x, x^2, x y, `photo` windowed mean and variance.
+    /// SSIM of a row and its scaled derivatives. `sums` are the windowed x, x^2 and x y; `photo` has the windowed mean and
+    /// variance.
     fn ssim_row(sums: [&[E]; 3], photo: [&[E]; 2], scale: E, out: [&mut [E]; 3], map: &mut [E]) => ssim_row_body
 }
 
@@ -268,13 +275,18 @@ fn ssim_row_body<E: Real, const FMA: bool>(
     let ([mean, square, product], [photo_mean, photo_variance]) =
         (sums.map(|s| &s[..n]), photo.map(|p| &p[..n]));
     let [by_mean, by_square, by_product] = out.map(|o| &mut o[..n]);
-    let (c1, c2, two) = (E::of(C1), E::of(C2), E::of(2.0));
+    let c1 = E::of(C1);
+    let c2 = E::of(C2);
+    let two = E::of(2.0);
     for i in 0..n {
         let (mx, my) = (mean[i], photo_mean[i]);
         let (sxx, sxy) = (square[i] - mx * mx, product[i] - mx * my);
-        let (a1, a2) = (two * mx * my + c1, two * sxy + c2);
-        let (b1, b2) = (mx * mx + my * my + c1, sxx + photo_variance[i] + c2);
-        let (r1, r2) = (E::one() / b1, E::one() / b2);
+        let a1 = two * mx * my + c1;
+        let a2 = two * sxy + c2;
+        let b1 = mx * mx + my * my + c1;
+        let b2 = sxx + photo_variance[i] + c2;
+        let r1 = E::one() / b1;
+        let r2 = E::one() / b2;
         let ssim = a1 * a2 * r1 * r2;
         let d_square = -ssim * r2;
         let d_product = two * a1 * r1 * r2;
@@ -301,7 +313,8 @@ fn gradient_row_body<E: Real, const FMA: bool>(
     distance: &mut [E],
 ) {
     let n = out.len();
-    let ([x, y], [p, q, s]) = (pixels.map(|v| &v[..n]), sums.map(|v| &v[..n]));
+    let [x, y] = pixels.map(|v| &v[..n]);
+    let [p, q, s] = sums.map(|v| &v[..n]);
     let distance = &mut distance[..n];
     for i in 0..n {
         let difference = x[i] - y[i];

@@ -44,23 +44,24 @@ fn cubes(height: usize, width: usize) -> usize {
     width.div_ceil(TILE) * height.div_ceil(TILE) * CHANNELS
 }
 
-/// A place in the rim of a tile.
+/// A pixel of a tile or of its rim.
 #[derive(CubeType, Clone, Copy)]
-struct Place {
+struct RimPixel {
+    /// Whether it lies in the image.
     inside: bool,
-    /// Pixel, row-major; that of the first one when outside.
+    /// Its number, row-major; 0 where it lies outside of the image.
     pixel: usize,
 }
 
 #[cube]
-fn place(tile: usize, column: usize, row: usize, width: u32, height: u32) -> Place {
+fn rim_pixel(tile: usize, column: usize, row: usize, width: u32, height: u32) -> RimPixel {
     let across = (width + (TILE - 1) as u32) / TILE as u32;
     // Counted from the rim's corner of the first tile, so that nothing is negative.
     let x = (tile as u32 % across) * TILE as u32 + column as u32;
     let y = (tile as u32 / across) * TILE as u32 + row as u32;
     let rim = RADIUS as u32;
     let inside = x >= rim && x < width + rim && y >= rim && y < height + rim;
-    Place {
+    RimPixel {
         inside,
         pixel: select(inside, (y - rim) * width + x - rim, 0u32) as usize,
     }
@@ -68,9 +69,9 @@ fn place(tile: usize, column: usize, row: usize, width: u32, height: u32) -> Pla
 
 /// The pixel of this unit.
 #[cube]
-fn own_place(tile: usize, width: u32, height: u32) -> Place {
+fn own_pixel(tile: usize, width: u32, height: u32) -> RimPixel {
     let unit = UNIT_POS as usize;
-    place(
+    rim_pixel(
         tile,
         RADIUS + unit % TILE,
         RADIUS + unit / TILE,
@@ -142,7 +143,7 @@ fn dissimilarity(
     let mut rows = Shared::<[f32]>::new_slice(MOMENTS * ROWS);
     let mut k = UNIT_POS as usize;
     while k < PLANE {
-        let at = place(tile, k % SIDE, k / SIDE, width, height);
+        let at = rim_pixel(tile, k % SIDE, k / SIDE, width, height);
         let mut x = 0.0f32;
         let mut y = 0.0f32;
         if at.inside {
@@ -158,7 +159,7 @@ fn dissimilarity(
     }
     sync_cube();
     let moments = windowed(&planes, &mut rows, MOMENTS);
-    let own = own_place(tile, width, height);
+    let own = own_pixel(tile, width, height);
     let mut short = 0.0f32;
     if own.inside {
         let (mx, my) = (moments[0], moments[3]);
@@ -211,7 +212,7 @@ fn gradient_of(
     let pixels = (width * height) as usize;
     let mut k = UNIT_POS as usize;
     while k < PLANE {
-        let at = place(tile, k % SIDE, k / SIDE, width, height);
+        let at = rim_pixel(tile, k % SIDE, k / SIDE, width, height);
         let from = channel * PARTIALS * pixels + at.pixel;
         #[unroll]
         for partial in 0..PARTIALS {
@@ -225,7 +226,7 @@ fn gradient_of(
     }
     sync_cube();
     let by = windowed(&planes, &mut rows, PARTIALS);
-    let own = own_place(tile, width, height);
+    let own = own_pixel(tile, width, height);
     let mut distance = 0.0f32;
     if own.inside {
         let at = own.pixel * CHANNELS + channel;
@@ -275,7 +276,8 @@ fn compare(
     let values = height * width * CHANNELS;
     let ssim_scale = ssim_weight / values as f64;
     let l1_scale = (1.0 - ssim_weight) / values as f64;
-    let (partials, sums) = (gpu.floats([PARTIALS * values]), gpu.floats([cubes]));
+    let partials = gpu.floats([PARTIALS * values]);
+    let sums = gpu.floats([cubes]);
     dissimilarity::launch(
         &gpu.client,
         gpu.cubes(cubes),
@@ -323,13 +325,14 @@ pub fn photometric_loss(
     loss_and_gradient(image, target, ssim_weight).0
 }
 
-/// Loss and gradient on a GPU; tensors that are not f32, and images that are too large, take the kernels for CPUs.
+/// Loss and gradient on a GPU. Tensors that are not f32 and images that are too large take the kernels for CPUs.
 pub fn loss_and_gradient(
     image: FloatTensor<CubeBackend>,
     target: Arc<PhotometricTarget>,
     ssim_weight: f64,
 ) -> (FloatTensor<CubeBackend>, FloatTensor<CubeBackend>) {
-    let (gpu, values) = (Gpu::of(&image), image.meta.num_elements());
+    let gpu = Gpu::of(&image);
+    let values = image.meta.num_elements();
     if !covers(&image) || values == 0 || !fits(&gpu, values) {
         return cpu::loss_and_gradient::<CubeBackend>(image, target, ssim_weight);
     }
@@ -344,7 +347,8 @@ mod tests {
     fn bytes_become_the_values_that_the_host_has() {
         assert_eq!(BYTE_HIGH.to_bits() & 0xff, 0, "16 bits of mantissa");
         for byte in 0..=255 {
-            let (byte, want) = (byte as f32, byte as f32 / 255.0);
+            let byte = byte as f32;
+            let want = byte / 255.0;
             assert_eq!(byte * BYTE_HIGH + byte * BYTE_LOW, want);
             assert_eq!(
                 byte.mul_add(BYTE_LOW, byte * BYTE_HIGH),

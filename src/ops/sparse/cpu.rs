@@ -120,7 +120,8 @@ pub(super) fn sparse_apply<B: HostBackend>(
     x: FloatTensor<B>,
     matrix: Arc<SparseMatrix>,
 ) -> FloatTensor<B> {
-    let (device, channels) = (device_of::<B>(&x), x.shape()[1]);
+    let device = device_of::<B>(&x);
+    let channels = x.shape()[1];
     real_kernel!(x, E => B::tensor::<E>(matrix.apply::<E>(&B::values(x), channels), &[matrix.rows(), channels], &device))
 }
 
@@ -129,6 +130,7 @@ pub(super) fn sparse_apply_adjoint<B: HostBackend>(
     g: FloatTensor<B>,
     matrix: Arc<SparseMatrix>,
 ) -> FloatTensor<B> {
-    let (device, channels) = (device_of::<B>(&g), g.shape()[1]);
+    let device = device_of::<B>(&g);
+    let channels = g.shape()[1];
     real_kernel!(g, E => B::tensor::<E>(matrix.apply_adjoint::<E>(&B::values(g), channels), &[matrix.columns, channels], &device))
 }

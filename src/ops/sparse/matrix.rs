@@ -77,7 +77,8 @@ impl SparseMatrix {
     /// # Panics
     /// If a row is not below `columns`.
     pub fn selection(rows: Vec<u32>, columns: usize) -> Self {
-        let (offsets, ones) = ((0..=rows.len() as u32).collect(), vec![1.0; rows.len()]);
+        let offsets = (0..=rows.len() as u32).collect();
+        let ones = vec![1.0; rows.len()];
         Self::new(columns, offsets, rows, ones)
     }
 
@@ -169,7 +170,8 @@ impl SparseMatrix {
             let read = |&column: &u32| column * classes as u32 + u32::from(channel);
             indices.extend(self.row(r).0.iter().map(read));
         }
-        let (offsets, values) = (self.offsets.clone(), self.values.clone());
+        let offsets = self.offsets.clone();
+        let values = self.values.clone();
         Self::unchecked(self.columns * classes, offsets, indices, values)
     }
 
@@ -212,7 +214,8 @@ impl SparseMatrix {
             offsets[c + 1] += offsets[c];
         }
         let mut next = offsets.clone();
-        let (mut indices, mut values) = (vec![0; self.indices.len()], vec![0.0; self.values.len()]);
+        let mut indices = vec![0; self.indices.len()];
+        let mut values = vec![0.0; self.values.len()];
         for r in 0..self.rows() {
             let (columns, row) = self.row(r);
             for (&c, &v) in columns.iter().zip(row) {

@@ -68,7 +68,8 @@ pub fn sparse_apply(x: Tensor<2>, matrix: Arc<SparseMatrix>) -> Tensor<2> {
 
 /// The same product in plain tensor operations: the reference of [`sparse_apply`].
 pub fn sparse_apply_plain(x: Tensor<2>, matrix: &SparseMatrix) -> Tensor<2> {
-    let (device, channels) = (x.device(), x.dims()[1]);
+    let device = x.device();
+    let channels = x.dims()[1];
     let out = Tensor::zeros([matrix.rows(), channels], (&device, x.dtype()));
     let (columns, values) = matrix.entries();
     if values.is_empty() || channels == 0 {

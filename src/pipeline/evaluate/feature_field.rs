@@ -15,9 +15,9 @@ use burn::tensor::Tensor;
 use serde::{Deserialize, Serialize};
 
 /// Share of the pixels that are scored.
-const SHARE: f64 = 1.0 / 16.0;
+const SCORED_SHARE: f64 = 1.0 / 16.0;
 /// Most features that are scored, 200 MB of them: fewer pixels are drawn where these would be more.
-const MOST_FEATURES: f64 = 5e7;
+const MAX_FEATURES: f64 = 5e7;
 
 /// How well a feature field separates the true classes, and what it took.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -52,7 +52,8 @@ impl FieldScores {
     }
 
     /// The scores of rendered features whose clusters are the true classes of their pixels, as in Table 2 of the paper. `features`
-    /// gives those of pixels over the Gaussians that they show, `[P, channels]`, in the units of the reduced 2D maps.
+    /// returns the features at pixels, `[P, channels]`, in the units of the reduced 2D maps, from the Gaussians that the pixels
+    /// show.
     ///
     /// Features are blended as in training: divided by the coverage unless `segmentation.blend` is `logits`. Pixels are a sixteenth
     /// of those with a class and enough coverage (`segmentation.min_coverage`), the same ones for every field and seed. Nothing is
@@ -69,7 +70,8 @@ impl FieldScores {
         channels: usize,
         features: impl Fn(&[u32], &LabelledPixels) -> Result<Tensor<2>>,
     ) -> Result<Self> {
-        let (mut rows, mut classes) = (Vec::new(), Vec::new());
+        let mut rows = Vec::new();
+        let mut classes = Vec::new();
         let config = &inputs.config.segmentation;
         let over_coverage = config.blend == Blend::Probabilities;
         let frozen = FrozenGaussians::new(
@@ -97,7 +99,8 @@ impl FieldScores {
     }
 }
 
-/// The held-out views with true classes, and the class index of each drawn pixel that has one; other pixels are unlabelled.
+/// The held-out views with true classes, and the class index of each drawn pixel that has one. Other
+/// pixels are unlabelled.
 fn drawn_pixels<'a>(
     inputs: &Inputs<'a>,
     channels: usize,
@@ -111,7 +114,7 @@ fn drawn_pixels<'a>(
         .collect();
     let size = |view: &&View| view.camera.width * view.camera.height;
     let all: usize = views.iter().map(size).sum();
-    let share = SHARE.min(MOST_FEATURES / (all * channels).max(1) as f64);
+    let share = SCORED_SHARE.min(MAX_FEATURES / (all * channels).max(1) as f64);
     let lookup = inputs.scene.classes.lookup();
     (0..).zip(views).filter_map(move |(number, view)| {
         let ids = view.truth.as_ref()?.map().ids;

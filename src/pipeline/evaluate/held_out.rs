@@ -45,7 +45,8 @@ impl HeldOutScores {
 impl<'a> HeldOut<'a> {
     /// Those of the scene of `inputs`.
     pub fn new(inputs: &Inputs<'a>) -> Self {
-        let (association, semantics) = (inputs.config.data.association, inputs.semantics);
+        let association = inputs.config.data.association;
+        let semantics = inputs.semantics;
         let known = |view: &&View| has_truth(view, association, semantics);
         Self {
             views: inputs.scene.split(Split::Test).filter(known).collect(),

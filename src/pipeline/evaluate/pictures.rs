@@ -16,7 +16,7 @@ pub struct Pictures<'a> {
 }
 
 impl<'a> Pictures<'a> {
-    /// Of `gaussians`, rendered on `device`.
+    /// Pictures of `gaussians`, rendered on `device`.
     ///
     /// # Errors
     /// As [`Renderer::new`].

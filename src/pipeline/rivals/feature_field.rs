@@ -3,8 +3,8 @@
 use super::super::encode::Inputs;
 use super::super::evaluate::FieldScores;
 use super::super::train_decoder::{
-    Adam, Decoded, IdentityModel, TrainingViews, ViewSample, finite_loss, parameter_gradients,
-    values, view_at,
+    Adam, DecodedScores, IdentityModel, TrainingViews, ViewSample, finite_loss,
+    parameter_gradients, values, view_at,
 };
 use super::{first_parameters, linear, uniform};
 use crate::data::{Split, View};
@@ -25,7 +25,7 @@ use std::time::Instant;
 /// Channels of a Gaussian's feature.
 const CHANNELS: usize = 64;
 /// First features are uniform in +- this.
-const FIRST_FEATURE: f32 = 0.1;
+const INITIAL_RANGE: f32 = 0.1;
 /// Learning rate of features and decoder.
 const RATE: f64 = 1e-2;
 
@@ -95,7 +95,8 @@ pub fn distil(
             ControlFlow::Continue(())
         }
     };
-    let (features, seed) = (&config.features, config.seed);
+    let features = &config.features;
+    let seed = config.seed;
     let reduction = Reduction::fit(inputs.scene, features, seed, inputs.device, &mut advance)?;
     let ControlFlow::Continue(mut reduction) = reduction else {
         return Ok(None);
@@ -110,9 +111,10 @@ pub fn distil(
         &config.segmentation,
         inputs.device,
     );
-    let (count, dimensions) = (inputs.gaussians.len(), config.features.dimensions);
+    let count = inputs.gaussians.len();
+    let dimensions = config.features.dimensions;
     let mut rng = first_parameters(inputs);
-    let features = uniform(count * CHANNELS, FIRST_FEATURE, &mut rng);
+    let features = uniform(count * CHANNELS, INITIAL_RANGE, &mut rng);
     let mut field = FeatureField {
         features: parameter(features, [count, CHANNELS], device),
         decoder: linear(CHANNELS, SCALES * dimensions, &mut rng, device),
@@ -207,10 +209,15 @@ impl IdentityModel for LinearHead {
         self.module = module;
     }
 
-    fn decode(&mut self, _view: usize, visible: &[u32], _iteration: usize) -> Result<Decoded> {
+    fn decode(
+        &mut self,
+        _view: usize,
+        visible: &[u32],
+        _iteration: usize,
+    ) -> Result<DecodedScores> {
         let features = select(&self.features, visible);
         let features = constant(features, &self.module.weight.device());
-        Ok(Decoded {
+        Ok(DecodedScores {
             scores: vec![self.module.forward(features)],
             regularisation: None,
             parts: None,

@@ -1,7 +1,7 @@
 //! Gaussian Grouping (Ye et al. 2024): a short identity code for each Gaussian, classified after blending.
 
 use super::super::encode::Inputs;
-use super::super::train_decoder::{Decoded, IdentityModel, values};
+use super::super::train_decoder::{DecodedScores, IdentityModel, values};
 use super::{first_parameters, linear, uniform};
 use crate::error::Result;
 use crate::objects::Identities;
@@ -15,9 +15,9 @@ use burn::nn::Linear;
 use burn::tensor::{Device, Tensor};
 
 /// Channels of a code.
-const CODE: usize = 16;
+const CODE_CHANNELS: usize = 16;
 /// First codes are uniform in +- this: the original's spherical harmonics of random colours.
-const FIRST_CODE: f32 = 1.77;
+const INITIAL_RANGE: f32 = 1.77;
 /// Gaussians whose neighbours the 3D loss reads in an iteration, and neighbours of each.
 const SAMPLES: usize = 1_000;
 const NEIGHBOURS: usize = 5;
@@ -51,13 +51,14 @@ impl Grouping {
     /// # Errors
     /// [`crate::Error::NonFinite`] naming a centre.
     pub fn new(inputs: &Inputs, device: &Device) -> Result<Self> {
-        let (count, classes) = (inputs.gaussians.len(), inputs.scene.classes.len());
+        let count = inputs.gaussians.len();
+        let classes = inputs.scene.classes.len();
         let mut rng = first_parameters(inputs);
-        let codes = uniform(count * CODE, FIRST_CODE, &mut rng);
+        let codes = uniform(count * CODE_CHANNELS, INITIAL_RANGE, &mut rng);
         Ok(Self {
             module: Codes {
-                codes: parameter(codes, [count, CODE], device),
-                classifier: linear(CODE, classes, &mut rng, device),
+                codes: parameter(codes, [count, CODE_CHANNELS], device),
+                classifier: linear(CODE_CHANNELS, classes, &mut rng, device),
             },
             neighbours: without_self(&inputs.gaussians.means, NEIGHBOURS)?,
             seed: inputs.config.seed,
@@ -101,8 +102,8 @@ impl IdentityModel for Grouping {
         self.module = module;
     }
 
-    fn decode(&mut self, _view: usize, visible: &[u32], iteration: usize) -> Result<Decoded> {
-        Ok(Decoded {
+    fn decode(&mut self, _view: usize, visible: &[u32], iteration: usize) -> Result<DecodedScores> {
+        Ok(DecodedScores {
             scores: vec![self.logits(visible)],
             regularisation: self.divergence(iteration),
             parts: None,

@@ -2,7 +2,7 @@
 
 use super::super::encode::Inputs;
 use super::super::train_decoder::{
-    Decoded, IdentityModel, Logits, PerGaussian, Rendered, ViewCache,
+    DecodedScores, IdentityModel, Logits, PerGaussian, Rendered, ViewCache,
 };
 use crate::backend::device::read;
 use crate::config::Blend;
@@ -19,14 +19,14 @@ const LAMBDA_SEGMENT: f64 = 1.2;
 /// Share of the iterations before segment consistency begins.
 const SEGMENTS_FROM: f64 = 0.6;
 /// Keeps the logarithm of a blended probability finite.
-const LEAST_PROBABILITY: f64 = 1e-8;
+const MIN_PROBABILITY: f64 = 1e-8;
 
-/// Class probabilities of each Gaussian, blended, under cross-entropy weighted by the segmenter's confidence, and under consistency
-/// within 2D segments: every pixel of a segment learns the class that the segment has in the mean.
+/// Each Gaussian has class probabilities, which are blended. The loss is cross-entropy weighted by the segmenter's confidence, plus
+/// consistency within 2D segments: every pixel of a segment learns the segment's mean class.
 ///
-/// Confidence is the largest probability of a pixel in the scores of its labels, and 1 where labels have no scores. Differences from
-/// the original: Gaussians instead of a field; hard labels instead of probabilities averaged over test-time augmentation; segments
-/// are the connected parts of one class in a label map, and all that a step draws take part instead of 32.
+/// Confidence is the largest probability of a pixel in the scores of its labels, and 1 where labels have no scores. Differences
+/// from the original: Gaussians replace the field, and hard labels replace probabilities averaged over test-time augmentation.
+/// Segments are the connected parts of one class in a label map. All segments of a step take part instead of 32.
 pub struct PanopticLifting<'a> {
     classes: PerGaussian,
     views: Vec<&'a View>,
@@ -132,12 +132,13 @@ impl IdentityModel for PanopticLifting<'_> {
         self.classes.set_module(module);
     }
 
-    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<Decoded> {
+    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<DecodedScores> {
         self.classes.decode(view, visible, iteration)
     }
 
     fn loss(&mut self, _coseg: &CoSegLoss, rendered: Rendered) -> Result<Tensor<1>> {
-        let (view, names) = (self.views[rendered.view], self.names);
+        let view = self.views[rendered.view];
+        let names = self.names;
         let labels = self.labels.get(rendered.view, || {
             let segments = Segments::of(view, names)?;
             let bytes = 8 * segments.numbers.len();
@@ -145,13 +146,14 @@ impl IdentityModel for PanopticLifting<'_> {
         })?;
         let sample = rendered.sample;
         let p = rendered.scores.probabilities(&sample.pixels)?;
-        let (count, classes) = (sample.pixels.len(), names.len());
+        let count = sample.pixels.len();
+        let classes = names.len();
         let numbers = || sample.numbers.iter().map(|&pixel| pixel as usize);
         let confidence: Vec<f32> = numbers().map(|pixel| labels.confidence[pixel]).collect();
         let confidence = TensorData::new(confidence, [count, 1]);
         let plain = p.device().inner();
         let confidence = constant(Tensor::from_data(confidence, &plain), &p.device());
-        let log_p = (p.clone() + LEAST_PROBABILITY).log();
+        let log_p = (p.clone() + MIN_PROBABILITY).log();
         let loss = weighted_cross_entropy(&log_p, &sample.pixels.labels, confidence.clone());
         if rendered.iteration < self.segments_from {
             return Ok(loss);

@@ -175,7 +175,8 @@ pub fn with_parameters<M: Module>(module: M, values: Tensor<1>) -> M {
         fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
             param.map(|old| {
                 let shape = old.shape();
-                let (first, count) = (self.1, shape.num_elements());
+                let first = self.1;
+                let count = shape.num_elements();
                 self.1 += count;
                 let new = self.0.clone().narrow(0, first, count).reshape(shape);
                 if old.is_require_grad() {

@@ -1,7 +1,7 @@
 //! The checkpoint of a variant in training.
 
 use super::adam::{parameters, restored, values};
-use super::{ClassRecall, IdentityModel, Losses, Plan, Schedule, Training};
+use super::{ClassRecall, IdentityModel, Losses, Training, TrainingPlan, TrainingSchedule};
 use crate::checkpoint::Checkpoint;
 use crate::error::Result;
 use crate::provenance::Provenance;
@@ -39,7 +39,11 @@ impl<M: IdentityModel> Training<M> {
     }
 
     /// Goes on from the checkpoint of `schedule`, where there is one.
-    pub(super) fn resume(&mut self, plan: &Plan, schedule: &Schedule) -> Result<()> {
+    pub(super) fn resume(
+        &mut self,
+        plan: &TrainingPlan,
+        schedule: &TrainingSchedule,
+    ) -> Result<()> {
         let Some(path) = schedule.checkpoint.as_ref().filter(|path| path.is_file()) else {
             return Ok(());
         };

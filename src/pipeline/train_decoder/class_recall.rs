@@ -11,13 +11,13 @@ use crate::segmentation::loss::Scores;
 use crate::segmentation::pixels::{LabelledPixels, UNLABELLED};
 
 /// Steps between two measurements.
-const EVERY: usize = 5;
+const INTERVAL: usize = 5;
 /// Most pixels of a class in a measurement.
 const PIXELS: usize = 256;
-/// Number of pixels that would replace the running mean, were there no [`LARGEST_SHARE`].
-const WEIGHT: f64 = 500.0;
+/// Number of pixels that would replace the running mean, were there no [`MAX_SHARE`].
+const MEMORY_PIXELS: f64 = 500.0;
 /// Largest share of a measurement in the running mean.
-const LARGEST_SHARE: f64 = 0.2;
+const MAX_SHARE: f64 = 0.2;
 
 /// Running means of the probability that a model gives to the label of a pixel, by class.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,7 +47,7 @@ impl ClassRecall {
         pixels: &LabelledPixels,
         iteration: usize,
     ) -> Result<()> {
-        if !iteration.is_multiple_of(EVERY) {
+        if !iteration.is_multiple_of(INTERVAL) {
             return Ok(());
         }
         let classes = self.0.len();
@@ -69,7 +69,7 @@ impl ClassRecall {
         }
         for (recall, (sum, count)) in self.0.iter_mut().zip(sums) {
             if count > 0.0 && f64::is_finite(sum) {
-                *recall += (count / WEIGHT).min(LARGEST_SHARE) * (sum / count - *recall);
+                *recall += (count / MEMORY_PIXELS).min(MAX_SHARE) * (sum / count - *recall);
             }
         }
         Ok(())

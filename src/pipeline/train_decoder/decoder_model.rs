@@ -10,7 +10,7 @@
 use super::adam::{parameter_gradients, values};
 use super::view_cache::ViewCache;
 use super::view_input::{DecoderInput, Encoded, Part, REGULARISED, ViewInput};
-use super::{Decoded, IdentityModel};
+use super::{DecodedScores, IdentityModel};
 use crate::config::{Blend, SegmentationConfig};
 use crate::error::Result;
 use crate::objects::Identities;
@@ -66,10 +66,10 @@ pub(super) fn stored_scores(scores: Tensor<2>, blend: Blend) -> Tensor<2> {
     }
 }
 
-/// How a view was decoded in parts: its scores are leaves of the loss's graph, and wait for their gradient.
+/// A view that was decoded in parts. Its scores are leaves of the loss's graph and wait for their gradient.
 pub struct DecodedParts {
     input: Arc<ViewInput>,
-    /// Of the channels of each prediction.
+    /// Factors of the channels, for each prediction.
     factors: Vec<ChannelFactors>,
 }
 
@@ -140,7 +140,9 @@ impl<'a> DecoderModel<'a> {
     }
 
     fn view_input(&mut self, view: usize, visible: &[u32]) -> Result<Arc<ViewInput>> {
-        let (encoded, means, plan) = (self.input.view(view), self.means, &self.plan);
+        let encoded = self.input.view(view);
+        let means = self.means;
+        let plan = &self.plan;
         self.views.get(view, || {
             let input = ViewInput::new(encoded, visible, means, plan)?;
             let bytes = input.bytes();
@@ -224,7 +226,7 @@ impl IdentityModel for DecoderModel<'_> {
         self.decoder = decoder;
     }
 
-    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<Decoded> {
+    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<DecodedScores> {
         let input = self.view_input(view, visible)?;
         let pyramid = &self.input.view(view).pyramid;
         let factors = self.channel_factors(pyramid, iteration);
@@ -236,7 +238,7 @@ impl IdentityModel for DecoderModel<'_> {
                     (scores, decoded.fused)
                 });
                 let (scores, fused): (Vec<_>, Vec<_>) = decoded.unzip();
-                Ok(Decoded {
+                Ok(DecodedScores {
                     scores,
                     regularisation: input.regularisation(&fused[0], &self.plan, iteration),
                     parts: None,
@@ -257,7 +259,7 @@ impl IdentityModel for DecoderModel<'_> {
                     let fused = self.decoder.fuse(&coarse, REGULARISED.start);
                     input.regularisation(&fused, &self.plan, iteration)
                 });
-                Ok(Decoded {
+                Ok(DecodedScores {
                     scores,
                     regularisation,
                     parts: Some(DecodedParts { input, factors }),
@@ -266,7 +268,12 @@ impl IdentityModel for DecoderModel<'_> {
         }
     }
 
-    fn gradient(&self, view: usize, decoded: &Decoded, gradients: &mut Gradients) -> Tensor<1> {
+    fn gradient(
+        &self,
+        view: usize,
+        decoded: &DecodedScores,
+        gradients: &mut Gradients,
+    ) -> Tensor<1> {
         let decoder = &self.decoder;
         let mut sum = parameter_gradients(decoder, gradients);
         let Some(DecodedParts { input, factors }) = &decoded.parts else {

@@ -1,7 +1,7 @@
 //! Stage two: identities are learned from raw labels while the geometry is frozen.
 //!
-//! [`Training::step`] is one iteration: labelled pixels of a view, the scores of the Gaussians that it shows (Eq. 7), these
-//! blended into the pixels (Eq. 3), the CoSeg loss (Eq. 8 to 10), a step of Adam. [`Training::run`] repeats it.
+//! [`Training::step`] is one iteration. It draws labelled pixels of a view, decodes the scores of the visible Gaussians (Eq. 7),
+//! blends them into the pixels (Eq. 3), takes the CoSeg loss (Eq. 8 to 10), and makes a step of Adam. [`Training::run`] repeats it.
 
 mod adam;
 mod checkpoint;
@@ -19,7 +19,7 @@ pub(super) use self::adam::{finite_loss, parameter_gradients, values};
 pub use self::class_recall::ClassRecall;
 pub use self::decoder_model::{DecodedParts, DecoderModel, DecoderPlan, dropped_channels};
 pub use self::per_gaussian::{Logits, PerGaussian};
-pub use self::plan::Plan;
+pub use self::plan::TrainingPlan;
 pub(super) use self::sampling::stratified_sample;
 pub use self::sampling::view_at;
 pub(super) use self::view_cache::ViewCache;
@@ -38,7 +38,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 /// Scores of the Gaussians of a view, with gradient to the parameters of the model.
-pub struct Decoded {
+pub struct DecodedScores {
     /// `[V, C]`; two predictions where the loss compares two.
     pub scores: Vec<Tensor<2>>,
     /// Eq. 9, where the model has one.
@@ -76,7 +76,7 @@ pub trait IdentityModel {
     ///
     /// # Errors
     /// When a frozen input is not finite.
-    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<Decoded>;
+    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<DecodedScores>;
 
     /// The loss of an iteration, `[1]`: the CoSeg loss, unless the model has its own.
     ///
@@ -88,7 +88,12 @@ pub trait IdentityModel {
     }
 
     /// The gradient of all parameters, `[P]`, from the `gradients` of a loss of what was `decoded` in `view`.
-    fn gradient(&self, _view: usize, _decoded: &Decoded, gradients: &mut Gradients) -> Tensor<1> {
+    fn gradient(
+        &self,
+        _view: usize,
+        _decoded: &DecodedScores,
+        gradients: &mut Gradients,
+    ) -> Tensor<1> {
         parameter_gradients(self.module(), gradients)
     }
 
@@ -122,7 +127,7 @@ struct Losses {
 
 /// When a variant is evaluated and saved, and where.
 #[derive(Clone, Debug)]
-pub struct Schedule {
+pub struct TrainingSchedule {
     /// Name of the variant, for progress.
     pub variant: &'static str,
     /// Number of Gaussians, for progress.
@@ -175,12 +180,13 @@ impl<M: IdentityModel> Training<M> {
     /// # Errors
     /// [`Error::NonFinite`] naming view and iteration, [`Error::Limit`] and [`Error::Device`] where a GPU fails. The model is
     /// unchanged then.
-    pub fn step(&mut self, views: &mut TrainingViews, plan: &Plan) -> Result<f32> {
+    pub fn step(&mut self, views: &mut TrainingViews, plan: &TrainingPlan) -> Result<f32> {
         let view = view_at(plan.seed, self.iteration, views.len());
         let loss = self.step_on(view, views, plan);
         let loss = loss.map_err(|error| match error {
             Error::NonFinite { tensor, row, .. } => {
-                let (name, iteration) = (views.name(view), self.iteration);
+                let name = views.name(view);
+                let iteration = self.iteration;
                 let context = format!(", view {name}, segmentation iteration {iteration}");
                 Error::NonFinite {
                     tensor,
@@ -194,7 +200,12 @@ impl<M: IdentityModel> Training<M> {
         Ok(loss)
     }
 
-    fn step_on(&mut self, view: usize, views: &mut TrainingViews, plan: &Plan) -> Result<f32> {
+    fn step_on(
+        &mut self,
+        view: usize,
+        views: &mut TrainingViews,
+        plan: &TrainingPlan,
+    ) -> Result<f32> {
         let mut rng = stream(plan.seed, Purpose::Pixels, self.iteration as u64);
         let sample = views.sample(view, plan.pixel_share, &mut rng)?;
         if sample.pixels.is_empty() {
@@ -223,7 +234,7 @@ impl<M: IdentityModel> Training<M> {
     /// Eq. 10 in this iteration.
     fn coseg_loss(
         &mut self,
-        plan: &Plan,
+        plan: &TrainingPlan,
         scores: &Scores,
         sample: &ViewSample,
     ) -> Result<CoSegLoss> {
@@ -255,8 +266,8 @@ impl<M: IdentityModel> Training<M> {
     pub fn run(
         &mut self,
         views: &mut TrainingViews,
-        plan: &Plan,
-        schedule: &Schedule,
+        plan: &TrainingPlan,
+        schedule: &TrainingSchedule,
         evaluate: Evaluate<M>,
         progress: &mut dyn Progress,
     ) -> Result<bool> {

@@ -2,7 +2,7 @@
 
 use super::adam::values;
 use super::decoder_model::stored_scores;
-use super::{Decoded, IdentityModel};
+use super::{DecodedScores, IdentityModel};
 use crate::config::Blend;
 use crate::error::Result;
 use crate::objects::Identities;
@@ -44,8 +44,13 @@ impl IdentityModel for PerGaussian {
         self.logits = logits;
     }
 
-    fn decode(&mut self, _view: usize, visible: &[u32], _iteration: usize) -> Result<Decoded> {
-        Ok(Decoded {
+    fn decode(
+        &mut self,
+        _view: usize,
+        visible: &[u32],
+        _iteration: usize,
+    ) -> Result<DecodedScores> {
+        Ok(DecodedScores {
             scores: vec![select(&self.logits.scores.val(), visible)],
             regularisation: None,
             parts: None,

@@ -6,7 +6,7 @@ use crate::segmentation::loss::LabelLoss;
 
 /// How a variant is trained.
 #[derive(Clone, Debug)]
-pub struct Plan {
+pub struct TrainingPlan {
     /// Label loss after the warm-up.
     pub loss: LabelLoss,
     /// Iterations of cross-entropy before it.
@@ -31,7 +31,7 @@ pub struct Plan {
     pub seed: u64,
 }
 
-impl Plan {
+impl TrainingPlan {
     /// The plan of `config` under `loss`.
     pub fn new(config: &SegmentationConfig, loss: LabelLoss, seed: u64) -> Self {
         let warmup = match loss {
@@ -97,7 +97,7 @@ mod tests {
     fn sums_weigh_pixels_and_neighbours_by_their_numbers() {
         let mut config = SegmentationConfig::default();
         let weights = |config: &SegmentationConfig| {
-            Plan::new(config, LabelLoss::Ce, 0).weights_of_means(1_000)
+            TrainingPlan::new(config, LabelLoss::Ce, 0).weights_of_means(1_000)
         };
         assert_eq!(weights(&config), [0.8, 0.2]);
         config.reduction = Reduction::Sum;

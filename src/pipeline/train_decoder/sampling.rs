@@ -5,7 +5,8 @@ use rand::{Rng, seq::SliceRandom};
 
 /// The view of each iteration: a fresh shuffle every epoch, a function of (seed, iteration) alone.
 pub fn view_at(seed: u64, iteration: usize, views: usize) -> usize {
-    let (epoch, place) = (iteration / views.max(1), iteration % views.max(1));
+    let epoch = iteration / views.max(1);
+    let place = iteration % views.max(1);
     let mut order: Vec<usize> = (0..views).collect();
     order.shuffle(&mut stream(seed, Purpose::SegmentationViews, epoch as u64));
     order[place]
@@ -77,7 +78,8 @@ mod tests {
             }
         }
         // Each number is as likely, but for the ends, where runs are cut.
-        let (mut rng, mut drawn) = (ChaCha8Rng::seed_from_u64(4), [0; 700]);
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let mut drawn = [0; 700];
         (0..1_000)
             .flat_map(|_| stratified_sample(700, 0.7, &mut rng))
             .for_each(|row| drawn[row as usize] += 1);
@@ -96,7 +98,8 @@ mod tests {
             (1.0 / 3.0, 3),
             (1.0 / 49.0, 49),
         ] {
-            let (mut rng, mut same) = (ChaCha8Rng::seed_from_u64(5), ChaCha8Rng::seed_from_u64(5));
+            let mut rng = ChaCha8Rng::seed_from_u64(5);
+            let mut same = ChaCha8Rng::seed_from_u64(5);
             let count = 100_003;
             let want = (0..count)
                 .step_by(stride)

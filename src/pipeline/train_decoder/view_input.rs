@@ -174,7 +174,8 @@ impl Cloud {
 
     /// The sampled points of `iteration` at `scale` with their neighbours, as places in [`Cloud::rows`].
     fn sample(&self, plan: &DecoderPlan, scale: usize, iteration: usize) -> Option<NeighbourPairs> {
-        let (points, k) = (self.rows.len(), plan.config.reg_neighbours);
+        let points = self.rows.len();
+        let k = plan.config.reg_neighbours;
         if points < 2 {
             return None;
         }

@@ -13,7 +13,7 @@ use super::footprint::{Buffer, Footprint, Rule, Splat2, Tile, fresh_transmittanc
 use super::parameter_gradients::SplatGradients;
 use super::pixel_gradients::{PixelGradients, drift, geometry_sums};
 use super::projected::{Blended, Projected};
-use super::tile_loop::{LOOK, Pass, gather_rows, sum_over_tiles, walk};
+use super::tile_loop::{LIVE_CHECK_INTERVAL, Pass, gather_rows, sum_over_tiles, walk};
 use crate::backend::Real;
 use crate::backend::simd::{Kernel, Lanes};
 use crate::raster::settings::Splats;
@@ -42,8 +42,8 @@ impl<E: Real, const C: usize, const ABSOLUTE: bool> Kernel<E> for BackwardTile<'
             rest: Buffer::zeros(),
             d_image: tile_image(self.pixels.d_image, self.tile, size),
             g: Buffer::zeros(),
-            near: [[E::zero(); C]; LOOK],
-            drifts: [[E::zero(); 3]; LOOK],
+            near: [[E::zero(); C]; LIVE_CHECK_INTERVAL],
+            drifts: [[E::zero(); 3]; LIVE_CHECK_INTERVAL],
             sums: self.sums,
         };
         for (to, from, len) in self.tile.rows(size) {
@@ -66,8 +66,8 @@ struct BackwardPass<'a, E, S: Lanes<E>, const C: usize, const ABSOLUTE: bool> {
     /// `dL/dalpha' alpha'` of the present Gaussian.
     g: Buffer<E>,
     /// Values of the next Gaussians, and [`drift`] of each when `ABSOLUTE`.
-    near: [[E; C]; LOOK],
-    drifts: [[E; 3]; LOOK],
+    near: [[E; C]; LIVE_CHECK_INTERVAL],
+    drifts: [[E; 3]; LIVE_CHECK_INTERVAL],
     sums: &'a mut [E],
 }
 
@@ -138,7 +138,7 @@ impl<E: Real, S: Lanes<E>, const C: usize, const ABSOLUTE: bool>
         d_value
     }
 
-    /// Sums of `g` times 1, u, v, u^2, u v, v^2; and minus the sums of each pixel's absolute contribution to the gradient of
+    /// Sums of `g` times 1, u, v, u^2, u v, v^2. Then, negated, the sums of each pixel's absolute contribution to the gradient of
     /// the centre.
     #[inline(always)]
     fn moments(&self, next: usize, footprint: &Footprint<E>) -> ([S::V; 6], [S::V; 2]) {

@@ -2,7 +2,9 @@
 
 use super::footprint::{Buffer, Footprint, Rule, Tile, fresh_transmittance};
 use super::projected::{Blended, Projected};
-use super::tile_loop::{LOOK, Pass, for_each_tile_row, gather_rows, sum_over_tiles, walk};
+use super::tile_loop::{
+    LIVE_CHECK_INTERVAL, Pass, for_each_tile_row, gather_rows, sum_over_tiles, walk,
+};
 use crate::backend::Real;
 use crate::backend::simd::{Kernel, Lanes};
 
@@ -48,7 +50,7 @@ impl<E: Real, const C: usize> Kernel<E> for BlendTile<'_, E, C> {
             values: self.values,
             t: fresh_transmittance(self.tile, size),
             sums: [Buffer::zeros(); C],
-            near: [[E::zero(); C]; LOOK],
+            near: [[E::zero(); C]; LIVE_CHECK_INTERVAL],
         };
         walk(s, self.p, self.tile, &mut pass);
         let first = self.tile.origin[1] * size[0];
@@ -71,7 +73,7 @@ struct BlendPass<'a, E, S: Lanes<E>, const C: usize> {
     t: Buffer<E>,
     sums: [Buffer<E>; C],
     /// Values of the next Gaussians.
-    near: [[E; C]; LOOK],
+    near: [[E; C]; LIVE_CHECK_INTERVAL],
 }
 
 impl<E: Real, S: Lanes<E>, const C: usize> Pass<E> for BlendPass<'_, E, S, C> {

@@ -234,7 +234,9 @@ impl Ewa {
             )
         };
         let (x, y) = (along(0), along(1));
-        let (tangent, inside, jw) = ([x.0, y.0], [x.1, y.1], [x.2, y.2]);
+        let tangent = [x.0, y.0];
+        let inside = [x.1, y.1];
+        let jw = [x.2, y.2];
         let unit = Unit::new(rotation);
         let columns = unit.columns();
         let row = |w: Vec3| {

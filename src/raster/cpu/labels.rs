@@ -39,7 +39,8 @@ fn label_tile<E: Real>(p: &Projected<E>, tile: Tile<'_>, labels: &[u16]) -> [u16
             sums[pixel as usize] += weight;
         }
     }
-    let (mut largest, mut found) = ([E::zero(); PIXELS], [0; PIXELS]);
+    let mut largest = [E::zero(); PIXELS];
+    let mut found = [0; PIXELS];
     for (label, sums) in sums {
         for ((largest, found), sum) in largest.iter_mut().zip(&mut found).zip(sums) {
             if sum > *largest {

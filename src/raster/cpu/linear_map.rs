@@ -39,8 +39,8 @@ impl<E: Real> Projected<E> {
         }
     }
 
-    /// The label of each pixel, `[H, W]`: that whose Gaussians have the largest summed alpha' T, ties to the lower one, and 0 where
-    /// there are none. `labels` has one for each Gaussian.
+    /// The label of each pixel, `[H, W]`: its Gaussians have the largest summed alpha' T. Ties go to the lower label; pixels
+    /// without Gaussians are 0. `labels` has one for each Gaussian.
     ///
     /// # Panics
     /// If `labels` does not have N entries.

@@ -1,4 +1,4 @@
-//! The ellipses of projected Gaussians: which pixel rows, and which columns of a row of tiles, they cover.
+//! The ellipses of projected Gaussians: the pixel rows and, in a row of tiles, the columns that they cover.
 //!
 //! Nothing is fused, so that the lists do not depend on the instruction set.
 
@@ -94,13 +94,16 @@ struct Outlines {
 }
 
 impl Outlines {
-    /// Of `splats`, [`BLOCK`] at most.
+    /// Outlines of `splats`, [`BLOCK`] at most.
     #[inline(always)]
     fn new(splats: &[Splat2]) -> Self {
         let none = [0.0; BLOCK];
-        let (mut center, mut slope) = ([none; 2], none);
+        let mut center = [none; 2];
+        let mut slope = none;
         // The others are somewhere, and nobody asks where.
-        let (mut du, mut dv, mut reach) = ([1.0; BLOCK], [1.0; BLOCK], [1.0; BLOCK]);
+        let mut du = [1.0; BLOCK];
+        let mut dv = [1.0; BLOCK];
+        let mut reach = [1.0; BLOCK];
         for (l, s) in splats.iter().enumerate() {
             (center[0][l], center[1][l], slope[l]) = (s.center[0], s.center[1], s.slope);
             (du[l], dv[l], reach[l]) = (s.du, s.dv, s.reach);
@@ -155,7 +158,9 @@ impl Outlines {
     /// How far the `l`-th reaches to the left and right in pixel rows `start..end`.
     #[inline(always)]
     fn edges(&self, l: usize, [start, end]: [f64; 2]) -> [f64; 2] {
-        let (x, y, half_y) = (self.center[0][l], self.center[1][l], self.half[1][l]);
+        let x = self.center[0][l];
+        let y = self.center[1][l];
+        let half_y = self.half[1][l];
         let low = (start + 0.5 - y).max(-half_y);
         let high = (end - 0.5 - y).min(half_y);
         let half = |dy: f64| {

@@ -1,5 +1,5 @@
-//! The contributing pairs of a tile as a list, for many channels and for the matrix `W` itself: a pair's weight is
-//! computed once, over pixel lanes.
+//! The contributing pairs of a tile as a list, for many channels and for the matrix `W` itself. The weight of a pair is computed
+//! once, over pixel lanes.
 
 use super::footprint::{Buffer, Footprint, Rule, TILE, Tile};
 use super::projected::Projected;
@@ -8,7 +8,7 @@ use crate::backend::Real;
 use crate::backend::simd::{Kernel, Lanes};
 
 /// Initial capacity of the lists: pairs of one Gaussian in a tile.
-const USUAL: usize = 24;
+const INITIAL_CAPACITY: usize = 24;
 
 /// Contributing pairs of one tile, Gaussian by Gaussian, front to back.
 pub(super) struct Pairs<E, const GEOMETRY: bool> {
@@ -64,7 +64,7 @@ impl<E: Real, const GEOMETRY: bool> Kernel<E> for Gather<'_, E, GEOMETRY> {
             weights: Vec::new(),
             geometry: Vec::new(),
         };
-        pairs.resize(USUAL * self.tile.ranks.len());
+        pairs.resize(INITIAL_CAPACITY * self.tile.ranks.len());
         let mut pass = PairPass {
             rule: Rule::new(s, &self.p.settings),
             pairs,

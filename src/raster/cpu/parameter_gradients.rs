@@ -11,7 +11,7 @@ use rayon::prelude::*;
 /// Gaussians that one task handles.
 const CHUNK: usize = 512;
 /// Gaussians whose sums are read together.
-const NEAR: usize = 16;
+const READ_TOGETHER: usize = 16;
 
 /// Gradients of all that [`Projected::blend`] depends on; rows of culled Gaussians are zero.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -34,7 +34,8 @@ pub struct SplatGradients<E> {
 
 /// The first six of a row of sums as [`Moments`]: the kernels' u and v are [`UNIT`] times those of [`Splat2`].
 fn moments<E: Real>(m: &[E]) -> Moments {
-    let (first, second) = (UNIT.recip(), (UNIT * UNIT).recip());
+    let first = UNIT.recip();
+    let second = (UNIT * UNIT).recip();
     Moments {
         one: m[0].wide(),
         u: first * m[1].wide(),
@@ -131,9 +132,9 @@ impl<E: Real> Projected<E> {
             .filter(|(_, rank)| **rank != u32::MAX)
             .map(|(row, &rank)| (row, rank as usize))
             .collect();
-        for visible in visible.chunks(NEAR) {
+        for visible in visible.chunks(READ_TOGETHER) {
             // All reads of far memory come first, so that they wait for each other as little as possible.
-            let mut near = [(Splat2::default(), Moments::default()); NEAR];
+            let mut near = [(Splat2::default(), Moments::default()); READ_TOGETHER];
             for (near, &(row, rank)) in near.iter_mut().zip(visible) {
                 let sums = &sums[rank * stride..][..stride];
                 *near = (self.splats[rank], moments(sums));

@@ -71,7 +71,8 @@ impl<E: Real> Projected<E> {
             .collect();
         // Depths of the visible ones, and where in `chunks` they are.
         let count = chunks.iter().map(Vec::len).sum();
-        let (mut depths, mut places) = (Vec::with_capacity(count), Vec::with_capacity(count));
+        let mut depths = Vec::with_capacity(count);
+        let mut places = Vec::with_capacity(count);
         for (chunk, visible) in chunks.iter().enumerate() {
             depths.extend(visible.iter().map(|v| v.depth));
             places.extend((0..visible.len()).map(|i| (chunk * CHUNK + i) as u32));

@@ -37,8 +37,8 @@ struct View {
 }
 
 wide_kernel! {
-    /// Projects the Gaussians from `first` on, one for each of `radii`, which is zero and stays so where
-    /// one is culled; the visible ones are appended in order.
+    /// Projects the Gaussians from `first` on, one for each of `radii`. `radii` are zero before; those of culled Gaussians stay
+    /// zero. The visible Gaussians are appended in order.
     pub(super) fn project(
         splats: &Splats<'_, E>, first: usize, viewpoint: &Viewpoint, settings: &Settings,
         radii: &mut [u32], visible: &mut Vec<Visible>,
@@ -91,12 +91,13 @@ fn project_all<E: Real, const _FMA: bool>(
     }
 }
 
-/// The cheap test: a sphere around each of the Gaussians `first..first + len` against the image. 0 for those that are certainly
-/// outside or not finite, else 1: as wide as `f64`, so that loops over both become vectors.
+/// The cheap test of the Gaussians `first..first + len`: a sphere around each one against the image. 0 where a Gaussian is
+/// certainly outside or not finite, else 1. The flags are as wide as `f64`, so that loops over both become vectors.
 #[inline(always)]
 fn sift<E: Real>(splats: &Splats<'_, E>, first: usize, len: usize, view: &View) -> [u64; BLOCK] {
     let mut mean = [[0.0; BLOCK]; 3];
-    let (mut log_scale, mut logit) = ([0.0; BLOCK], [0.0; BLOCK]);
+    let mut log_scale = [0.0; BLOCK];
+    let mut logit = [0.0; BLOCK];
     let rows = splats.means[3 * first..]
         .chunks_exact(3)
         .zip(splats.log_scales[3 * first..].chunks_exact(3));
@@ -130,10 +131,8 @@ fn sift<E: Real>(splats: &Splats<'_, E>, first: usize, len: usize, view: &View) 
             let scale = largest * (v.focal[a] / p[2]);
             // A little more than the variance that the projection may have, for rounding.
             let variance = 1.001 * (scale * scale * (1.0 + tangent * tangent) + low_pass);
-            let (center, reach) = (
-                v.focal[a] * ratio + v.principal[a],
-                (2.0 * variance * tau).sqrt(),
-            );
+            let center = v.focal[a] * ratio + v.principal[a];
+            let reach = (2.0 * variance * tau).sqrt();
             // False where something overflowed: the projection decides that case.
             out |= (variance < 1e30)
                 & ((center + reach < -1.0) | (center - reach > v.size[a] as f64 + 1.0));
@@ -218,7 +217,8 @@ impl Block {
                 p,
             );
             let [m1, m2] = ewa.m;
-            let (n1, n2) = (dot(m1, m1), dot(m2, m2));
+            let n1 = dot(m1, m1);
+            let n2 = dot(m2, m2);
             let yy = n2 + low;
             let slope = dot(m1, m2) / yy;
             let s2 = (ewa.cross_squared(&v) + low * (n1 + n2) + low * low) / yy;
@@ -226,7 +226,8 @@ impl Block {
             // ln(sigmoid(x)) = -ln(1 + e^-x)
             let log_opacity = logit[l].min(0.0) - ln_1p_unit(exp(-logit[l].abs()));
             let tau = log_opacity - ln_alpha_min;
-            let (half, b) = (0.5 * (xx - yy), slope * yy);
+            let half = 0.5 * (xx - yy);
+            let b = slope * yy;
             for a in 0..2 {
                 out.center[a][l] = v.focal[a] * (p[a] / p[2]) + v.principal[a];
             }
@@ -257,7 +258,8 @@ impl Block {
         .iter()
         .all(|v| v.is_finite());
         let out = |a: usize| {
-            let (center, reach) = (self.center[a][l], self.reach[a][l]);
+            let center = self.center[a][l];
+            let reach = self.reach[a][l];
             center + reach < 0.0 || center - reach > view.point.size[a] as f64
         };
         // The logarithm of the smallest normal `f64`.

@@ -27,7 +27,8 @@ pub fn render(
     background: [f32; 3],
 ) -> Result<Rendered> {
     let projected = Projected::new(&gaussians.splats(), camera, settings)?;
-    let (degree, center) = (gaussians.sh_degree, camera.center.to_array());
+    let degree = gaussians.sh_degree;
+    let center = camera.center.to_array();
     let means = gaussians.means.as_flattened();
     let radii = projected.radii();
     let colours = visible_colours(means, &gaussians.sh, degree, degree, center, radii)?;

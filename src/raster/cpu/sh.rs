@@ -186,7 +186,7 @@ fn evaluate_all<E: Real, const _FMA: bool>(
     }
 }
 
-/// What [`sh_backward`] reads.
+/// The inputs of the backward pass of the colours.
 pub(in crate::raster) struct ShBackward<'a, E> {
     /// `[N, 3]`.
     pub means: &'a [E],

@@ -7,9 +7,9 @@ use crate::backend::simd::{Lanes, prefetch};
 use rayon::prelude::*;
 
 /// List entries between two looks at which rows are still live.
-pub(super) const LOOK: usize = 16;
-/// Bytes of per-entry sums held at once: few, so that they stay in the cache, but not so few that there are more than
-/// [`BANDS`] bands, each of which looks at all Gaussians.
+pub(super) const LIVE_CHECK_INTERVAL: usize = 16;
+/// Bytes of per-entry sums held at once. They are few, so that they stay in the cache. There are never more than [`BANDS`] bands,
+/// because each band looks at all Gaussians.
 const BAND_BYTES: std::ops::RangeInclusive<usize> = 4 << 20..=64 << 20;
 const BANDS: usize = 8;
 
@@ -58,8 +58,8 @@ pub(super) fn for_each_tile_row<E: Real>(
     out
 }
 
-/// Runs `f` over all tiles in parallel; it writes `width` sums for each of the tile's list entries. Returns the sums
-/// per rank, `[visible, width]`, added up in an order that does not depend on the number of threads.
+/// Runs `f` over all tiles in parallel. `f` writes `width` sums for each list entry of its tile. Returns the sums per rank,
+/// `[visible, width]`, added up in an order that does not depend on the number of threads.
 pub(super) fn sum_over_tiles<E: Real>(
     p: &Projected<E>,
     width: usize,
@@ -122,7 +122,7 @@ pub(super) fn sum_over_tiles<E: Real>(
 pub(super) trait Pass<E> {
     /// Transmittance of the tile's pixels, negative where a pixel has ended.
     fn transmittance(&self) -> &Buffer<E>;
-    /// The next Gaussians have these ranks, [`LOOK`] at most.
+    /// The next Gaussians have these ranks, [`LIVE_CHECK_INTERVAL`] at most.
     fn gather(&mut self, ranks: &[u32]);
     /// Takes the `next`-th of them, which is entry `entry` of the tile's list.
     fn take(&mut self, next: usize, entry: usize, footprint: &Footprint<E>);
@@ -138,9 +138,14 @@ pub(super) fn walk<E: Real, S: Lanes<E>>(
 ) {
     let grid = Grid::new(s);
     let mut footprint = Footprint::empty();
-    let mut corners = [Corner::default(); LOOK];
-    for (look, ranks) in tile.ranks.chunks(LOOK).enumerate() {
-        for &rank in tile.ranks.iter().skip((look + 1) * LOOK).take(LOOK) {
+    let mut corners = [Corner::default(); LIVE_CHECK_INTERVAL];
+    for (look, ranks) in tile.ranks.chunks(LIVE_CHECK_INTERVAL).enumerate() {
+        for &rank in tile
+            .ranks
+            .iter()
+            .skip((look + 1) * LIVE_CHECK_INTERVAL)
+            .take(LIVE_CHECK_INTERVAL)
+        {
             prefetch(&p.splats[rank as usize]);
         }
         let live = live_strips(s, pass.transmittance());
@@ -155,7 +160,7 @@ pub(super) fn walk<E: Real, S: Lanes<E>>(
         for (next, corner) in corners[..ranks.len()].iter().enumerate() {
             footprint.place(s, corner, &grid);
             footprint.strips &= live;
-            pass.take(next, look * LOOK + next, &footprint);
+            pass.take(next, look * LIVE_CHECK_INTERVAL + next, &footprint);
         }
     }
 }
@@ -165,7 +170,7 @@ pub(super) fn walk<E: Real, S: Lanes<E>>(
 pub(super) fn gather_rows<E: Copy, const C: usize>(
     values: &[E],
     ranks: &[u32],
-    out: &mut [[E; C]; LOOK],
+    out: &mut [[E; C]; LIVE_CHECK_INTERVAL],
 ) {
     for (out, &rank) in out.iter_mut().zip(ranks) {
         out.copy_from_slice(&values[rank as usize * C..][..C]);

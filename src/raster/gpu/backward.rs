@@ -1,10 +1,10 @@
 //! Backward pass over the tiles: the kernel.
 //!
-//! A cube takes [`BATCH`] Gaussians of its tile at a time. First every unit is a pixel: it blends them once more, front
-//! to back, and leaves `alpha' T` and `g = dL/dalpha' alpha'` in shared memory. Then [`LANES`] units share a Gaussian and
-//! sum over all pixels; their sums meet in shared memory again. The sums of a tile entry go to its own row, and a second kernel
-//! adds the rows of each Gaussian, which are neighbours: no atomics, and the same bits every time. Everything is linear in the
-//! gradient of the image, so that channels come in blocks, and the moments of the blocks add up.
+//! A cube takes [`BATCH`] Gaussians of its tile at a time. First every unit is a pixel: it blends them once more, front to back,
+//! and leaves `alpha' T` and `g = dL/dalpha' alpha'` in shared memory. Then [`LANES`] units share a Gaussian and sum over all
+//! pixels; their sums meet in shared memory again. The sums of a tile entry go to its own row. The rows of a Gaussian are
+//! neighbours, and a second kernel adds them. So there are no atomics, and the bits are the same every time. Everything is linear
+//! in the gradient of the image, so that channels come in blocks, and the moments of the blocks add up.
 
 use super::blend::four_values;
 use super::pixel::{
@@ -27,7 +27,7 @@ const LANES: usize = UNITS as usize / BATCH;
 /// They are as many as the pixels of a patch.
 const _: () = assert!(LANES == PATCH);
 /// Channels that make one block on every device: sums of absolute values of more are not sums over blocks.
-pub(super) const ALWAYS_TOGETHER: usize = 8;
+pub(super) const COMMON_BLOCK_CHANNELS: usize = 8;
 /// Widest block with and without moments where shared memory suffices. Chosen by counting registers, not by a measurement.
 const WIDEST: [usize; 2] = [24, 32];
 
@@ -42,7 +42,7 @@ pub(super) fn widest(gpu: &Gpu, moments: usize) -> usize {
     // A batch, its patches and entries, and slots.
     let others = pairs_of(moments) + BATCH * (SPLAT + 2 * PATCHES + 1) + 64;
     let fits = floats.saturating_sub(others) / (UNITS as usize + BATCH) / 4 * 4;
-    fits.clamp(ALWAYS_TOGETHER, WIDEST[usize::from(moments == 0)])
+    fits.clamp(COMMON_BLOCK_CHANNELS, WIDEST[usize::from(moments == 0)])
 }
 
 #[cube(launch)]

@@ -60,7 +60,7 @@ pub(crate) struct Lists {
 }
 
 impl Lists {
-    /// Of `inputs`; `None` when an input holds a NaN or an infinity.
+    /// The lists for `inputs`; `None` when an input holds a NaN or an infinity.
     ///
     /// # Errors
     /// As [`super::forward`].

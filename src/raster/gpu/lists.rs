@@ -219,7 +219,9 @@ pub(super) fn tile_entries(
             ends: gpu.filled(order.len, 0),
         };
     }
-    let (gaussian_of, gaussians, ends) = (gpu.words(len), gpu.words(len), gpu.words(order.len));
+    let gaussian_of = gpu.words(len);
+    let gaussians = gpu.words(len);
+    let ends = gpu.words(order.len);
     let tiles = gpu.words(len);
     emit_entries::launch(
         &gpu.client,
@@ -286,7 +288,8 @@ mod tests {
                 let [across, down] = tile_counts(size);
                 let ranges = words(&view.gpu, &view.prepared.entries.ranges);
                 let gaussians = words(&view.gpu, &view.prepared.entries.gaussians);
-                let (mut entries, mut differing) = (0, 0);
+                let mut entries = 0;
+                let mut differing = 0;
                 for tile in 0..across * down {
                     let got = &gaussians[ranges[2 * tile] as usize..ranges[2 * tile + 1] as usize];
                     let ranks =

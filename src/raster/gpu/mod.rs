@@ -35,16 +35,16 @@ pub(super) use self::passes::forward;
 pub(crate) use self::passes::{Forward, Gradients};
 pub(crate) use self::prepare::Scenery;
 
-use crate::backend::gpu::shortfall;
+use crate::backend::gpu::missing_capability;
 use burn::tensor::DType;
 use burn_cubecl::tensor::CubeTensor;
 
 /// Sums of absolute screen-space gradients exist for up to this many channels.
-pub(super) const ABSOLUTE_CHANNELS: usize = backward::ALWAYS_TOGETHER;
+pub(super) const ABSOLUTE_CHANNELS: usize = backward::COMMON_BLOCK_CHANNELS;
 
 /// Whether the device of `tensor` can run the kernels.
 pub(super) fn covers(tensor: &CubeTensor) -> bool {
-    tensor.dtype == DType::F32 && shortfall(&tensor.client).is_none()
+    tensor.dtype == DType::F32 && missing_capability(&tensor.client).is_none()
 }
 
 #[cfg(test)]
@@ -98,7 +98,8 @@ mod fixture {
                 .iter()
                 .map(|x| x + scale.ln())
                 .collect();
-            let (rotations, logits) = (draw(4 * n, -1.0, 1.0), draw(n, -3.0, 3.0));
+            let rotations = draw(4 * n, -1.0, 1.0);
+            let logits = draw(n, -3.0, 3.0);
             let camera = Camera {
                 rotation: DMat3::IDENTITY,
                 center: DVec3::new(0.1, 0.2, -2.5),

@@ -1,4 +1,4 @@
-//! Which tiles a projected Gaussian reaches: [`crate::raster::cpu::outline`]'s formulas, in kernels.
+//! Which tiles a projected Gaussian reaches: `crate::raster::cpu::outline`'s formulas, in kernels.
 
 use super::project::SPLAT;
 use crate::raster::cpu::footprint::TILE;
@@ -27,7 +27,8 @@ pub(super) struct Span {
 #[cube]
 pub(super) fn outline(splats: &[f32], id: usize) -> Outline {
     let at = id * SPLAT;
-    let (slope, reach) = (splats[at + 2], splats[at + 6]);
+    let slope = splats[at + 2];
+    let reach = splats[at + 6];
     let sx = 1.0f32 / splats[at + 3];
     let sy = 1.0f32 / splats[at + 4];
     let tall = slope * sy;

@@ -38,8 +38,8 @@ pub(crate) struct Gradients {
 /// infinity.
 ///
 /// # Errors
-/// [`Error::Config`] for settings out of range, [`Error::Argument`] for an unusable camera, [`Error::Limit`] for what the device
-/// cannot hold, [`Error::Device`] when it fails.
+/// [`crate::Error::Config`] for settings out of range; [`crate::Error::Argument`] for an unusable camera; [`crate::Error::Limit`] for
+/// what the device cannot hold; [`crate::Error::Device`] when it fails.
 pub(in crate::raster) fn forward(
     inputs: &Inputs,
     scenery: Scenery<'_>,

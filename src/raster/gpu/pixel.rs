@@ -66,7 +66,8 @@ pub(super) const PATCHES_ACROSS: usize = TILE / PATCH_WIDTH;
 #[cube]
 pub(super) fn pixel(tile: usize, unit: u32, width: u32, height: u32) -> Pixel {
     let across = (width + (TILE - 1) as u32) / TILE as u32;
-    let (patch, lane) = (unit / PATCH as u32, unit % PATCH as u32);
+    let patch = unit / PATCH as u32;
+    let lane = unit % PATCH as u32;
     let column = (patch % PATCHES_ACROSS as u32) * PATCH_WIDTH as u32 + lane % PATCH_WIDTH as u32;
     let row = (patch / PATCHES_ACROSS as u32) * PATCH_HEIGHT as u32 + lane / PATCH_WIDTH as u32;
     let x = (tile as u32 % across) * TILE as u32 + column;
@@ -82,8 +83,8 @@ pub(super) fn pixel(tile: usize, unit: u32, width: u32, height: u32) -> Pixel {
 
 /// alpha' of the `at`-th Gaussian of a batch at (x, y) before the cap; 0 where it is surely below the cut-off.
 ///
-/// Multiply-adds are spelled out, here and in [`take`]: compilers may or may not contract products and sums, and the
-/// forward and the backward pass have to stop at the same Gaussian.
+/// Multiply-adds are written out, here and in [`take`], because compilers may or may not contract products and sums. The forward
+/// and the backward pass have to stop at the same Gaussian.
 #[cube]
 pub(super) fn alpha_at(batch: &Shared<[Four]>, at: usize, x: f32, y: f32, rule: &Rule) -> f32 {
     let first = batch[at * SPLAT_FOURS];
@@ -142,12 +143,10 @@ pub(super) fn reaches_patch(
 ) -> bool {
     let first = pixel(tile, patch * PATCH as u32, width, height);
     let at = id * SPLAT;
-    let (slope, du, dv, reach) = (
-        splats[at + 2],
-        splats[at + 3],
-        splats[at + 4],
-        splats[at + 6],
-    );
+    let slope = splats[at + 2];
+    let du = splats[at + 3];
+    let dv = splats[at + 4];
+    let reach = splats[at + 6];
     // Rounded as alpha_at rounds them.
     let left = first.x - splats[at];
     let right = first.x + (PATCH_WIDTH - 1) as f32 - splats[at];
@@ -217,7 +216,8 @@ mod tests {
     fn a_patch_that_is_passed_over_shows_nothing() {
         let Some(gpu) = gpu() else { return };
         let mut rng = ChaCha8Rng::seed_from_u64(9);
-        let (count, size) = (20_000_usize, [96_u32, 64]);
+        let count = 20_000_usize;
+        let size = [96_u32, 64];
         for (alpha_min, least) in [(1.0 / 255.0, 0.5), (0.0, 0.0)] {
             let settings = Settings {
                 alpha_min,
@@ -263,10 +263,8 @@ mod tests {
                     ]
                 })
                 .collect();
-            let (splats, constants) = (
-                gpu.upload(&splats, DType::F32),
-                gpu.upload(&constants, DType::F32),
-            );
+            let splats = gpu.upload(&splats, DType::F32);
+            let constants = gpu.upload(&constants, DType::F32);
             let found = gpu.upload(&[0_u32; 3], DType::U32);
             count_missed::launch(
                 &gpu.client,

@@ -17,7 +17,7 @@ pub(super) struct PixelGradients<'a> {
     /// `[H, W]`.
     pub transmittance: &'a CubeTensor,
     pub d_transmittance: Option<&'a CubeTensor>,
-    /// Whether to add sums of absolute values, for at most [`super::backward::ALWAYS_TOGETHER`] channels.
+    /// Whether to add sums of absolute values, for at most [`super::backward::COMMON_BLOCK_CHANNELS`] channels.
     pub absolute: bool,
 }
 
@@ -163,7 +163,8 @@ mod tests {
         let pixels = 50 * 41;
         let values = draw(400 * 12);
         let (image, transmittance) = blend(gpu, &view.prepared, &values, 12);
-        let (d_image, d_transmittance) = (draw(pixels * 12), draw(pixels));
+        let d_image = draw(pixels * 12);
+        let d_transmittance = draw(pixels);
         let gradients = PixelGradients {
             image: &image,
             d_image: &d_image,

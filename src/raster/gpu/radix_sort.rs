@@ -1,8 +1,8 @@
 //! Stable radix sort of keys with a value each, least significant digit first.
 //!
-//! A digit has eight bits. Within its block a cube sorts by them four at a time, so that it can keep a counter for every
-//! unit and half digit in shared memory: units count their own consecutive keys, one scan ranks all of them, and no
-//! subgroup operation is needed. Then every key goes to its place among all, neighbours together.
+//! A digit has eight bits. Within its block a cube sorts by them four at a time. Then shared memory has room for a counter of every
+//! unit and half digit. Units count their own consecutive keys, one scan ranks all keys, and no subgroup operation is needed. Then
+//! every key goes to its place among all, neighbours together.
 
 use super::scan::{exclusive_sums, scan_cube};
 use crate::backend::gpu::{Gpu, UNITS, arg};
@@ -215,7 +215,8 @@ pub(super) fn sort_positions(
             shift,
         );
         let starts = exclusive_sums(gpu, &counts, DIGITS * blocks);
-        let (sorted_keys, sorted_values) = (gpu.words(len), gpu.words(len));
+        let sorted_keys = gpu.words(len);
+        let sorted_values = gpu.words(len);
         scatter::launch(
             &gpu.client,
             gpu.cubes(blocks),

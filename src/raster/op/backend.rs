@@ -76,10 +76,13 @@ mod autodiff {
                 } => (image, transmittance, radii, saved),
                 RasterPass::Failed(error) => return RasterPass::Failed(error),
             };
-        let (image_shape, pixel_shape) = (image.shape(), transmittance.shape());
-        let (values, pixels) = (image_shape.num_elements(), pixel_shape.num_elements());
+        let image_shape = image.shape();
+        let pixel_shape = transmittance.shape();
+        let values = image_shape.num_elements();
+        let pixels = pixel_shape.num_elements();
         let kept = saved.clone();
-        let (image_dims, pixel_dims) = (image_shape.clone(), pixel_shape.clone());
+        let image_dims = image_shape.clone();
+        let pixel_dims = pixel_shape.clone();
         let both = track::<B, C, INPUTS, _>(tracked, |_| {
             let flat = |tensor, len| B::float_reshape(tensor, Shape::new([len]));
             let parts = vec![flat(image.clone(), values), flat(transmittance, pixels)];

@@ -97,14 +97,16 @@ pub(super) fn view_colours<B: HostBackend>(
     view: ProjectedView,
     call: Arc<ViewCall>,
 ) -> Colours<B> {
-    let (device, shape) = (device_of::<B>(&means), means.shape());
+    let device = device_of::<B>(&means);
+    let shape = means.shape();
     real_kernel!(means, E => {
         let Some(projected) = OfHost::<Projected<E>>::of_host(&view) else {
             return Colours::Failed(other_kernels());
         };
         let stored = sh.shape()[1].isqrt() - 1;
         let center = call.camera.center.to_array();
-        let (means, sh) = (B::values::<E>(means), B::values::<E>(sh));
+        let means = B::values::<E>(means);
+        let sh = B::values::<E>(sh);
         match visible_colours(&means, &sh, stored, degree, center, projected.radii()) {
             Ok(colours) => Colours::Done(B::tensor::<E>(colours, &shape, &device)),
             Err(error) => Colours::Failed(error),
@@ -122,7 +124,8 @@ pub(super) fn blend_view<B: HostBackend>(
     values: FloatTensor<B>,
     view: ProjectedView,
 ) -> TensorPair<B> {
-    let (device, channels) = (device_of::<B>(&values), values.shape()[1]);
+    let device = device_of::<B>(&values);
+    let channels = values.shape()[1];
     real_kernel!(values, E => {
         let Some(projected) = OfHost::<Projected<E>>::of_host(&view) else {
             return TensorPair::Failed(other_kernels());
@@ -140,7 +143,8 @@ pub(super) fn blend_view_adjoint<B: HostBackend>(
     image: FloatTensor<B>,
     view: ProjectedView,
 ) -> TensorPair<B> {
-    let (device, channels) = (device_of::<B>(&image), image.shape()[2]);
+    let device = device_of::<B>(&image);
+    let channels = image.shape()[2];
     real_kernel!(image, E => {
         let Some(projected) = OfHost::<Projected<E>>::of_host(&view) else {
             return TensorPair::Failed(other_kernels());

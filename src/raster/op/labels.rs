@@ -13,7 +13,7 @@ use std::sync::OnceLock;
 
 /// Bytes of one channel a label for all Gaussians, and labels that are blended together all the same.
 const BLOCK_BYTES: usize = 1 << 30;
-const FEWEST: usize = 8;
+const MIN_CHANNELS: usize = 8;
 
 /// The labels of a scene's Gaussians.
 #[derive(Clone, Debug)]
@@ -30,7 +30,8 @@ pub(crate) struct GaussianLabels {
 pub(crate) struct LabelledPixels {
     /// `[H, W, 3]` without background; empty without colours.
     pub rgb: Vec<f32>,
-    /// `[H, W]`: the label whose Gaussians have the largest summed alpha' T, ties to the lower one, and 0 where there are none.
+    /// `[H, W]`: the label whose Gaussians have the largest summed alpha' T. Ties go to the lower label; pixels without Gaussians
+    /// are 0.
     pub labels: Vec<u16>,
     /// What shows of the background, `[H, W]`.
     pub transmittance: Vec<f32>,
@@ -56,7 +57,7 @@ impl GaussianLabels {
             .channel_blocks(others + labels)
             .next()
             .map_or(labels, |block| block.len() - others);
-        let of_gaussians = view.splats().channels_within(BLOCK_BYTES).max(FEWEST);
+        let of_gaussians = view.splats().channels_within(BLOCK_BYTES).max(MIN_CHANNELS);
         let together = of_image.min(of_gaussians).max(1);
         (0..labels)
             .step_by(together)
@@ -171,7 +172,7 @@ impl GaussianLabels {
     }
 }
 
-/// 1 where the one value of a row of `[rows, 1]` is the value of the column, `[rows, values]`.
+/// `[rows, values]`: 1 where `of_rows`, `[rows, 1]`, equals the value of the column, else 0.
 fn one_hot(of_rows: &Tensor<2>, values: Vec<f32>) -> Tensor<2> {
     let rows = of_rows.dims()[0];
     let columns = values.len();
@@ -193,7 +194,7 @@ pub(crate) struct Largest {
 }
 
 impl Largest {
-    /// Of `image`, `[H, W, C]`, whose first channel has the number `first`; ties go to the lower one.
+    /// The largest channels of `image`, `[H, W, C]`. Its first channel has the number `first`. Ties go to the lower number.
     pub fn of(image: Tensor<3>, first: f64) -> Self {
         let (value, index) = image.max_dim_with_indices(2);
         Self {

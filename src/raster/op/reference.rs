@@ -88,7 +88,7 @@ pub(super) fn rasterize(
 }
 
 impl ReferenceView {
-    /// Of `splats`. `screen` is that of [`RasterInput`]; its gradient has no sums of absolute values.
+    /// A view of `splats`. `screen` is that of [`RasterInput`]; its gradient has no sums of absolute values.
     pub fn new(
         splats: &SplatTensors,
         screen: Option<Tensor<2>>,
@@ -132,7 +132,9 @@ impl ReferenceView {
 
     /// `W s` of `values` `[N, C]`: the image `[H, W, C]`; and the transmittance `[H, W]`.
     pub fn blend(&self, values: Tensor<2>) -> (Tensor<3>, Tensor<2>) {
-        let (height, width, channels) = (self.camera.height, self.camera.width, values.dims()[1]);
+        let height = self.camera.height;
+        let width = self.camera.width;
+        let channels = values.dims()[1];
         let order = index(&self.order, &values);
         let image = self.weights.clone().matmul(values.select(0, order));
         (

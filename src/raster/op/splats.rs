@@ -106,10 +106,8 @@ impl SplatTensors {
         if shapes == expected && types == [dtype; 4] {
             return Ok(());
         }
-        let (found, expected) = (
-            format!("{shapes:?}, {types:?}"),
-            format!("{expected:?}, all {dtype:?}"),
-        );
+        let found = format!("{shapes:?}, {types:?}");
+        let expected = format!("{expected:?}, all {dtype:?}");
         Err(
             invalid!(argument "frozen Gaussians"; found "{found}"; expected "{expected}";
             help "pass tensors of one scene and one float type"),

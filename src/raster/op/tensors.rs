@@ -46,23 +46,14 @@ impl<B: Backend> RasterTensors<B> {
     }
 
     pub(super) fn into_array(self) -> [FloatTensor<B>; INPUTS] {
-        let Self {
-            means,
-            log_scales,
-            rotations,
-            opacity_logits,
-            sh,
-            features,
-            screen,
-        } = self;
         [
-            means,
-            log_scales,
-            rotations,
-            opacity_logits,
-            sh,
-            features,
-            screen,
+            self.means,
+            self.log_scales,
+            self.rotations,
+            self.opacity_logits,
+            self.sh,
+            self.features,
+            self.screen,
         ]
     }
 }

@@ -22,7 +22,7 @@ const DEVICE_BLOCK_SHARE: usize = 4;
 /// On a device the channels of a block are a multiple of this.
 const DEVICE_STEP: usize = 32;
 /// Channels that are always blended together, however large the image: each pass evaluates all pairs anew.
-const LEAST_CHANNELS: usize = 12;
+const MIN_CHANNELS: usize = 12;
 
 /// What [`SplatView::blend_adjoint`] returns.
 #[derive(Clone, Debug)]
@@ -96,14 +96,14 @@ impl SplatView {
         &self.call.camera
     }
 
-    /// Ranges of `channels` to blend together: an image of one takes about 64 MB; on a GPU a quarter of its largest allocation,
-    /// and no more than 1 GB.
+    /// Ranges of `channels` to blend together. The image of a range takes about 64 MB; on a GPU, a quarter of its largest
+    /// allocation, and no more than 1 GB.
     pub fn channel_blocks(&self, channels: usize) -> impl Iterator<Item = Range<usize>> + use<> {
         let plane = (self.camera().width * self.camera().height * size_of::<f32>()).max(1);
         let together = match largest_allocation(&self.device()) {
-            None => (BLOCK_BYTES / plane).max(LEAST_CHANNELS),
+            None => (BLOCK_BYTES / plane).max(MIN_CHANNELS),
             Some(most) => match (most / DEVICE_BLOCK_SHARE).min(DEVICE_BLOCK_BYTES) / plane {
-                few if few < DEVICE_STEP => few.max(LEAST_CHANNELS),
+                few if few < DEVICE_STEP => few.max(MIN_CHANNELS),
                 many => many / DEVICE_STEP * DEVICE_STEP,
             },
         };
@@ -118,9 +118,11 @@ impl SplatView {
     /// [`crate::Error::Argument`] for tensors of different sizes or float types; those of `Projected::new`; on a GPU [`crate::Error::Limit`]
     /// for what the device cannot hold, and [`crate::Error::Device`] when it fails.
     pub fn blend(&self, values: Tensor<2>) -> Result<(Tensor<3>, Tensor<2>)> {
-        let (n, rows) = (self.splats.len(), values.dims()[0]);
+        let n = self.splats.len();
+        let rows = values.dims()[0];
         if rows != n {
-            let (found, expected) = (format!("{rows} rows"), format!("{n}, one a Gaussian"));
+            let found = format!("{rows} rows");
+            let expected = format!("{n}, one a Gaussian");
             bail!(argument "values to blend"; found "{found}"; expected "{expected}";
                 help "pass values of these Gaussians");
         }
@@ -143,7 +145,8 @@ impl SplatView {
     /// # Errors
     /// As [`SplatView::blend`].
     pub fn blend_at(&self, values: Tensor<2>, pixels: &[u32]) -> Result<(Tensor<2>, Tensor<1>)> {
-        let (n, all) = (values.dims()[0], self.camera().width * self.camera().height);
+        let n = values.dims()[0];
+        let all = self.camera().width * self.camera().height;
         let chosen = Arc::new(SparseMatrix::selection(pixels.to_vec(), all));
         let mut transmittance = None;
         let blocks = self.channel_blocks(values.dims()[1]).map(|block| {
@@ -171,10 +174,8 @@ impl SplatView {
         let camera = self.camera();
         let [height, width, _] = image.dims();
         if [height, width] != [camera.height, camera.width] {
-            let (found, expected) = (
-                format!("{width}x{height}"),
-                format!("{}x{}", camera.width, camera.height),
-            );
+            let found = format!("{width}x{height}");
+            let expected = format!("{}x{}", camera.width, camera.height);
             bail!(argument "image to lift"; found "{found}"; expected "{expected}";
                 help "pass an image of the camera's size");
         }
@@ -215,8 +216,8 @@ impl SplatView {
         }
     }
 
-    /// Colours `max(0, SH + 0.5)` of all Gaussians, `[N, 3]`, from coefficients `[N, K, 3]` of degree `degree`, without
-    /// autodiff; any values for Gaussians that the view does not show.
+    /// Colours `max(0, SH + 0.5)` of all Gaussians, `[N, 3]`, from coefficients `[N, K, 3]` of degree `degree`, without autodiff.
+    /// Rows of Gaussians that the view does not show are undefined.
     ///
     /// # Errors
     /// As [`SplatView::blend`]; [`crate::Error::NonFinite`] for the coefficients.

@@ -14,7 +14,7 @@ const SPLIT_SCALE: f32 = 1.6;
 const RESET_OPACITY: f32 = 0.01;
 
 /// Largest scale that a Gaussian may have: a share of its distance from the mean camera, or of the extent where that is longer.
-/// 3DGS takes the extent alone ([`SizeRule::Extent`](crate::config::SizeRule)), with which cameras that stand close together lose
+/// 3DGS takes the extent alone ([`SizeRule::Extent`](crate::config::SizeRule)). With that, cameras that stand close together lose
 /// everything behind their subject.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SizeLimit {

@@ -13,17 +13,18 @@ use std::sync::Arc;
 /// Depths that are tried for a pixel.
 const DEPTHS: usize = 24;
 /// Depths span this factor either way of the focus distance.
-const REACH: f64 = 4.0;
+const DEPTH_FACTOR: f64 = 4.0;
 /// Largest number of other views that a depth is checked in.
-const WITNESSES: usize = 12;
+const MAX_OTHER_VIEWS: usize = 12;
 /// Photos that are in memory at a time.
-const AT_ONCE: usize = 16;
+const PHOTOS_IN_MEMORY: usize = 16;
 
 /// `count` points in the frusta of `views`, coloured as the pixel they were drawn at.
 ///
-/// Each lies on the ray of a random pixel of a random view. Of 24 depths, log-spaced with a random offset from a quarter
-/// of to four times the focus distance, it takes the one at which the better half of the other views that see the point
-/// show the most similar colour (mean absolute difference). Masked pixels are neither drawn nor compared. The focus distance is the median depth of the point nearest to all optical axes, or ten baselines where the axes are parallel.
+/// Each point lies on the ray of a random pixel of a random view. 24 depths are tried, log-spaced with a random offset, from a
+/// quarter of the focus distance to four times it. At the chosen depth, the better half of the other views that see the point show
+/// the most similar colour (mean absolute difference). Masked pixels are neither drawn nor compared. The focus distance is the median
+/// depth of the point nearest to all optical axes, or ten baselines where the axes are parallel.
 ///
 /// Empty without a view that has unmasked pixels. Each photo is decoded twice at most.
 ///
@@ -75,7 +76,7 @@ pub fn points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Result<Poi
         let camera = &views[drawn.view].camera;
         let ray = camera.ray(f64::from(drawn.x) + 0.5, f64::from(drawn.y) + 0.5);
         let share = 2.0 * (k as f64 + drawn.offset) / DEPTHS as f64 - 1.0;
-        camera.center + ray * (focus * REACH.powf(share))
+        camera.center + ray * (focus * DEPTH_FACTOR.powf(share))
     };
     each_photo(&views, |first, photos| {
         drawn.par_iter_mut().for_each(|drawn| {
@@ -142,17 +143,17 @@ struct Drawn {
 
 /// Calls `look` with the photos of all views, a few at a time: index of the first one, and the photos.
 fn each_photo(views: &[&View], mut look: impl FnMut(usize, &[Arc<RgbImage>])) -> Result<()> {
-    for (batch, views) in views.chunks(AT_ONCE).enumerate() {
+    for (batch, views) in views.chunks(PHOTOS_IN_MEMORY).enumerate() {
         let photos = views
             .par_iter()
             .map(|view| view.image.pixels())
             .collect::<Result<Vec<_>>>()?;
-        look(batch * AT_ONCE, &photos);
+        look(batch * PHOTOS_IN_MEMORY, &photos);
     }
     Ok(())
 }
 
-/// Up to [`WITNESSES`] other views, spread over the nearer half of them.
+/// Up to [`MAX_OTHER_VIEWS`] other views, spread over the nearer half of them.
 fn witnesses(views: &[&View], index: usize) -> Vec<usize> {
     let center = views[index].camera.center;
     let mut others: Vec<usize> = (0..views.len()).filter(|&i| i != index).collect();
@@ -160,8 +161,11 @@ fn witnesses(views: &[&View], index: usize) -> Vec<usize> {
         let distance = |i: usize| views[i].camera.center.distance_squared(center);
         distance(a).total_cmp(&distance(b)).then(a.cmp(&b))
     });
-    let near = others.len().div_ceil(2).max(WITNESSES.min(others.len()));
-    let stride = near.div_ceil(WITNESSES).max(1);
+    let near = others
+        .len()
+        .div_ceil(2)
+        .max(MAX_OTHER_VIEWS.min(others.len()));
+    let stride = near.div_ceil(MAX_OTHER_VIEWS).max(1);
     others[..near].iter().step_by(stride).copied().collect()
 }
 

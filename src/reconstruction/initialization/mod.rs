@@ -77,9 +77,9 @@ pub fn logit(p: f32) -> f32 {
 /// Gaussians at `points`: isotropic with the rms distance to the 3 nearest distinct points as scale, opacity 0.1, SH
 /// constant term (rgb - 0.5) / 0.2820948, all other SH zero.
 ///
-/// Points at the same position count once as neighbours and share their scale, so duplicates never give a scale of 0.
-/// With fewer than 4 distinct points the distances that exist are used; a single one gets 1 % of `extent`.
-/// `extent` is the scene's size in world units (see [`extent`]).
+/// Points at the same position count once as neighbours and share their scale, so duplicates never give a scale of 0. With fewer
+/// than 4 distinct points the distances that exist are used. A single point gets 1 % of `extent`. `extent` is the scene's size in
+/// world units (see [`extent`]).
 ///
 /// # Errors
 /// [`crate::Error::NonFinite`] for a position or colour that is not finite; [`crate::Error::Limit`] beyond 2^32 points.

@@ -65,8 +65,8 @@ pub struct AttentivePooling {
 }
 
 impl AttentivePooling {
-    /// `[R, out]` for the points in `range`, from `features` of all points and the position `code` of their neighbours: for
-    /// each channel the mean over the K neighbours of a point, by the softmax of `x W` over them.
+    /// `[R, out]` for the points in `range`, from `features` of all points and the position `code` of their neighbours. Each
+    /// channel is a weighted mean over the K neighbours of a point; the weights are the softmax of `x W` over the neighbours.
     fn over(
         &self,
         features: &Tensor<2>,
@@ -108,7 +108,9 @@ impl ResidualBlock {
 
     /// The same in chunks of points, side by side: memory for `[points, K, d]` tensors stays bounded.
     fn forward_chunked(&self, features: Tensor<2>, level: &SampledLevel) -> Tensor<2> {
-        let (points, k, device) = (level.positions.len(), level.neighbours.k, features.device());
+        let points = level.positions.len();
+        let k = level.neighbours.k;
+        let device = features.device();
         let chunk = (CHUNK_VALUES / (k * self.width)).max(1);
         let chunks = |stage: &(dyn Fn(Range<usize>) -> Tensor<2> + Sync)| {
             let starts: Vec<usize> = (0..points).step_by(chunk).collect();

@@ -101,7 +101,8 @@ mod tests {
                     .map(|slot| values[slot * columns + i])
                     .collect()
             };
-            let (x, scores) = (of(x), of(scores));
+            let x = of(x);
+            let scores = of(scores);
             let highest = scores.iter().copied().fold(f64::MIN, f64::max);
             let powers: Vec<f64> = scores.iter().map(|s| (s - highest).exp()).collect();
             let sum: f64 = powers.iter().zip(&x).map(|(p, x)| p * x).sum();
@@ -113,7 +114,8 @@ mod tests {
     #[test]
     fn attentive_mean_equals_its_definition_and_its_gradient_finite_differences() {
         for amplitude in [3.0, 9e3] {
-            let (x, scores) = (wave(0.7, 3.0), wave(1.3, amplitude));
+            let x = wave(0.7, 3.0);
+            let scores = wave(1.3, amplitude);
             let leaves = [input(&x), input(&scores)];
             let mean = attentive_mean(leaves[0].clone(), leaves[1].clone(), SHAPE[0]);
             let value = mean.powi_scalar(3).sum();

@@ -15,7 +15,7 @@ const NORM_EPSILON: f64 = 1e-5;
 const NORM_MOMENTUM: f64 = 0.03;
 
 impl RandlaEncoder {
-    /// Reads the encoder of a checkpoint; widths and inputs follow its tensors, layers past the fourth are unused.
+    /// Reads the encoder of a checkpoint. Widths and inputs follow its tensors. Layers past the fourth are unused.
     ///
     /// # Errors
     /// [`crate::Error::Input`] naming the tensor that is missing, has another shape than its neighbours ask for, or is not

@@ -29,8 +29,8 @@ use std::ops::ControlFlow;
 pub const EPSILON: f64 = 1e-6;
 
 impl<E: Real> Sums<E> {
-    /// Eq. 5: the buffers divided by the counter + [`EPSILON`] (`count`, the paper), or by the sum of weights (`weight`), which makes
-    /// each feature a weighted mean. Gaussians without any weight get zeros.
+    /// Eq. 5: the buffers divided by the counter + [`EPSILON`] (`count`, as in the paper) or by the sum of weights (`weight`). With
+    /// `weight` each feature is a weighted mean. Gaussians without any weight get zeros.
     pub fn normalised(mut self, normalisation: Normalisation) -> Self {
         for (scale, buffer) in self.buffers.iter_mut().enumerate() {
             let divisors = self.weights[scale].iter().zip(&self.counts[scale]);

@@ -16,16 +16,17 @@ const ALONG_ONE_LINE: [f64; 2] = [0.3, 0.9];
 
 /// World direction that points up, unit length; +z without cameras.
 ///
-/// People hold cameras level, so up is perpendicular to the rows of the images, by least squares, however the cameras are
-/// tilted. The mean of the cameras' up directions decides what this leaves open, such as the slope of a row of cameras. It decides
+/// People hold cameras level, so up is perpendicular to the rows of the images, by least squares, however the cameras are tilted.
+/// The mean of the cameras' up directions decides what this leaves open, such as the slope of a row of cameras. It decides
 /// everything where the cameras are not level, as with photos that are stored sideways. Where that mean cancels out, cameras that
-/// look along one line are assumed to look down, as from a drone; for others, the up direction of the first camera counts.
+/// look along one line are assumed to look down, as from a drone. Otherwise the up direction of the first camera counts.
 pub fn level_up(cameras: &[Camera]) -> DVec3 {
     let count = cameras.len() as f64;
     // The rows of the rotation are the axes of the camera in the world.
     let mean_of = |axis: usize| cameras.iter().map(|c| c.rotation.row(axis)).sum::<DVec3>() / count;
     // Image rows run down.
-    let (up, forward) = (-mean_of(1), mean_of(2));
+    let up = -mean_of(1);
+    let forward = mean_of(2);
     if up.length() < ALONG_ONE_LINE[0] && forward.length() > ALONG_ONE_LINE[1] {
         return -forward.normalize();
     }

@@ -9,8 +9,8 @@ use glam::{DMat3, DMat4, DVec3};
 
 /// A posed pinhole camera.
 ///
-/// The view transform of a world point `x` is `rotation * (x - center)`: the centre is subtracted first, which keeps
-/// precision when a scene lies far from the origin.
+/// The view transform of a world point `x` is `rotation * (x - center)`. The centre is subtracted first, which keeps precision when
+/// a scene lies far from the origin.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Camera {
     /// World-to-camera rotation, OpenCV axes.
@@ -40,8 +40,8 @@ pub(crate) fn spread(centers: impl Iterator<Item = DVec3> + Clone) -> (DVec3, f6
 }
 
 impl Camera {
-    /// A camera at the origin that looks along +z, of these focal lengths along x and y and this image size, with the principal
-    /// point in the middle; all in pixels.
+    /// A camera at the origin that looks along +z, with focal lengths along x and y and an image size, in pixels. The principal
+    /// point is in the middle.
     pub fn centred([fx, fy]: [f64; 2], [width, height]: [usize; 2]) -> Self {
         Self {
             rotation: DMat3::IDENTITY,
@@ -92,7 +92,8 @@ impl Camera {
     /// [`crate::Error::Argument`] naming the field.
     pub fn check(&self) -> Result<()> {
         const HELP: &str = "pass a usable camera";
-        let (rotation, center) = (&self.rotation, self.center);
+        let rotation = &self.rotation;
+        let center = self.center;
         ensure!(rotation.is_finite() && center.is_finite(),
             argument "camera.pose"; found "{rotation} {center}"; expected "finite numbers"; help "{HELP}");
         let focals = [self.fx, self.fy];

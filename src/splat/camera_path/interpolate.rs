@@ -7,15 +7,15 @@ use glam::{DMat3, DQuat, DVec3, DVec4};
 
 /// Parts of each segment whose lengths are summed.
 const PARTS: usize = 32;
-/// A key closer to the one before it than this share of [`spread`] repeats it.
-const SAME: f64 = 1e-9;
+/// A key repeats the key before it when their distance is below this share of [`spread`].
+const MIN_DISTANCE: f64 = 1e-9;
 
 /// A smooth path through cameras, the keys, in their order.
 ///
-/// Centres follow a centripetal Catmull-Rom spline (Yuksel, Schaefer, Keyser 2011), camera-to-world rotations Bézier curves
-/// of unit quaternions (Shoemake 1985) whose angular velocities at the keys follow the same rule, from key to key the
-/// shorter rotation. Velocity and angular velocity are continuous. Focal lengths and principal points are linear between
-/// keys. Images have the size of the first key; [`Camera::with_size`] resizes the other keys.
+/// Centres follow a centripetal Catmull-Rom spline (Yuksel, Schaefer, Keyser 2011), camera-to-world rotations follow Bézier curves
+/// of unit quaternions (Shoemake 1985). Their angular velocities at the keys follow the same rule. From key to key, the shorter
+/// rotation is taken. Velocity and angular velocity are continuous. Focal lengths and principal points are linear between keys.
+/// Images have the size of the first key; [`Camera::with_size`] resizes the other keys.
 ///
 /// Lengths are in world units and include rotation: `sqrt(|dc|^2 + (r da)^2)` for a step by `dc` with a rotation by `da` radians,
 /// where `r` is the root mean square distance of the keys from their mean, or 1 where they share a centre.
@@ -52,7 +52,7 @@ impl CameraPath {
             .map(|camera| Key::new(&camera.with_size(width, height)))
             .collect::<Vec<_>>();
         let per_radian = spread(&keys);
-        keys.dedup_by(|key, before| distance(before, key, per_radian) <= SAME * per_radian);
+        keys.dedup_by(|key, before| distance(before, key, per_radian) <= MIN_DISTANCE * per_radian);
         // Again, so that repeated keys have no more weight than the others.
         let per_radian = spread(&keys);
 
@@ -189,7 +189,7 @@ impl Step {
     }
 }
 
-/// Velocities at a key: the slope of the parabola through it and its neighbours; at an end the slope of the chord.
+/// Velocities at a key: the slope of the parabola through the key and its neighbours. At an end, the slope of the chord.
 fn velocities(steps: &[Step], key: usize) -> [DVec3; 2] {
     match (
         key.checked_sub(1).and_then(|i| steps.get(i)),

@@ -8,9 +8,9 @@ use nalgebra::Matrix3;
 use std::f64::consts::{FRAC_PI_3, TAU};
 
 /// Optical axes meet where the mean squared sine of their angles to the direction closest to all of them is at least this.
-const LEAST_SPREAD: f64 = 1e-3;
+const MIN_SPREAD: f64 = 1e-3;
 /// Smallest distance of an orbit from its box, as a share of the cameras' distance from it.
-const NEAREST: f64 = 0.1;
+const MIN_DISTANCE: f64 = 0.1;
 
 /// A circle of cameras that look at one point.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,7 +55,7 @@ impl Orbit {
         } = cameras[0];
         let half_angle = (0.5 * (width as f64 / fx).min(height as f64 / fy)).atan();
         let far = orbit.radius.hypot(orbit.height);
-        let distance = (0.5 * low.distance(high) / half_angle.sin()).clamp(NEAREST * far, far);
+        let distance = (0.5 * low.distance(high) / half_angle.sin()).clamp(MIN_DISTANCE * far, far);
         let elevation = orbit
             .height
             .atan2(orbit.radius)
@@ -138,8 +138,8 @@ impl Orbit {
 
 /// The point closest to all optical axes by least squares: sum of (I - d d^T) (x - c) = 0 for centres c and unit directions d.
 ///
-/// `None` where the axes are nearly parallel, as with one camera, or where the point lies behind half of the cameras or more,
-/// as in photos taken outwards from one place.
+/// `None` where the axes are nearly parallel, as with one camera. Also `None` where the point lies behind half of the cameras or
+/// more, as in photos taken outwards from one place.
 pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
     let count = cameras.len() as f64;
     // Relative to the mean, because scenes may lie far from the origin.
@@ -147,7 +147,8 @@ pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
         .iter()
         .map(|camera| camera.center / count)
         .sum::<DVec3>();
-    let (mut normal, mut right) = (DMat3::ZERO, DVec3::ZERO);
+    let mut normal = DMat3::ZERO;
+    let mut right = DVec3::ZERO;
     for camera in cameras {
         let d = forward(camera).try_normalize()?;
         let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
@@ -157,7 +158,7 @@ pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
     let least = Matrix3::from_column_slice(&normal.to_cols_array())
         .symmetric_eigenvalues()
         .min();
-    if least.is_nan() || least < LEAST_SPREAD * count {
+    if least.is_nan() || least < MIN_SPREAD * count {
         return None;
     }
     let point = normal.inverse() * right + mean;

@@ -7,7 +7,7 @@ use coseg::config::{BuildingConfig, Config, LabelSource, Resolution, Strategy, V
 use coseg::data::{LabelMap, Split};
 use coseg::objects::{Identities, LabelMaps, LabelRule, RenderOptions, Renderer, Votes, vote};
 use coseg::ops::{CustomOp, with_references};
-use coseg::pipeline::train_decoder::{DecoderModel, IdentityModel, Plan, Training};
+use coseg::pipeline::train_decoder::{DecoderModel, IdentityModel, Training, TrainingPlan};
 use coseg::pipeline::{Inputs, LiftedFeatures, decoder_training, encode};
 use coseg::progress::Silent;
 use coseg::raster::{Settings, SplatTensors};
@@ -121,7 +121,7 @@ fn stage_two(config: &Config) -> StageTwo {
         settings,
         ..Inputs::new(&scene, &gaussians, config, &device)
     };
-    let plan = Plan::new(&config.segmentation, LabelLoss::Ce, 0);
+    let plan = TrainingPlan::new(&config.segmentation, LabelLoss::Ce, 0);
     let encodings = encode(&inputs, &config.spatial).expect("encoded");
     let input = encodings.decoder_input(Variant::Ours, &inputs);
     let input = input.expect("the decoder's input");

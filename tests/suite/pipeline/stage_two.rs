@@ -8,7 +8,7 @@ use coseg::config::{
 };
 use coseg::data::{Classes, LabelMap, LabelRuns, LoadOptions, Split, load};
 use coseg::objects::{Identities, LabelMaps, LabelRule, vote};
-use coseg::pipeline::train_decoder::{Plan, TrainingViews};
+use coseg::pipeline::train_decoder::{TrainingPlan, TrainingViews};
 use coseg::pipeline::{Inputs, Outcome, decoder_training, encode, run};
 use coseg::progress::Silent;
 use coseg::random::{Purpose, stream};
@@ -377,7 +377,7 @@ fn without_truth_only_what_is_wanted_is_trained() {
         crate::pipeline::resume::whole(config, &folder.path().join(out))
             .rows
             .iter()
-            .map(|row| row.row)
+            .map(|row| row.variant)
             .collect()
     };
     assert_eq!(rows(&config, "scored"), Variant::COMPARED);
@@ -412,7 +412,11 @@ fn a_truth_that_no_row_is_scored_by_is_none() {
             "{notes}"
         );
         (
-            outcome.rows.iter().map(|row| row.row).collect::<Vec<_>>(),
+            outcome
+                .rows
+                .iter()
+                .map(|row| row.variant)
+                .collect::<Vec<_>>(),
             scored,
         )
     };
@@ -454,9 +458,9 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
         config.segmentation.warmup = 0.5;
         config.segmentation.iterations = 40;
         config.segmentation.lr = 1e-2;
-        let plan = Plan {
+        let plan = TrainingPlan {
             iterations,
-            ..Plan::new(&config.segmentation, LabelLoss::Ce, 0)
+            ..TrainingPlan::new(&config.segmentation, LabelLoss::Ce, 0)
         };
         let (scene, gaussians, settings) = (&scene, &gaussians, Settings::default());
         let inputs = Inputs {

@@ -5,7 +5,8 @@ use coseg::data::{Class, Classes, LabelMap, Split, View};
 use coseg::metrics::ImageScores;
 use coseg::pipeline::Seconds;
 use coseg::report::{
-    BuildingHistory, Command, HeldOutView, History, Metrics, Report, RowHistory, RowScores, Scores,
+    BuildingHistory, Command, HeldOutView, History, Metrics, Report, Scores, VariantHistory,
+    VariantScores,
 };
 use coseg::report::{TestScores, peak_memory_bytes, pictures};
 use coseg::splat::camera::Camera;
@@ -119,8 +120,8 @@ fn sparse(steps: usize, from: f64, to: f64, pace: f64) -> Vec<(usize, f64)> {
         .collect()
 }
 
-fn scores(miou: f64, trained: bool) -> RowScores {
-    RowScores {
+fn scores(miou: f64, trained: bool) -> VariantScores {
+    VariantScores {
         miou: Some(miou),
         miou_per_view: Some(miou + 0.013),
         accuracy: Some(0.5 + 0.5 * miou),
@@ -135,13 +136,13 @@ fn scores(miou: f64, trained: bool) -> RowScores {
         iterations: trained.then_some(2_000),
         learning_rate: trained.then_some(1e-3),
         seconds: trained.then_some(74.2),
-        ..RowScores::default()
+        ..VariantScores::default()
     }
 }
 
 fn history() -> History {
-    let row = |row, miou: f64, loss: f64| RowHistory {
-        row,
+    let row = |variant, miou: f64, loss: f64| VariantHistory {
+        variant,
         loss: curve(2_000, 2.1, loss, 7.0),
         miou: sparse(2_000, 0.1, miou, 6.0),
     };

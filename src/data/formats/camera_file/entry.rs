@@ -17,7 +17,7 @@ pub(super) struct Entry<'a> {
 }
 
 /// Longest value that an error shows, in characters.
-const SHOWN: usize = 60;
+const MAX_SHOWN: usize = 60;
 
 impl<'a> Entry<'a> {
     pub fn new(path: &'a Path, prefix: String, value: &'a Value) -> Self {
@@ -47,7 +47,7 @@ impl<'a> Entry<'a> {
         let value = self.get(field);
         value.and_then(read).ok_or_else(|| {
             let mut found = value.map_or_else(|| "nothing".to_owned(), Value::to_string);
-            if let Some((end, _)) = found.char_indices().nth(SHOWN) {
+            if let Some((end, _)) = found.char_indices().nth(MAX_SHOWN) {
                 found.truncate(end);
                 found += "...";
             }

@@ -17,7 +17,7 @@ const MODELS: [(&str, usize, usize); 5] = [
     ("OPENCV", 2, 4),
 ];
 /// The models behind them, which are no pinholes after undistortion.
-const OTHERS: &str = "OPENCV_FISHEYE FULL_OPENCV FOV SIMPLE_RADIAL_FISHEYE RADIAL_FISHEYE THIN_PRISM_FISHEYE \
+const UNSUPPORTED_MODELS: &str = "OPENCV_FISHEYE FULL_OPENCV FOV SIMPLE_RADIAL_FISHEYE RADIAL_FISHEYE THIN_PRISM_FISHEYE \
     RAD_TAN_THIN_PRISM_FISHEYE SIMPLE_DIVISION DIVISION SIMPLE_FISHEYE FISHEYE";
 
 /// A camera of the model.
@@ -63,7 +63,7 @@ fn model_name(number: i32) -> String {
     let names = MODELS
         .into_iter()
         .map(|(name, ..)| name)
-        .chain(OTHERS.split_ascii_whitespace());
+        .chain(UNSUPPORTED_MODELS.split_ascii_whitespace());
     let name = usize::try_from(number)
         .ok()
         .and_then(|number| names.into_iter().nth(number));

@@ -1,6 +1,6 @@
 //! The posed images of a model.
 
-use super::AGAIN;
+use super::DAMAGED_HELP;
 use super::cameras::ModelCamera;
 use super::reader::Reader;
 use crate::data::Limits;
@@ -15,8 +15,8 @@ use std::collections::BTreeMap;
 use std::path::{Component, Path};
 
 /// Bytes of the smallest image and of each observation in a binary file.
-const SMALLEST: u64 = 4 + 7 * 8 + 4 + 2 + 8;
-const OBSERVATION: u64 = 24;
+const MIN_IMAGE_BYTES: u64 = 4 + 7 * 8 + 4 + 2 + 8;
+const OBSERVATION_BYTES: u64 = 24;
 
 /// A registered image as the model has it.
 #[derive(Debug, PartialEq)]
@@ -34,7 +34,7 @@ pub(super) struct PosedImage {
 
 /// How many images the model has.
 pub(super) fn count(path: &Path, limits: &Limits) -> Result<u64> {
-    match Reader::open(path, "image", SMALLEST)?.count() {
+    match Reader::open(path, "image", MIN_IMAGE_BYTES)?.count() {
         Some(count) => Ok(count),
         None => Ok(read(path, limits)?.len() as u64),
     }
@@ -42,7 +42,7 @@ pub(super) fn count(path: &Path, limits: &Limits) -> Result<u64> {
 
 /// Reads `images.bin` or `images.txt`.
 pub(super) fn read(path: &Path, limits: &Limits) -> Result<Vec<PosedImage>> {
-    let mut reader = Reader::open(path, "image", SMALLEST)?;
+    let mut reader = Reader::open(path, "image", MIN_IMAGE_BYTES)?;
     // A model may have more images than a scene: they are thinned out later.
     let most = (limits.views as u64).saturating_mul(64);
     check_limit(
@@ -60,7 +60,7 @@ pub(super) fn read(path: &Path, limits: &Limits) -> Result<Vec<PosedImage>> {
         let translation = reader.values("TX TY TZ")?;
         let camera = reader.value("CAMERA_ID")?;
         let name = reader.name()?;
-        reader.skip_list(OBSERVATION, "POINTS2D", true)?;
+        reader.skip_list(OBSERVATION_BYTES, "POINTS2D", true)?;
         images.push(PosedImage {
             name,
             rotation,
@@ -101,9 +101,9 @@ impl PosedImage {
         // Text files round; anything farther off is no rotation.
         ensure!((0.99..1.01).contains(&norm),
             images, "{place}: QW QX QY QZ"; found "{:?} of length {norm:.4}", self.rotation;
-            expected "a quaternion of length 1"; help "{AGAIN}");
+            expected "a quaternion of length 1"; help "{DAMAGED_HELP}");
         ensure!(self.translation.iter().all(|&v| (v as f32).is_finite()),
-            images, "{place}: TX TY TZ"; found "{:?}", self.translation; expected "finite numbers (f32)"; help "{AGAIN}");
+            images, "{place}: TX TY TZ"; found "{:?}", self.translation; expected "finite numbers (f32)"; help "{DAMAGED_HELP}");
         let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
         let center = -(rotation.transpose() * DVec3::from(self.translation));
         let mut pose = DMat4::from_mat3(rotation.transpose());

@@ -25,7 +25,7 @@ use std::path::{Component, Path};
 pub(crate) use self::model::marker;
 
 /// What to do with a file that is damaged.
-const AGAIN: &str = "copy the model again, or write it again with `colmap model_converter`";
+const DAMAGED_HELP: &str = "copy the model again, or write it again with `colmap model_converter`";
 
 /// Refuses a folder without a whole model or without the folder of photos.
 pub(crate) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
@@ -76,7 +76,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
             continue;
         }
         let camera = image.camera(&model.images, &model.cameras, &cameras);
-        let Some((camera, lens)) = problems.keep(camera) else {
+        let Some((camera, lens)) = problems.ok(camera) else {
             continue;
         };
         let photo = Path::new(&image.name);

@@ -11,9 +11,9 @@ use std::path::{Component, Path, PathBuf};
 
 /// Parents of numbered models, relative to the scene folder: the mapper writes one for each piece of the scene that it
 /// could not join to the others. The last is nerfstudio's. A model may also lie in `sparse` itself.
-const PLACES: [&str; 3] = ["sparse/N", "sparse", "colmap/sparse/N"];
+const MODEL_FOLDERS: [&str; 3] = ["sparse/N", "sparse", "colmap/sparse/N"];
 /// Largest number of files in a folder of photos that are listed.
-const MOST_FILES: usize = 100_000;
+const MAX_FILES: usize = 100_000;
 
 /// The files of a model.
 pub(super) struct SparseModel {
@@ -93,10 +93,10 @@ pub(crate) fn marker(dir: &Path) -> Option<String> {
     Some(format!("{folder}/{}", file.file_name()?.to_string_lossy()))
 }
 
-/// Folders with a model, at the first of [`PLACES`] that has any, by their numbers. Folders with only a part of a model
+/// Folders with a model, at the first of [`MODEL_FOLDERS`] that has any, by their numbers. Folders with only a part of a model
 /// count where none has a whole one.
 fn candidates(dir: &Path) -> Vec<String> {
-    for place in PLACES {
+    for place in MODEL_FOLDERS {
         let mut folders: Vec<String> = match place.strip_suffix("/N") {
             Some(parent) => numbers(&dir.join(parent))
                 .iter()
@@ -183,10 +183,10 @@ fn list_photos(folder: &Path, below: &Path, out: &mut Vec<PathBuf>) {
         .into_iter()
         .flatten()
         .flatten();
-    for entry in entries.take(MOST_FILES) {
+    for entry in entries.take(MAX_FILES) {
         let name = entry.file_name();
         // Systems put previews and halves of files beside photos.
-        if out.len() >= MOST_FILES || name.to_string_lossy().starts_with(['.', '@']) {
+        if out.len() >= MAX_FILES || name.to_string_lossy().starts_with(['.', '@']) {
             continue;
         }
         let path = below.join(name);

@@ -1,7 +1,7 @@
 //! Reads the values of a model file in order, for both forms: `.bin` is little-endian with counts first,
 //! `.txt` has one item a line, two lines an image, and comments behind `#`.
 
-use super::AGAIN;
+use super::DAMAGED_HELP;
 use crate::error::{Error, Result, ensure, invalid};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
@@ -134,7 +134,7 @@ impl<'p> Reader<'p> {
                 let word = text.word(path, field)?;
                 word.parse().map_err(|_| {
                     invalid!(path, "line {}: {field}", text.line; found "{word:?}";
-                        expected "a number in range"; help "{AGAIN}")
+                        expected "a number in range"; help "{DAMAGED_HELP}")
                 })
             }
         }
@@ -172,7 +172,7 @@ impl<'p> Reader<'p> {
                     .collect::<Vec<_>>()
                     .join(" ");
                 ensure!(!name.is_empty(), path, "line {}: NAME", text.line; found "the end of the line";
-                    expected "a file name"; help "{AGAIN}");
+                    expected "a file name"; help "{DAMAGED_HELP}");
                 Ok(name)
             }
         }
@@ -183,7 +183,7 @@ impl<'p> Reader<'p> {
         match &self.form {
             Form::Text(text) if !text.rest.is_empty() => Err(
                 invalid!(self.path, "line {}: {field}", text.line; found "{:?} behind them", text.rest;
-                    expected "{expected}"; help "{AGAIN}"),
+                    expected "{expected}"; help "{DAMAGED_HELP}"),
             ),
             _ => Ok(()),
         }
@@ -223,7 +223,7 @@ impl Binary {
     }
 
     fn error(&self, path: &Path, field: &str, found: &str, expected: &str) -> Error {
-        invalid!(path, "{field} at byte {}", self.at; found "{found}"; expected "{expected}"; help "{AGAIN}")
+        invalid!(path, "{field} at byte {}", self.at; found "{found}"; expected "{expected}"; help "{DAMAGED_HELP}")
     }
 
     fn take<const N: usize>(&mut self, path: &Path, field: &str) -> Result<[u8; N]> {
@@ -302,7 +302,7 @@ impl Text {
 
     fn word(&mut self, path: &Path, field: &str) -> Result<String> {
         ensure!(!self.rest.is_empty(), path, "line {}: {field}", self.line; found "the end of the line";
-            expected "a value"; help "{AGAIN}");
+            expected "a value"; help "{DAMAGED_HELP}");
         let end = self
             .rest
             .find(|c: char| c.is_ascii_whitespace())

@@ -36,11 +36,11 @@ const CLOUDS: [&str; 3] = ["points.ply", "sparse_pc.ply", "points3D.ply"];
 /// Loads the scene in folder `dir` from its `transforms.json`, even if the folder has other layouts too.
 ///
 /// As [`crate::data::load`]; `up` is +z when the file's `convention` says `world z up`, else that of its cameras
-/// ([`crate::splat::camera::level_up`]). `split` of the frames is `train`, `test` or `val` (also `validation`, `eval`), or
-/// nerfstudio's lists (`train_filenames`, ..) give it: validation frames are held out where there are no test frames, else
-/// left out. Without a split in the file every 8th frame from the first on is test. Blender's files, one for each split,
-/// are read together. `ply_file_path` names the initial cloud, without which [`Scene::points`] is empty. Frames may lack
-/// labels; where they have some, `classes.json` must be there.
+/// ([`crate::splat::camera::level_up`]). `split` of the frames is `train`, `test` or `val` (also `validation`, `eval`);
+/// nerfstudio's lists (`train_filenames`, ..) may give it instead. Validation frames are held out where there are no test frames,
+/// else left out. Without a split in the file every 8th frame from the first on is test. Blender's files, one for each split, are
+/// read together. `ply_file_path` names the initial cloud, without which [`Scene::points`] is empty. Frames may lack labels; where
+/// they have some, `classes.json` must be there.
 ///
 /// # Errors
 /// As [`crate::data::load`].
@@ -200,7 +200,7 @@ fn frame(
         .into_iter()
         .for_each(|fault| problems.push(fault));
     let size = photo.size?;
-    let camera = problems.keep(source.transforms.camera(&source.path, index, size));
+    let camera = problems.ok(source.transforms.camera(&source.path, index, size));
     let posed = camera.is_some();
     let (camera, lens) = camera.unwrap_or_else(|| (Camera::unposed(size), Lens::default()));
     Some(Frame {
@@ -280,9 +280,9 @@ fn photo(dir: &Path, source: &Source, i: usize, limits: &Limits) -> FoundPhoto {
             expected "an image"; help "put the image there or drop the frame"),
         );
     }
-    let size = match problems.keep(transforms.declared_size(file, i)) {
+    let size = match problems.ok(transforms.declared_size(file, i)) {
         Some(None) if is_there => problems
-            .keep(ImageFile::open(&path, limits))
+            .ok(ImageFile::open(&path, limits))
             .map(|image| image.size),
         declared => declared.flatten(),
     };

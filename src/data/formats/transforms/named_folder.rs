@@ -1,4 +1,4 @@
-//! Label maps and masks of frames in a folder that the user names instead of the one that the frames name.
+//! Label maps and masks of frames in a folder that the user names. It replaces the folder that the frames name.
 
 use super::schema::Frame;
 use super::sources::Sources;
@@ -30,8 +30,9 @@ impl NamedFolder {
         }
     }
 
-    /// Possible files of a frame, the likeliest first: the path that the frame gives, then the path of its photo,
-    /// both below the folder and without leading folders as long as no two frames share one file; then the view's name.
+    /// Possible files of a frame, the likeliest first. The path that the frame gives comes first, then the path of its photo. Both
+    /// are tried below the folder, whole and without leading folders, as long as no two frames share a file. The view's name comes
+    /// last.
     fn files(&self, frame: &Frame, name: &str) -> Vec<PathBuf> {
         let mut files = Vec::new();
         for path in self.given_endings(frame) {
@@ -63,7 +64,7 @@ impl NamedFolder {
             .find(|path| path.is_file())
     }
 
-    /// The file of a frame, or a folder of masks of that name without extension; without both, the path of the missing file.
+    /// The file of a frame, or a folder of masks with that name without extension. Without both, the path of the missing file.
     pub fn file_or_masks(&self, frame: &Frame, name: &str) -> PathBuf {
         let found = self.files(frame, name).into_iter().find_map(|file| {
             let masks = file.with_extension("");
@@ -88,7 +89,7 @@ fn with_png(path: &Path) -> PathBuf {
     name.into()
 }
 
-/// The endings of paths, without extensions, and the path each belongs to; `None` for the ending of several paths.
+/// The endings of paths, without extensions, each with its path. An ending of several paths has `None`.
 struct Endings(HashMap<PathBuf, Option<PathBuf>>);
 
 impl Endings {

@@ -177,11 +177,11 @@ impl Transforms {
     /// The pose, finite, 4x4.
     fn matrix(&self, path: &Path, frame: usize) -> Result<DMat4> {
         let rows = &self.frames[frame].transform_matrix;
-        const AGAIN: &str = "export the pose again";
+        const DAMAGED_HELP: &str = "export the pose again";
         let field = format!("{}.transform_matrix", self.field(frame));
         let lengths: Vec<_> = rows.iter().map(Vec::len).collect();
         ensure!((3..=4).contains(&rows.len()) && lengths.iter().all(|length| *length == 4),
-            path, "{field}"; found "rows of lengths {lengths:?}"; expected "4 rows of 4 numbers"; help "{AGAIN}");
+            path, "{field}"; found "rows of lengths {lengths:?}"; expected "4 rows of 4 numbers"; help "{DAMAGED_HELP}");
         let mut m = DMat4::IDENTITY.to_cols_array_2d();
         for (r, row) in rows.iter().enumerate() {
             for (c, value) in row.iter().enumerate() {
@@ -189,12 +189,12 @@ impl Transforms {
                 m[r][c] = number.ok_or_else(|| {
                     let text = value.as_str().map(str::to_owned);
                     let found = text.unwrap_or_else(|| value.to_string());
-                    invalid!(path, "{field}[{r}][{c}]"; found "{found}"; expected "a finite number (f32)"; help "{AGAIN}")
+                    invalid!(path, "{field}[{r}][{c}]"; found "{found}"; expected "a finite number (f32)"; help "{DAMAGED_HELP}")
                 })?;
             }
         }
         ensure!(m[3] == [0.0, 0.0, 0.0, 1.0],
-            path, "{field}[3]"; found "{:?}", m[3]; expected "[0, 0, 0, 1]"; help "{AGAIN}");
+            path, "{field}[3]"; found "{:?}", m[3]; expected "[0, 0, 0, 1]"; help "{DAMAGED_HELP}");
         Ok(DMat4::from_cols_array_2d(&m).transpose())
     }
 

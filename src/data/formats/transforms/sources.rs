@@ -43,8 +43,8 @@ pub(super) struct Kept {
     pub name: Option<String>,
 }
 
-/// The files of `dir` that list its frames: the one that the options name, or Blender's where the usual one is not there.
-/// Each of these has one split; validation frames stand in for test frames.
+/// The files of `dir` that list its frames: the file that the options name, else the usual one, else Blender's. Each of these has
+/// one split; validation frames stand in for test frames.
 fn files(dir: &Path, options: &LoadOptions) -> Option<Vec<(String, Option<Split>)>> {
     let is_there = |name: &str| dir.join(name).is_file();
     if is_there(&options.transforms) {
@@ -135,7 +135,7 @@ impl Sources {
         kept
     }
 
-    /// The name of each frame: the stem of its photo, or, where photos of several files have the same stems, its path with
+    /// The name of each frame: the stem of its photo. Where photos of several files have the same stems, it is the path with
     /// folders joined by `_`. A name that is empty or that an earlier frame has is a fault, and is `None`.
     fn names(&self, problems: &mut Problems) -> Vec<Option<String>> {
         let stem = |file: &str| Some(Path::new(file).file_stem()?.to_str()?.to_owned());
@@ -183,7 +183,7 @@ impl Sources {
         names
     }
 
-    /// Number of the file, number of the frame in it, and its split where the file has one, of all frames that are read.
+    /// The frames that are read: number of the file, number of the frame in the file, and its split where the file gives one.
     fn frames(&self) -> impl Iterator<Item = (usize, usize, Option<Split>)> {
         let files = self.files.iter().enumerate();
         files.flat_map(|(source, file)| {

@@ -8,7 +8,7 @@ use crate::error::invalid;
 use std::collections::HashMap;
 use std::path::Path;
 
-/// The frames that are read: index in the file, and the split, which the file gives either for all frames or for none.
+/// The frames that are read: index in the file, and split. The file gives splits for all frames or for none.
 pub(super) type Splits = Vec<(usize, Option<Split>)>;
 
 /// The use of a frame as its file gives it.

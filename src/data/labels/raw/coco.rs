@@ -101,22 +101,23 @@ impl Panoptic {
         let expected = "{\"annotations\": [{\"file_name\", \"segments_info\": [{\"id\", \"category_id\"}, ..]}, ..], \
             \"categories\": [{\"id\", \"name\", \"isthing\"}, ..]}";
         let file: File = files::json(&path, expected)?;
-        const AGAIN: &str = "export the panoptic JSON again";
+        const DAMAGED_HELP: &str = "export the panoptic JSON again";
         // Id 0 is unlabelled in a class table: where the file has a class 0, all ids move up by one.
         let shift = u32::from(file.categories.iter().any(|category| category.id == 0));
         let mut names = Vec::with_capacity(file.categories.len());
         let mut indices = HashMap::new();
         for (i, category) in file.categories.iter().enumerate() {
-            let (field, id) = (format!("categories[{i}].id"), category.id);
+            let field = format!("categories[{i}].id");
+            let id = category.id;
             let own = u16::try_from(id.saturating_add(shift)).map_err(
-                |_| invalid!(&path, "{field}"; found "{id}"; expected "0 to 65534"; help "{AGAIN}"),
+                |_| invalid!(&path, "{field}"; found "{id}"; expected "0 to 65534"; help "{DAMAGED_HELP}"),
             )?;
             ensure!(indices.insert(id, i).is_none(),
-                &path, "{field}"; found "{id} twice"; expected "each id once"; help "{AGAIN}");
+                &path, "{field}"; found "{id} twice"; expected "each id once"; help "{DAMAGED_HELP}");
             names.push((own, category.name.as_str()));
         }
         ensure!(!names.is_empty(),
-            &path, "categories"; found "none"; expected "the classes of the segments"; help "{AGAIN}");
+            &path, "categories"; found "none"; expected "the classes of the segments"; help "{DAMAGED_HELP}");
         let vocabulary = Vocabulary::new(&path, classes, &names)?;
         let mut maps = HashMap::new();
         for (i, annotation) in file.annotations.iter().enumerate() {
@@ -125,7 +126,7 @@ impl Panoptic {
             for (j, info) in annotation.segments_info.iter().enumerate() {
                 let index = *indices.get(&info.category_id).ok_or_else(|| {
                     invalid!(&path, "{field}.segments_info[{j}].category_id"; found "{}", info.category_id;
-                        expected "one of the {} ids of categories", names.len(); help "{AGAIN}")
+                        expected "one of the {} ids of categories", names.len(); help "{DAMAGED_HELP}")
                 })?;
                 let thing = file.categories[index]
                     .isthing
@@ -133,11 +134,11 @@ impl Panoptic {
                     .unwrap_or(true);
                 let segment = (vocabulary.ids[index], thing);
                 ensure!(segments.insert(info.id, segment).is_none(),
-                    &path, "{field}.segments_info"; found "id {} twice", info.id; expected "each id once"; help "{AGAIN}");
+                    &path, "{field}.segments_info"; found "id {} twice", info.id; expected "each id once"; help "{DAMAGED_HELP}");
             }
             let before = maps.insert(stem(Path::new(&annotation.file_name)), segments);
             ensure!(before.is_none(), &path, "{field}"; found "a second annotation of this file";
-                expected "one for each file"; help "{AGAIN}");
+                expected "one for each file"; help "{DAMAGED_HELP}");
         }
         Ok(Self {
             path,
@@ -181,7 +182,8 @@ impl Panoptic {
         let (width, height) = file.size;
         let mut ids = Vec::with_capacity(width * height);
         // Neighbours are mostly of one segment.
-        let (mut last, mut last_number) = (0, 0);
+        let mut last = 0;
+        let mut last_number = 0;
         for (i, pixel) in image.pixels().enumerate() {
             let [r, g, b] = pixel.0.map(u32::from);
             let id = r + 256 * g + 65_536 * b;

@@ -12,8 +12,8 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
 /// JSON files in a folder of labels that are something else.
-const OTHERS: [&str; 3] = ["classes.json", "label.json", MapGeometry::FILE];
-const AGAIN: &str = "export the instances again";
+const OTHER_FILES: [&str; 3] = ["classes.json", "label.json", MapGeometry::FILE];
+const DAMAGED_HELP: &str = "export the instances again";
 
 /// The file. Unknown keys are ignored.
 #[derive(Deserialize)]
@@ -45,14 +45,14 @@ struct Category {
     name: String,
 }
 
-/// The file that `data.raw_labels` names, or the only one in the folder that it names.
+/// The file that `data.raw_labels` names; in a folder, the only JSON file that is not one of [`OTHER_FILES`].
 pub(crate) fn find(dir: &Path, options: &LoadOptions) -> Option<PathBuf> {
     let named = dir.join(options.raw_labels.as_deref()?);
     if named.is_file() {
         return Some(named);
     }
     let files = names(&named, |name, path| {
-        name.ends_with(".json") && !OTHERS.contains(&name) && path.is_file()
+        name.ends_with(".json") && !OTHER_FILES.contains(&name) && path.is_file()
     });
     match &files[..] {
         [only] => Some(named.join(only)),
@@ -80,16 +80,16 @@ pub(super) fn read(
     for (index, category) in file.categories.iter().enumerate() {
         if index >= usize::from(u16::MAX) || indices.insert(category.id, index).is_some() {
             bail!(path, "categories[{index}].id"; found "{}", category.id;
-                expected "each id once, and at most 65534"; help "{AGAIN}");
+                expected "each id once, and at most 65534"; help "{DAMAGED_HELP}");
         }
     }
     ensure!(!names.is_empty(),
-        path, "categories"; found "none"; expected "the classes of the regions"; help "{AGAIN}");
+        path, "categories"; found "none"; expected "the classes of the regions"; help "{DAMAGED_HELP}");
     let mut vocabulary = Vocabulary::new(path, classes, &names)?;
     let mut images = HashMap::new();
     for (i, image) in file.images.iter().enumerate() {
         ensure!(images.insert(image.id, image).is_none(),
-            path, "images[{i}].id"; found "{} twice", image.id; expected "each id once"; help "{AGAIN}");
+            path, "images[{i}].id"; found "{} twice", image.id; expected "each id once"; help "{DAMAGED_HELP}");
     }
     let mut of_images: BTreeMap<u64, Vec<(f64, usize, Region)>> = BTreeMap::new();
     for (i, annotation) in file.annotations.into_iter().enumerate() {
@@ -97,11 +97,11 @@ pub(super) fn read(
         let index = indices.get(&annotation.category_id).copied();
         let index = index.ok_or_else(|| {
             invalid!(path, "{}", field("category_id"); found "{}", annotation.category_id;
-                expected "one of the {} ids of categories", names.len(); help "{AGAIN}")
+                expected "one of the {} ids of categories", names.len(); help "{DAMAGED_HELP}")
         })?;
         ensure!(images.contains_key(&annotation.image_id),
             path, "{}", field("image_id"); found "{}", annotation.image_id;
-            expected "one of the {} ids of images", images.len(); help "{AGAIN}");
+            expected "one of the {} ids of images", images.len(); help "{DAMAGED_HELP}");
         let region = annotation
             .segmentation
             .region(path, &field("segmentation"), limits)?;
@@ -126,7 +126,7 @@ pub(super) fn read(
         }
         ensure!(drawings.insert(frame.name.to_owned(), drawing).is_none(),
             path, "images"; found "{} and another image of this photo", image.file_name;
-            expected "one for each photo"; help "{AGAIN}");
+            expected "one for each photo"; help "{DAMAGED_HELP}");
     }
     ensure!(!drawings.is_empty(),
         path, "annotations"; found "{others} images with regions, none of which is a photo of the scene";
@@ -217,7 +217,7 @@ impl Segmentation {
                     .find(|list| list.len() < 6 || list.len() % 2 == 1);
                 if let Some(list) = wrong {
                     bail!(path, "{field}"; found "a polygon of {} numbers", list.len();
-                        expected "x and y of three points or more"; help "{AGAIN}");
+                        expected "x and y of three points or more"; help "{DAMAGED_HELP}");
                 }
                 let polygon = |list: Vec<f64>| list.as_chunks().0.to_vec();
                 let polygons: Vec<Vec<Point>> = lists.into_iter().map(polygon).collect();
@@ -244,7 +244,7 @@ impl Segmentation {
                     })),
                     None => Err(
                         invalid!(path, "{field}.counts"; found "run lengths of another number of pixels";
-                        expected "{width}x{height} pixels in all"; help "{AGAIN}"),
+                        expected "{width}x{height} pixels in all"; help "{DAMAGED_HELP}"),
                     ),
                 }
             }
@@ -252,13 +252,14 @@ impl Segmentation {
     }
 }
 
-/// Run lengths from COCO's string: numbers of 5 bits a character, least first, with a sign; from the fourth on, differences
-/// to the one before the last.
+/// Run lengths from COCO's string. A number has a sign and 5 bits in each character, the lowest first. From the fourth on, a number
+/// is the difference to the run two places before.
 fn unpacked(text: &str) -> Option<Vec<u64>> {
     let mut counts: Vec<i64> = Vec::new();
     let mut characters = text.bytes();
     while let Some(mut byte) = characters.next() {
-        let (mut value, mut shift) = (0_i64, 0);
+        let mut value = 0_i64;
+        let mut shift = 0;
         loop {
             let bits = i64::from(byte.checked_sub(48).filter(|bits| *bits < 64)?);
             value |= (bits & 31) << shift;

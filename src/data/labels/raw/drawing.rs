@@ -1,7 +1,7 @@
 //! Labels that somebody drew on a photo: regions with classes, painted over one another.
 
 use super::{RawMap, Vocabulary};
-use crate::data::photos::image_file::{ACROSS, proportional};
+use crate::data::photos::image_file::{TURNED_HELP, proportional};
 use crate::data::{LabelMap, Segment};
 use crate::error::{Error, Result, bail};
 use crate::files::{self, check_limit};
@@ -10,9 +10,9 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Bytes of a file of drawings.
-const MOST_BYTES: u64 = 1 << 29;
+const MAX_BYTES: u64 = 1 << 29;
 /// Points of all outlines on one photo.
-const MOST_POINTS: u64 = 1 << 18;
+const MAX_POINTS: u64 = 1 << 18;
 
 /// Pixel coordinates (x, y); the centre of the first pixel is (0.5, 0.5).
 pub(super) type Point = [f64; 2];
@@ -42,7 +42,7 @@ pub(super) struct Drawing {
 /// A JSON file of acceptable size.
 pub(super) fn read<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<T> {
     let size = std::fs::metadata(path).map_err(|e| Error::io(path, "look at", e))?;
-    check_limit(path, "bytes", size.len(), MOST_BYTES, "divide the file")?;
+    check_limit(path, "bytes", size.len(), MAX_BYTES, "divide the file")?;
     files::json(path, expected)
 }
 
@@ -79,7 +79,7 @@ impl Drawing {
         if width == 0 || height == 0 || !proportional((width, height), photo) {
             let turned = width > 0 && height > 0 && proportional((height, width), photo);
             let help = if turned {
-                ACROSS
+                TURNED_HELP
             } else {
                 "draw on this photo, or correct the size in the file"
             };
@@ -92,7 +92,7 @@ impl Drawing {
         });
         let points = polygons.clone().map(|polygon| polygon.len() as u64).sum();
         let help = "draw with fewer points, or export label maps";
-        check_limit(&self.file, "points on a photo", points, MOST_POINTS, help)?;
+        check_limit(&self.file, "points on a photo", points, MAX_POINTS, help)?;
         let size = [width as f64, height as f64];
         let far = |point: &&Point| (0..2).any(|i| !(-size[i]..=2.0 * size[i]).contains(&point[i]));
         if let Some([x, y]) = polygons.flatten().find(far) {

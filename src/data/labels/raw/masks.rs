@@ -10,11 +10,11 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 const TABLE: &str = "metadata.csv";
-const AGAIN: &str = "copy the folder of masks again, or write it again";
+const DAMAGED_HELP: &str = "copy the folder of masks again, or write it again";
 
-/// Reads the masks of a photo as one map: a pixel belongs to the smallest mask that covers it, among equal ones to the one
-/// with the lowest number, and to none (0) where no mask is. The k-th mask by number has id k, from 1 on. A table without
-/// rows says that nothing was found: no pixel belongs to a mask.
+/// Reads the masks of a photo as one map. A pixel belongs to the smallest mask that covers it; among equal masks, to the lowest
+/// number. It is 0 where there is no mask. The k-th mask by number has id k, from 1 on. A table without rows says that nothing was
+/// found: no pixel belongs to a mask.
 ///
 /// `path` is the folder, or that name with an extension; `photo` the size of a map without masks.
 pub(super) fn read(
@@ -51,7 +51,7 @@ pub(super) fn read(
         None if has_table => photo,
         None => {
             bail!(&folder, "masks"; found "no PNG files";
-                expected "0.png, 1.png and so on, or a {TABLE} without rows where nothing was found"; help "{AGAIN}");
+                expected "0.png, 1.png and so on, or a {TABLE} without rows where nothing was found"; help "{DAMAGED_HELP}");
         }
     };
     let (width, height) = size;
@@ -107,17 +107,17 @@ fn check_table(folder: &Path, files: &Numbered) -> Result<bool> {
     for (row, line) in rows {
         let cell = row.split(',').next().unwrap_or_default().trim();
         let number: usize = cell.parse().map_err(|_| {
-            invalid!(&path, "line {line}, id"; found "{cell:?}"; expected "the number of a mask"; help "{AGAIN}")
+            invalid!(&path, "line {line}, id"; found "{cell:?}"; expected "the number of a mask"; help "{DAMAGED_HELP}")
         })?;
         ensure!(files.contains_key(&number), &path, "line {line}, id"; found "{number}, which has no file";
-            expected "a file {number}.png beside it"; help "{AGAIN}");
+            expected "a file {number}.png beside it"; help "{DAMAGED_HELP}");
         listed.insert(number);
     }
     match files.keys().find(|number| !listed.contains(number)) {
         None => Ok(true),
         Some(number) => Err(
             invalid!(&path, "rows"; found "{} rows, none for {number}.png", listed.len();
-            expected "one for each mask"; help "{AGAIN}"),
+            expected "one for each mask"; help "{DAMAGED_HELP}"),
         ),
     }
 }

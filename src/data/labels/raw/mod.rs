@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Help for unknown ids that may be no classes.
-const IF_SEGMENTS: &str = "; where ids mean something in their view alone (instance masks), \
+const SEGMENTS_HELP: &str = "; where ids mean something in their view alone (instance masks), \
     add --set data.association=gaussians, or use `coseg associate`";
 
 /// The format of the raw labels of a scene folder.
@@ -76,7 +76,7 @@ pub(crate) struct Vocabulary {
 }
 
 impl Vocabulary {
-    /// Matches the segmenter's classes `names` to the table `classes` by name; an empty table is replaced by theirs, with
+    /// Matches the segmenter's classes `names` to the table `classes` by name. An empty table is replaced by the segmenter's, with
     /// the ids that come with the names.
     ///
     /// # Errors
@@ -97,7 +97,8 @@ impl Vocabulary {
             class.map(|class| class.id)
         };
         let ids: Vec<Option<u16>> = names.iter().map(find).collect();
-        let (found, all) = (ids.iter().flatten().count(), names.len());
+        let found = ids.iter().flatten().count();
+        let all = names.len();
         if found == 0 {
             let listed: Vec<_> = names.iter().take(5).map(|(_, name)| *name).collect();
             bail!(file, "categories"; found "{} ..", listed.join(", ");
@@ -132,13 +133,13 @@ pub(crate) fn needs_classes(
     files: &[RawFile],
 ) -> Option<&'static str> {
     let is_named = named::table(dir, &folder(dir, options, files.first()?.path)).is_some();
-    let is_grey =
-        options.association == Association::None && detect(dir, options, files) == RawFormat::Grey;
-    (is_grey && !is_named).then_some(IF_SEGMENTS)
+    let is_grey = options.association == Association::None
+        && format_of(dir, options, files) == RawFormat::Grey;
+    (is_grey && !is_named).then_some(SEGMENTS_HELP)
 }
 
 /// The format that the options name, or that of the first map.
-fn detect(dir: &Path, options: &LoadOptions, files: &[RawFile]) -> RawFormat {
+fn format_of(dir: &Path, options: &LoadOptions, files: &[RawFile]) -> RawFormat {
     let Some(first) = files.iter().find(|file| file.path.exists()) else {
         return if options.raw_format == RawFormat::Auto {
             RawFormat::Grey
@@ -196,7 +197,7 @@ impl RawLabels {
     ///
     /// # Errors
     /// As for [`crate::data::load`]; [`crate::Error::Config`] for masks without association.
-    pub fn settle(
+    pub fn detect(
         dir: &Path,
         options: &LoadOptions,
         files: &[RawFile],
@@ -207,7 +208,7 @@ impl RawLabels {
         };
         let segments = options.association != Association::None;
         let mut vocabulary = None;
-        let source = match detect(dir, options, files) {
+        let source = match format_of(dir, options, files) {
             RawFormat::Auto | RawFormat::Grey if segments => Source::Grey,
             RawFormat::Auto | RawFormat::Grey => {
                 let table = named::table(dir, &folder(dir, options, first));
@@ -348,7 +349,7 @@ impl RawLabels {
             Source::Grey | Source::Masks | Source::Drawn(_) => {
                 let mut map = LabelMap::decode(path, &file)?;
                 if !self.segments {
-                    map.settle_ids(path, classes, known, IF_SEGMENTS)?;
+                    map.check_ids(path, classes, known, SEGMENTS_HELP)?;
                 }
                 Ok(without_segments(map))
             }

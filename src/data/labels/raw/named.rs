@@ -63,7 +63,7 @@ impl OwnClasses {
 
     /// Replaces the ids of a map by the scene's; classes that the scene lacks become `unlabelled`.
     pub fn translate(&self, path: &Path, map: &mut LabelMap, unlabelled: u16) -> Result<()> {
-        map.settle_ids(path, &self.classes, &self.known, "")?;
+        map.check_ids(path, &self.classes, &self.known, "")?;
         for id in &mut map.ids {
             *id = self.ids.get(id).copied().unwrap_or(unlabelled);
         }

@@ -18,7 +18,7 @@ const HEADER: u64 = 1 << 16;
 /// Bytes by which the memory of the content grows.
 const CHUNK: usize = 1 << 16;
 /// What to do about a file that is damaged.
-const AGAIN: &str = "delete it and run `coseg label` again, or copy it again";
+const DAMAGED_HELP: &str = "delete it and run `coseg label` again, or copy it again";
 
 /// Where the cells of a grid of scores lie on a photo.
 ///
@@ -58,8 +58,8 @@ pub struct ScoreMap {
     pub id_limit: u32,
     /// Class ids `[classes, height, width]`, the most probable first. Ids of probability 0 mean nothing.
     pub ids: Vec<u16>,
-    /// Probabilities in 1/255, `[classes, height, width]`. Those of a cell descend and add up to 255 at most; what is
-    /// missing belongs to classes that are not stored.
+    /// Probabilities in 1/255, `[classes, height, width]`. Those of a cell descend and add up to 255 at most. The rest belongs to
+    /// classes that are not stored.
     pub probabilities: Vec<u8>,
 }
 
@@ -72,21 +72,21 @@ impl ScoreMap {
     /// add up to more than 255.
     pub fn read(path: &Path, limits: &Limits) -> Result<Self> {
         let bytes = inflate(path, limits)?;
-        let damaged = |e: safetensors::SafeTensorError| invalid!(path, "header"; found "{e}"; expected "scores of a photo as `coseg label` writes them"; help "{AGAIN}");
+        let damaged = |e: safetensors::SafeTensorError| invalid!(path, "header"; found "{e}"; expected "scores of a photo as `coseg label` writes them"; help "{DAMAGED_HELP}");
         let (_, header) = SafeTensors::read_metadata(&bytes).map_err(damaged)?;
         let header = header.metadata().as_ref().and_then(|all| all.get(KEY));
         let header = header.ok_or_else(|| {
-            invalid!(path, "metadata"; found "no entry {KEY:?}"; expected "this version of the file"; help "{AGAIN}")
+            invalid!(path, "metadata"; found "no entry {KEY:?}"; expected "this version of the file"; help "{DAMAGED_HELP}")
         })?;
         let Header { grid, id_limit } = serde_json::from_str(header).map_err(|e| {
-            invalid!(path, "metadata"; found "{e}"; expected "grid and id_limit"; help "{AGAIN}")
+            invalid!(path, "metadata"; found "{e}"; expected "grid and id_limit"; help "{DAMAGED_HELP}")
         })?;
         let tensors = SafeTensors::deserialize(&bytes).map_err(damaged)?;
         let (ids, shape) = tensor(path, &tensors, "ids", Dtype::U16)?;
         let (probabilities, of_probabilities) = tensor(path, &tensors, "probabilities", Dtype::U8)?;
         ensure!(of_probabilities == shape,
             path, "tensor probabilities"; found "shape {of_probabilities:?}"; expected "{shape:?}, as of ids";
-            help "{AGAIN}");
+            help "{DAMAGED_HELP}");
         let [classes, height, width] = shape;
         let scores = Self {
             grid,
@@ -154,12 +154,12 @@ impl ScoreMap {
         let lengths = [self.ids.len(), self.probabilities.len()];
         ensure!(values > 0 && lengths.map(|n| n as u64) == [values; 2], path, "tensors";
             found "{lengths:?} values of {} classes, {}x{} cells", self.classes, self.width, self.height;
-            expected "one value for each class and cell, at least one"; help "{AGAIN}");
+            expected "one value for each class and cell, at least one"; help "{DAMAGED_HELP}");
         let numbers = self.grid.scale.into_iter().chain(self.grid.offset);
         let is_placed = numbers.clone().all(f64::is_finite)
             && self.grid.scale.into_iter().all(|scale| scale > 0.0);
         ensure!(is_placed && !self.grid.photo.contains(&0), path, "grid"; found "{:?}", self.grid;
-            expected "a photo with pixels, finite numbers, a positive scale"; help "{AGAIN}");
+            expected "a photo with pixels, finite numbers, a positive scale"; help "{DAMAGED_HELP}");
         (0..self.width * self.height).try_for_each(|cell| self.check_cell(path, cell))
     }
 
@@ -173,13 +173,13 @@ impl ScoreMap {
         if sum > 255 || !probabilities.clone().is_sorted_by(|a, b| a >= b) {
             let found = probabilities.collect::<Vec<_>>();
             bail!(path, "tensor probabilities, {place}"; found "{found:?}";
-                expected "probabilities in 1/255 that descend and add up to 255 at most"; help "{AGAIN}");
+                expected "probabilities in 1/255 that descend and add up to 255 at most"; help "{DAMAGED_HELP}");
         }
         let known = (0..self.classes).filter(|n| self.probabilities[at(*n)] > 0);
         let ids: Vec<u16> = known.map(|n| self.ids[at(n)]).collect();
         let is_fault = |n: usize| u32::from(ids[n]) >= self.id_limit || ids[..n].contains(&ids[n]);
         ensure!(!(0..ids.len()).any(is_fault), path, "tensor ids, {place}"; found "{ids:?}";
-            expected "different class ids below {}", self.id_limit; help "{AGAIN}");
+            expected "different class ids below {}", self.id_limit; help "{DAMAGED_HELP}");
         Ok(())
     }
 }
@@ -191,12 +191,13 @@ fn inflate(path: &Path, limits: &Limits) -> Result<Vec<u8>> {
     let size = std::fs::metadata(path).map_err(|e| Error::io(path, "open", e))?;
     check_limit(path, "bytes", size.len(), most, help)?;
     let file = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-    let damaged = |found: String| invalid!(path, "compressed data"; found "{found}"; expected "a complete file of scores"; help "{AGAIN}");
+    let damaged = |found: String| invalid!(path, "compressed data"; found "{found}"; expected "a complete file of scores"; help "{DAMAGED_HELP}");
     let mut decoder = Decompress::new(true);
     let mut bytes = Vec::new();
     loop {
         bytes.reserve(CHUNK);
-        let (read, written) = (decoder.total_in(), decoder.total_out());
+        let read = decoder.total_in();
+        let written = decoder.total_out();
         let rest = &file[read as usize..];
         let status = decoder.decompress_vec(rest, &mut bytes, FlushDecompress::None);
         let status = status.map_err(|e| damaged(e.to_string()))?;
@@ -223,13 +224,13 @@ fn tensor<'a>(
 ) -> Result<(&'a [u8], [usize; 3])> {
     let field = format!("tensor {name}");
     let view = all.tensor(name).map_err(|e| {
-        invalid!(path, "{field}"; found "{e}"; expected "a tensor of this name"; help "{AGAIN}")
+        invalid!(path, "{field}"; found "{e}"; expected "a tensor of this name"; help "{DAMAGED_HELP}")
     })?;
     match <[usize; 3]>::try_from(view.shape()) {
         Ok(shape) if view.dtype() == kind => Ok((view.data(), shape)),
         _ => Err(
             invalid!(path, "{field}"; found "{:?} {:?}", view.dtype(), view.shape();
-            expected "{kind:?} [classes, height, width]"; help "{AGAIN}"),
+            expected "{kind:?} [classes, height, width]"; help "{DAMAGED_HELP}"),
         ),
     }
 }

@@ -30,7 +30,7 @@ pub(crate) fn name_of(name: &str) -> String {
     format!("{FOLDER}/{name}.{EXTENSION}")
 }
 
-/// Class id of the scene for each id in files of scores; classes that the scene lacks are not in it.
+/// Class id of the scene for each id in files of scores. Classes that the scene does not have are left out.
 pub(crate) type ScoreIds = HashMap<u16, u16>;
 
 /// The scores of a view's raw labels, in their file.
@@ -92,11 +92,11 @@ impl ViewScores {
     ///
     /// # Errors
     /// As [`ScoreMap::read`].
-    pub fn read(&self, classes: &Classes) -> Result<LabelScores> {
+    pub fn read(&self, classes: &Classes) -> Result<LabelProbabilities> {
         let map = ScoreMap::read(&self.file, &self.limits)?;
         let index = |id: &u16| classes.index(*self.ids.get(id)?).map(|index| index as u16);
         let indices = map.ids.iter().map(index).collect();
-        Ok(LabelScores {
+        Ok(LabelProbabilities {
             map,
             indices,
             placement: self.placement.clone(),
@@ -106,17 +106,17 @@ impl ViewScores {
 
 /// The scores of a view's raw labels in memory: class probabilities of any of its pixels.
 #[derive(Clone, Debug)]
-pub struct LabelScores {
+pub struct LabelProbabilities {
     map: ScoreMap,
     /// Class index of each of the map's ids; `None` where it is no class of the scene.
     indices: Vec<Option<u16>>,
     placement: Placement,
 }
 
-impl LabelScores {
-    /// The probabilities of the classes at the centre of the pixel in column `x`, row `y` of the view: (class index,
-    /// probability) of the classes that the four cells around it name, most probable first, of sum 1. They are bilinear on
-    /// the grid, then renormalised. Empty where no class of the scene is known. `found` is emptied first.
+impl LabelProbabilities {
+    /// Class probabilities at the centre of the pixel in column `x`, row `y` of the view, as (class index, probability). They are
+    /// those of the classes in the four cells around it, the most probable first, and sum to 1. They are bilinear on the grid, then
+    /// renormalised. Empty where no class of the scene is known. `found` is emptied first.
     pub fn at(&self, x: usize, y: usize, found: &mut Vec<(u16, f32)>) {
         found.clear();
         let shares = self.placement.shares(x as f64 + 0.5, y as f64 + 0.5);

@@ -1,15 +1,15 @@
 //! A group in two parts, grown from two segments of one view.
 
-use super::{Piece, Seed, SmallerPart, Suspect, weights};
+use super::candidates::{Candidate, Piece, Seed, SmallerPart, weights};
 use crate::objects::association::groups::{Assigned, Groups};
-use crate::objects::association::pair_evidence::PartGaussian;
+use crate::objects::association::part_evidence::PartGaussian;
 use crate::objects::association::segments::SegmentWeights;
 
-/// A segment belongs to both parts when the smaller one has more than this share of what the larger one has of it.
-const MIXED: f64 = 0.25;
-/// A part with less than this share of its Gaussians is a piece of another object.
-pub(super) const OWN: f64 = 0.5;
-/// Passes over the segments of a group in which its two parts settle.
+/// A segment belongs to both parts when the part with the smaller claim has more than this share of the larger claim.
+const MAX_SMALLER_CLAIM: f64 = 0.25;
+/// A part of lower purity is a piece of another object.
+pub(super) const MIN_PURITY: f64 = 0.5;
+/// Passes over the segments of a group, after which its two parts no longer change much.
 const PASSES: usize = 4;
 
 /// Weights of the two parts of a group on each Gaussian, pixels.
@@ -21,16 +21,16 @@ pub(super) struct Partition {
     pub parts: Vec<PartGaussian>,
 }
 
-/// The partition of a group that grows from `seed`, where its smaller part is larger than that of the best one and both parts
-/// have most of their Gaussians. `parts` are zero before and after.
+/// The partition of a group that grows from `seed`. `None` unless its smaller part is larger than that of the best partition so far
+/// and both parts have most of their Gaussians. `parts` are zero before and after.
 pub(super) fn partition(
     groups: &Groups,
     assigned: &[Assigned<'_>],
-    suspect: &Suspect,
+    candidate: &Candidate,
     seed: Seed,
     parts: &mut Parts,
 ) -> Option<Partition> {
-    let pieces = &suspect.pieces;
+    let pieces = &candidate.pieces;
     let sides = grow(parts, assigned, pieces, seed);
     let of_side = |side| {
         let sided = pieces.iter().zip(&sides);
@@ -49,12 +49,12 @@ pub(super) fn partition(
         weight: first.min(second),
         pieces: of_side(smaller).collect(),
     };
-    let best = suspect.best.as_ref();
+    let best = candidate.best.as_ref();
     let improves = best.is_none_or(|best| smaller.weight > best.weight);
-    let is_object = |side| purity(groups, &suspect.gaussians, parts, side) > OWN;
+    let is_object = |side| purity(groups, &candidate.gaussians, parts, side) > MIN_PURITY;
     let found = (improves && is_object(0) && is_object(1)).then(|| Partition {
         smaller,
-        parts: part_gaussians(groups, &suspect.gaussians, parts),
+        parts: part_gaussians(groups, &candidate.gaussians, parts),
     });
     for &piece in pieces {
         for (gaussian, _) in &weights(assigned, piece).weights {
@@ -66,7 +66,8 @@ pub(super) fn partition(
 
 /// The mean of a part's share of all weight on the Gaussians that it covers, some of `gaussians`.
 pub(super) fn purity(groups: &Groups, gaussians: &[u32], parts: &Parts, side: usize) -> f64 {
-    let (mut sum, mut pure) = (0.0, 0.0);
+    let mut sum = 0.0;
+    let mut pure = 0.0;
     for &gaussian in gaussians {
         let own = f64::from(parts[gaussian as usize][side]);
         if own > 0.0 {
@@ -95,8 +96,9 @@ pub(super) fn part_gaussians(
     gaussians.iter().filter_map(own).collect()
 }
 
-/// Grows two parts from a pair of segments, which stay, into `parts`, which are zero. Each other piece goes to the part that
-/// has it, and to neither while both have some of it; the larger one takes it in the end. Returns the part of each piece.
+/// Grows two parts from a pair of segments into `parts`, which are zero before. The pair stays in its parts. Each other piece goes
+/// to the part that claims it, and to neither while both claim some of it. In the end the part with the larger claim takes it.
+/// Returns the part of each piece.
 pub(super) fn grow(
     parts: &mut Parts,
     assigned: &[Assigned<'_>],
@@ -124,7 +126,7 @@ pub(super) fn grow(
             add(parts, piece, *side, -1.0);
             let claims = claims(parts, weights(assigned, piece));
             *larger = usize::from(claims[1] > claims[0]);
-            let clear = claims[1 - *larger] < MIXED * claims[*larger];
+            let clear = claims[1 - *larger] < MAX_SMALLER_CLAIM * claims[*larger];
             *side = clear.then_some(*larger);
             add(parts, piece, *side, 1.0);
         }

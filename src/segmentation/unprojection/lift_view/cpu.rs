@@ -1,11 +1,10 @@
 //! Lifting on the CPU.
 //!
-//! First the pairs of each tile are folded to scalar weights per (Gaussian, feature cell) through the bilinear taps; then
-//! every Gaussian gathers its cells' feature vectors, each once. Threads own disjoint Gaussians, which take their tiles in
-//! order.
+//! First, each tile computes scalar weights per (Gaussian, feature cell): blending weights times bilinear taps. Then every
+//! Gaussian gathers the feature vectors of its cells, each once. Threads own disjoint Gaussians, which take their tiles in order.
 
 use super::Sums;
-use super::fold::{CellWeight, Entry, Taps, fold_tile};
+use super::cell_weights::{CellWeight, Entry, Taps, tile_cell_weights};
 use crate::backend::Real;
 use crate::backend::simd::{multiply_add, wide_kernel};
 use crate::data::mask::Mask;
@@ -37,9 +36,9 @@ pub(super) fn lift_view<E: Real>(
         .collect();
     let mut entries = vec![Entry::default(); projected.tile_entries()];
     let tiles = projected.map_tiles(mask, &mut entries, |tile, pairs, own| {
-        fold_tile(tile, pairs, &taps, own)
+        tile_cell_weights(tile, pairs, &taps, own)
     });
-    let view = Folded {
+    let view = ViewWeights {
         tiles,
         entries,
         positions: projected.positions(),
@@ -83,8 +82,8 @@ pub(super) fn lift_view<E: Real>(
     Ok(())
 }
 
-/// The pairs of a view, folded.
-struct Folded<'a, E> {
+/// The cell weights of a view.
+struct ViewWeights<'a, E> {
     tiles: Vec<Vec<CellWeight<E>>>,
     /// In the order of the tile lists.
     entries: Vec<Entry<E>>,
@@ -104,17 +103,18 @@ struct Rows<'a, E> {
 
 wide_kernel! {
     /// `row += sum of weight * map[cell]` at every scale, for the Gaussians from `first` on.
-    fn gather(scales: &mut [Rows<'_, E>], first: usize, view: &Folded<'_, E>) => gather_rows
+    fn gather(scales: &mut [Rows<'_, E>], first: usize, view: &ViewWeights<'_, E>) => gather_rows
 }
 
 #[inline(always)]
 fn gather_rows<E: Real, const FMA: bool>(
     scales: &mut [Rows<'_, E>],
     first: usize,
-    view: &Folded<'_, E>,
+    view: &ViewWeights<'_, E>,
 ) {
     // All entries first: scattered reads that do not wait for each other.
-    let (mut near, mut ends) = (Vec::new(), Vec::new());
+    let mut near = Vec::new();
+    let mut ends = Vec::new();
     for i in (first..).take(scales.first().map_or(0, |rows| rows.weights.len())) {
         near.extend(
             view.positions

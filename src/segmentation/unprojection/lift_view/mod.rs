@@ -1,11 +1,11 @@
 //! The operation `lift_view`: one view's part of Eq. 5, `W^T F` or `(W U)^T F`, added to the sums of the views before.
 //!
-//! The CPU's kernel folds the weights of each Gaussian to scalar weights per feature cell first (`fold`), then gathers each
-//! cell's features once (`cpu`). Elsewhere the map is read bilinearly as a sparse product, and lifted by the adjoint of blending
+//! The CPU's kernel first sums the weights of each Gaussian per feature cell (`cell_weights`), then gathers each cell's features
+//! once (`cpu`). Elsewhere the map is read bilinearly as a sparse product, and lifted by the adjoint of blending
 //! (`tensors`). That is also the reference.
 
+mod cell_weights;
 mod cpu;
-mod fold;
 mod tensors;
 
 use crate::backend::Real;
@@ -30,8 +30,8 @@ pub struct Sums<E> {
     pub channels: Vec<usize>,
     /// `sum_v W^T 1` per scale, `[N]`: at `image` resolution the same at every scale.
     pub weights: Vec<Vec<E>>,
-    /// Algorithm 1's counter per scale, `[N]`: pixels (at `feature` resolution: cells) whose centre lies within the radius,
-    /// except for masked ones, which add nothing to the buffers either.
+    /// Algorithm 1's counter per scale, `[N]`: unmasked pixels (at `feature` resolution: cells) whose centre lies within the
+    /// radius. Masked ones do not add to the buffers either.
     pub counts: Vec<Vec<u64>>,
     /// Unmasked pixels (cells) of all views per scale; without masks `sum_v H_v W_v`.
     pub pixels: Vec<u64>,
@@ -49,11 +49,11 @@ impl<E: Real> Sums<E> {
         }
     }
 
-    /// Adds a view with one map per scale, of the pixels that `mask`, of the camera's size, uses; at `feature` resolution of the
-    /// cells whose centre is such a pixel. Counts are of these pixels, or cells, too.
+    /// Adds a view with one map per scale. `mask` has the camera's size; only pixels that it uses count. At `feature` resolution,
+    /// only cells count whose centre is a used pixel.
     ///
-    /// Results do not depend on the number of threads. Memory beside the sums: the view's contributing pairs folded to
-    /// (Gaussian, cell) weights, and nothing per pixel and channel.
+    /// Results do not depend on the number of threads. Memory beside the sums holds the view's (Gaussian, cell) weights, and
+    /// nothing per pixel and channel.
     ///
     /// # Errors
     /// [`crate::Error::Argument`] when maps, mask or Gaussians do not match what this was made for; [`crate::Error::NonFinite`] for maps with
@@ -145,7 +145,8 @@ fn check_maps(n: usize, channels: &[usize], gaussians: usize, maps: &[FeatureMap
     ensure!(found == channels, argument "feature maps"; found "channels {found:?}";
         expected "{channels:?}, one map a scale"; help "reduce all views alike");
     if gaussians != n {
-        let (found, expected) = (format!("{gaussians} Gaussians"), format!("{n}"));
+        let found = format!("{gaussians} Gaussians");
+        let expected = format!("{n}");
         bail!(argument "unprojection"; found "{found}"; expected "{expected}";
             help "use new sums for another scene");
     }

@@ -122,7 +122,8 @@ impl TensorSums {
         settings: &Settings,
     ) -> Result<ProjectedPixels> {
         let view = self.splats.seen_by(camera, settings);
-        let (pixels, device) = (camera.height * camera.width, self.splats.means.device());
+        let pixels = camera.height * camera.width;
+        let device = self.splats.means.device();
         let used = mask.map(|mask| {
             let values: Vec<f32> = (0..pixels)
                 .map(|pixel| f32::from(u8::from(mask.uses(pixel))))
@@ -246,10 +247,8 @@ fn lifted(
 /// The bilinear read of every pixel of an image, `[W H, cells]`.
 fn bilinear(lattice: &Lattice, [width, height]: [usize; 2]) -> SparseMatrix {
     let (columns, rows) = (lattice.columns(width), lattice.rows(height));
-    let (mut indices, mut values) = (
-        Vec::with_capacity(4 * width * height),
-        Vec::with_capacity(4 * width * height),
-    );
+    let mut indices = Vec::with_capacity(4 * width * height);
+    let mut values = Vec::with_capacity(4 * width * height);
     for y in 0..height {
         let (above, below, down) = rows.taps(y as f64 + 0.5);
         for x in 0..width {

@@ -1,33 +1,33 @@
-//! Requirements of the kernels.
+//! What the kernels require of a device.
 
 use super::UNITS;
 use burn_cubecl::cubecl::ir::HardwareProperties;
 use burn_cubecl::cubecl::prelude::*;
 
-/// Buffers of the kernel that binds most, `parameters_backward`, cubecl's own included.
-const BUFFERS: u32 = 14;
-/// Bytes that the units of a cube share: the backward pass over tiles, in its narrowest block of channels.
-const SHARED: usize = 32 << 10;
+/// Buffers that `parameters_backward` binds, cubecl's own included. No kernel binds more.
+const MIN_BUFFERS: u32 = 14;
+/// Bytes of shared memory of a cube in the backward pass over tiles, in its narrowest block of channels.
+const MIN_SHARED_BYTES: usize = 32 << 10;
 
-/// The requirement of the rasterizer's kernels that this device does not meet.
-pub fn shortfall(client: &Client) -> Option<String> {
-    lacks(&client.properties().hardware)
+/// The capability that the rasterizer's kernels require and this device does not have.
+pub fn missing_capability(client: &Client) -> Option<String> {
+    missing(&client.properties().hardware)
 }
 
-fn lacks(has: &HardwareProperties) -> Option<String> {
-    if has.max_bindings < BUFFERS {
+fn missing(hardware: &HardwareProperties) -> Option<String> {
+    if hardware.max_bindings < MIN_BUFFERS {
         return Some(format!(
-            "it binds {} buffers to a kernel, and {BUFFERS} are needed",
-            has.max_bindings
+            "it binds {} buffers to a kernel, and {MIN_BUFFERS} are needed",
+            hardware.max_bindings
         ));
     }
-    if has.max_shared_memory_size < SHARED {
-        let bytes = has.max_shared_memory_size;
+    if hardware.max_shared_memory_size < MIN_SHARED_BYTES {
+        let bytes = hardware.max_shared_memory_size;
         return Some(format!(
-            "{bytes} bytes are shared in a work group, and {SHARED} are needed"
+            "{bytes} bytes are shared in a work group, and {MIN_SHARED_BYTES} are needed"
         ));
     }
-    let units = has.max_units_per_cube;
+    let units = hardware.max_units_per_cube;
     (units < UNITS)
         .then(|| format!("a work group has {units} units at most, and {UNITS} are needed"))
 }
@@ -39,14 +39,14 @@ mod tests {
     use burn_cubecl::CubeDevice;
 
     #[test]
-    fn what_is_short_is_named_with_both_numbers() {
+    fn a_missing_capability_is_named_with_both_numbers() {
         let Some(_) = gpu_of_tests() else { return };
         let enough = CubeDevice::Wgpu(Default::default())
             .client()
             .properties()
             .hardware
             .clone();
-        assert_eq!(lacks(&enough), None);
+        assert_eq!(missing(&enough), None);
         let few_buffers = HardwareProperties {
             max_bindings: 9,
             ..enough.clone()
@@ -65,8 +65,8 @@ mod tests {
             (few_units, ["128", "256"]),
         ];
         for (hardware, parts) in cases {
-            let said = lacks(&hardware).expect("something is short");
-            assert!(parts.iter().all(|part| said.contains(part)), "{said}");
+            let message = missing(&hardware).expect("a missing capability");
+            assert!(parts.iter().all(|part| message.contains(part)), "{message}");
         }
     }
 }

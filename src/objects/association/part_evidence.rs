@@ -16,7 +16,7 @@ pub(super) struct PartGaussian {
 }
 
 /// The evidence of the views on each pair of parts. Other pairs beside it change nothing, to the last bit.
-pub(super) fn pair_evidence(
+pub(super) fn part_evidence(
     gaussians: usize,
     views: &[ViewSegments],
     pairs: &[&[PartGaussian]],
@@ -118,13 +118,15 @@ mod tests {
     #[test]
     fn pairs_together_have_the_evidence_of_each_alone() {
         let mut rng = ChaCha8Rng::seed_from_u64(4);
-        let (mut ones, mut twos) = (0, 0);
+        let mut ones = 0;
+        let mut twos = 0;
         for _ in 0..30 {
             let mut views = vec![ViewSegments::default()];
             for _ in 0..8 {
                 let mut segments = Vec::new();
                 for id in 1..rng.random_range(2..7) {
-                    let (first, count) = (rng.random_range(0..GAUSSIANS), rng.random_range(0..50));
+                    let first = rng.random_range(0..GAUSSIANS);
+                    let count = rng.random_range(0..50);
                     let weights = some(&mut rng, first, count);
                     segments.push(SegmentWeights {
                         segment: Segment {
@@ -145,7 +147,8 @@ mod tests {
             // Parts lie side by side and over those of other pairs; one pair has nothing.
             let mut pairs: Vec<Vec<PartGaussian>> = vec![Vec::new()];
             for _ in 0..6 {
-                let (first, border) = (rng.random_range(0..GAUSSIANS), rng.random_range(0..25));
+                let first = rng.random_range(0..GAUSSIANS);
+                let border = rng.random_range(0..25);
                 let parts = some(&mut rng, first, 40)
                     .into_iter()
                     .map(|(gaussian, weight)| {
@@ -160,7 +163,7 @@ mod tests {
             }
             let slices: Vec<&[PartGaussian]> = pairs.iter().map(|parts| &**parts).collect();
             let bits = |evidence: Evidence| [evidence.one, evidence.two].map(f64::to_bits);
-            let together = pair_evidence(GAUSSIANS, &views, &slices);
+            let together = part_evidence(GAUSSIANS, &views, &slices);
             let each: Vec<Evidence> = pairs.iter().map(|parts| alone(&views, parts)).collect();
             assert!(
                 together
@@ -177,6 +180,6 @@ mod tests {
             ones > 10 && twos > 10,
             "{ones} and {twos} of 180 pairs are one and two to some view"
         );
-        assert!(pair_evidence(GAUSSIANS, &[ViewSegments::default()], &[]).is_empty());
+        assert!(part_evidence(GAUSSIANS, &[ViewSegments::default()], &[]).is_empty());
     }
 }

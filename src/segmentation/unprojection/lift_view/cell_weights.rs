@@ -1,7 +1,8 @@
-//! The pairs of a tile folded to scalar weights per (Gaussian, feature cell).
+//! Scalar weights of a tile's Gaussians on the cells of feature maps: blending weights times bilinear taps.
 //!
-//! The bilinear taps are separable. A tile touches few columns and rows of each grid; the columns of all grids lie side
-//! by side in lanes. A Gaussian's pixels of one row are spread over the lanes first, then the lanes over the rows.
+//! The bilinear taps are separable. A tile touches few columns and rows of each grid. The columns of all grids lie side by side
+//! in lanes. For each row of pixels, a Gaussian's weights are summed into the lanes by the taps along x. Then the lanes are added
+//! to the rows of cells by the taps along y.
 
 use crate::backend::Real;
 use crate::backend::simd::{multiply_add, prefetch, wide_kernel};
@@ -19,7 +20,7 @@ pub struct Taps {
     x: Vec<(usize, usize, f32)>,
     y: Vec<(usize, usize, f32)>,
     /// Grid and image have one size: every pixel reads its own cell.
-    same: bool,
+    is_of_pixels: bool,
 }
 
 impl Taps {
@@ -27,13 +28,11 @@ impl Taps {
     pub fn new(lattice: &Lattice, camera: &Camera) -> Self {
         let of =
             |axis: Axis, pixels: usize| (0..pixels).map(|i| axis.taps(i as f64 + 0.5)).collect();
-        let (x, y) = (lattice.columns(camera.width), lattice.rows(camera.height));
-        let same = lattice.is_of_pixels(camera.width, camera.height);
         Self {
             width: lattice.width,
-            x: of(x, camera.width),
-            y: of(y, camera.height),
-            same,
+            x: of(lattice.columns(camera.width), camera.width),
+            y: of(lattice.rows(camera.height), camera.height),
+            is_of_pixels: lattice.is_of_pixels(camera.width, camera.height),
         }
     }
 }
@@ -66,7 +65,7 @@ impl<E: Real> Entry<E> {
         }
     }
 
-    /// Cells of `grid` that the Gaussian touches; `tiles` are the lists that [`fold_tile`] made.
+    /// Cells of `grid` that the Gaussian touches; `tiles` are the lists that [`tile_cell_weights`] made.
     #[inline(always)]
     pub fn cells<'a>(&self, tiles: &'a [Vec<CellWeight<E>>], grid: usize) -> &'a [CellWeight<E>] {
         let start = if grid == 0 { 0 } else { self.ends[grid - 1] };
@@ -74,33 +73,33 @@ impl<E: Real> Entry<E> {
     }
 }
 
-/// Folds the pairs of the tile with number `tile` onto the cells of every grid, at most [`SCALES`]. `entries` has one for each of
-/// its Gaussians. Returns the cells of the first Gaussian grid by grid, then those of the next.
-pub fn fold_tile<E: Real>(
+/// Weights of the Gaussians of the tile with number `tile` on the cells of every grid, at most [`SCALES`] grids. `entries` has
+/// one for each of its Gaussians. Returns the cells of the first Gaussian grid by grid, then those of the next.
+pub fn tile_cell_weights<E: Real>(
     tile: usize,
     pairs: &TilePairs<'_, E>,
     taps: &[Taps],
     entries: &mut [Entry<E>],
 ) -> Vec<CellWeight<E>> {
-    let window = Window::new(pairs.origin, TilePairs::<E>::EDGE, taps);
+    let grids = TileGrids::new(pairs.origin, TilePairs::<E>::EDGE, taps);
     let mut cells = Vec::new();
     for entry in entries.iter_mut() {
         entry.tile = tile as u32;
     }
-    fold(pairs, &window, entries, &mut cells);
+    cell_weights(pairs, &grids, entries, &mut cells);
     cells
 }
 
 /// How a tile reads one grid.
-enum Part {
+enum GridReading {
     /// Its cells are the pixels; `width` of them across.
     Pixels { width: usize },
     /// Through bilinear taps.
-    Band(Band),
+    Bilinear(BilinearGrid),
 }
 
 /// The lanes of one grid.
-struct Band {
+struct BilinearGrid {
     /// Cells across the whole grid.
     width: usize,
     /// First lane, and the first column and row of cells that the tile reaches.
@@ -113,32 +112,34 @@ struct Band {
 }
 
 /// What a tile reads of the grids.
-struct Window<E> {
+struct TileGrids<E> {
     /// One per grid.
-    grids: Vec<Part>,
-    /// Lanes of all bands, a multiple of [`LANES`].
+    grids: Vec<GridReading>,
+    /// Lanes of all bilinear grids, a multiple of [`LANES`].
     lanes: usize,
-    /// Rows of cells of the band that has most.
+    /// Largest number of rows of cells that the tile reaches in a bilinear grid.
     rows: usize,
-    /// For each row of pixels the rows of cells of any band that it reaches.
+    /// For each row of pixels the first row of cells that it reaches in any bilinear grid, and one past the last.
     reach: Vec<[usize; 2]>,
     /// `[pixel columns, lanes]`: weight of a column of pixels in each lane.
-    spread: Vec<E>,
-    /// `[pixel rows, rows, lanes]`: weight of a row of pixels in each row of each lane's band.
-    across: Vec<E>,
+    column_weights: Vec<E>,
+    /// `[pixel rows, rows, lanes]`: weight of a row of pixels in each row of cells, for each lane.
+    row_weights: Vec<E>,
 }
 
-impl<E: Real> Window<E> {
+impl<E: Real> TileGrids<E> {
     fn new([x0, y0]: [usize; 2], edge: usize, taps: &[Taps]) -> Self {
-        let (mut grids, mut lanes, mut rows) = (Vec::with_capacity(taps.len()), 0, 0);
+        let mut grids = Vec::with_capacity(taps.len());
+        let mut lanes = 0;
+        let mut rows = 0;
         let mut reach = vec![[usize::MAX, 0]; edge];
         for taps in taps {
-            if taps.same {
-                grids.push(Part::Pixels { width: taps.width });
+            if taps.is_of_pixels {
+                grids.push(GridReading::Pixels { width: taps.width });
                 continue;
             }
             let span = |taps: &[(usize, usize, f32)], from: usize| -> (usize, Vec<[usize; 2]>) {
-                let taps = part(taps, from, edge);
+                let taps = clipped(taps, from, edge);
                 let first = taps.first().map_or(0, |t| t.0);
                 (
                     first,
@@ -156,7 +157,7 @@ impl<E: Real> Window<E> {
             let lane = lanes;
             lanes += end(&columns);
             rows = rows.max(end(&own));
-            grids.push(Part::Band(Band {
+            grids.push(GridReading::Bilinear(BilinearGrid {
                 width: taps.width,
                 lane,
                 left,
@@ -166,24 +167,24 @@ impl<E: Real> Window<E> {
             }));
         }
         lanes = lanes.next_multiple_of(LANES);
-        let (mut spread, mut across) = (
-            vec![E::zero(); edge * lanes],
-            vec![E::zero(); edge * rows * lanes],
-        );
-        for (grid, taps) in grids.iter().zip(taps) {
-            let Part::Band(band) = grid else { continue };
-            for (pixel, &(a, b, f)) in part(&taps.x, x0, edge).iter().enumerate() {
+        let mut column_weights = vec![E::zero(); edge * lanes];
+        let mut row_weights = vec![E::zero(); edge * rows * lanes];
+        for (reading, taps) in grids.iter().zip(taps) {
+            let GridReading::Bilinear(grid) = reading else {
+                continue;
+            };
+            for (pixel, &(a, b, f)) in clipped(&taps.x, x0, edge).iter().enumerate() {
                 let f = E::of(f64::from(f));
-                let at = pixel * lanes + band.lane - band.left;
-                spread[at + a] += E::one() - f;
-                spread[at + b] += f;
+                let at = pixel * lanes + grid.lane - grid.left;
+                column_weights[at + a] += E::one() - f;
+                column_weights[at + b] += f;
             }
-            let own = band.lane..band.lane + band.columns.last().map_or(0, |c| c[1]);
-            for (pixel, &(a, b, f)) in part(&taps.y, y0, edge).iter().enumerate() {
+            let own = grid.lane..grid.lane + grid.columns.last().map_or(0, |c| c[1]);
+            for (pixel, &(a, b, f)) in clipped(&taps.y, y0, edge).iter().enumerate() {
                 let f = E::of(f64::from(f));
-                for (row, weight) in [(a - band.top, E::one() - f), (b - band.top, f)] {
+                for (row, weight) in [(a - grid.top, E::one() - f), (b - grid.top, f)] {
                     let at = (pixel * rows + row) * lanes;
-                    across[at..][own.clone()]
+                    row_weights[at..][own.clone()]
                         .iter_mut()
                         .for_each(|w| *w += weight);
                 }
@@ -194,33 +195,33 @@ impl<E: Real> Window<E> {
             lanes,
             rows,
             reach,
-            spread,
-            across,
+            column_weights,
+            row_weights,
         }
     }
 }
 
-fn part<T>(all: &[T], from: usize, len: usize) -> &[T] {
+fn clipped<T>(all: &[T], from: usize, len: usize) -> &[T] {
     &all[from.min(all.len())..(from + len).min(all.len())]
 }
 
 wide_kernel! {
-    /// Folds all Gaussians of a tile.
-    fn fold(
-        pairs: &TilePairs<'_, E>, window: &Window<E>, entries: &mut [Entry<E>], out: &mut Vec<CellWeight<E>>,
-    ) => fold_all
+    /// The cell weights of all Gaussians of a tile.
+    fn cell_weights(
+        pairs: &TilePairs<'_, E>, grids: &TileGrids<E>, entries: &mut [Entry<E>], out: &mut Vec<CellWeight<E>>,
+    ) => add_cell_weights
 }
 
 #[inline(always)]
-fn fold_all<E: Real, const FMA: bool>(
+fn add_cell_weights<E: Real, const FMA: bool>(
     pairs: &TilePairs<'_, E>,
-    window: &Window<E>,
+    grids: &TileGrids<E>,
     entries: &mut [Entry<E>],
     out: &mut Vec<CellWeight<E>>,
 ) {
     let edge = TilePairs::<E>::EDGE;
-    let lanes = window.lanes;
-    let mut sums = vec![E::zero(); window.rows * lanes];
+    let lanes = grids.lanes;
+    let mut sums = vec![E::zero(); grids.rows * lanes];
     // `out` is longer than needed, so that writing a cell needs no capacity check.
     let mut len = 0;
     for (i, entry) in entries.iter_mut().enumerate().take(pairs.len()) {
@@ -229,26 +230,24 @@ fn fold_all<E: Real, const FMA: bool>(
             continue;
         };
         let [top, bottom] = [first, last].map(|pixel| usize::from(pixel) / edge);
-        // Only bands read the columns, and without lanes there are none.
+        // Only bilinear grids read the columns, and without lanes there are none.
         let [left, right] = if lanes > 0 {
-            spread::<E, FMA>(window, pixels, weights, &mut sums)
+            add_gaussian::<E, FMA>(grids, pixels, weights, &mut sums)
         } else {
             [0, edge - 1]
         };
         entry.weight = weights.iter().copied().sum();
         entry.at = len as u32;
-        for (end, grid) in entry.ends.iter_mut().zip(&window.grids) {
-            match grid {
-                Part::Pixels { width } => {
+        for (end, reading) in entry.ends.iter_mut().zip(&grids.grids) {
+            match reading {
+                GridReading::Pixels { width } => {
                     make_room(out, len + pixels.len());
                     let [x, y] = pairs.origin.map(|o| o as u32);
                     for (to, (&pixel, &weight)) in
                         out[len..].iter_mut().zip(pixels.iter().zip(weights))
                     {
-                        let (row, column) = (
-                            u32::from(pixel) / edge as u32,
-                            u32::from(pixel) % edge as u32,
-                        );
+                        let row = u32::from(pixel) / edge as u32;
+                        let column = u32::from(pixel) % edge as u32;
                         *to = CellWeight {
                             cell: (y + row) * *width as u32 + x + column,
                             weight,
@@ -256,14 +255,14 @@ fn fold_all<E: Real, const FMA: bool>(
                     }
                     len += pixels.len();
                 }
-                Part::Band(band) => {
-                    let columns = band.columns[left][0]..band.columns[right][1];
-                    let rows = band.rows[top][0]..band.rows[bottom][1];
+                GridReading::Bilinear(grid) => {
+                    let columns = grid.columns[left][0]..grid.columns[right][1];
+                    let rows = grid.rows[top][0]..grid.rows[bottom][1];
                     make_room(out, len + rows.len() * columns.len());
                     for row in rows {
                         let first =
-                            ((band.top + row) * band.width + band.left + columns.start) as u32;
-                        let weights = &sums[row * lanes + band.lane..][columns.clone()];
+                            ((grid.top + row) * grid.width + grid.left + columns.start) as u32;
+                        let weights = &sums[row * lanes + grid.lane..][columns.clone()];
                         for (cell, &weight) in (first..).zip(weights) {
                             // Cells without weight are written over.
                             out[len] = CellWeight { cell, weight };
@@ -281,14 +280,16 @@ fn fold_all<E: Real, const FMA: bool>(
 
 /// Adds the pairs of one Gaussian to `sums`, `[rows, lanes]`; returns its first and last column of pixels.
 #[inline(always)]
-fn spread<E: Real, const FMA: bool>(
-    window: &Window<E>,
+fn add_gaussian<E: Real, const FMA: bool>(
+    grids: &TileGrids<E>,
     pixels: &[u16],
     weights: &[E],
     sums: &mut [E],
 ) -> [usize; 2] {
-    let (edge, lanes) = (TilePairs::<E>::EDGE, window.lanes);
-    let (mut left, mut right) = (edge, 0);
+    let edge = TilePairs::<E>::EDGE;
+    let lanes = grids.lanes;
+    let mut left = edge;
+    let mut right = 0;
     let mut from = 0;
     while from < pixels.len() {
         // Pixels of one row.
@@ -300,28 +301,28 @@ fn spread<E: Real, const FMA: bool>(
                 .count();
         left = left.min(usize::from(pixels[from]) % edge);
         right = right.max(usize::from(pixels[to - 1]) % edge);
-        let [low, high] = window.reach[y];
+        let [low, high] = grids.reach[y];
         for block in (0..lanes).step_by(LANES) {
             let mut sum = [E::zero(); LANES];
             for (&pixel, &weight) in pixels[from..to].iter().zip(&weights[from..to]) {
                 let at = usize::from(pixel) % edge * lanes + block;
-                let Some(spread) = window.spread[at..].first_chunk::<LANES>() else {
+                let Some(taps) = grids.column_weights[at..].first_chunk::<LANES>() else {
                     continue;
                 };
                 for l in 0..LANES {
-                    sum[l] = multiply_add::<E, FMA>(weight, spread[l], sum[l]);
+                    sum[l] = multiply_add::<E, FMA>(weight, taps[l], sum[l]);
                 }
             }
             for row in low..high {
-                let across = &window.across[(y * window.rows + row) * lanes + block..];
-                let (Some(sums), Some(across)) = (
+                let taps = &grids.row_weights[(y * grids.rows + row) * lanes + block..];
+                let (Some(sums), Some(taps)) = (
                     sums[row * lanes + block..].first_chunk_mut::<LANES>(),
-                    across.first_chunk::<LANES>(),
+                    taps.first_chunk::<LANES>(),
                 ) else {
                     continue;
                 };
                 for l in 0..LANES {
-                    sums[l] = multiply_add::<E, FMA>(across[l], sum[l], sums[l]);
+                    sums[l] = multiply_add::<E, FMA>(taps[l], sum[l], sums[l]);
                 }
             }
         }

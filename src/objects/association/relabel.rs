@@ -1,7 +1,7 @@
 //! From the groups of a view's segments to its label map.
 
 use super::groups::Assigned;
-use super::segments::{BAND, UNLABELLED};
+use super::segments::{BAND_PIXELS, UNLABELLED};
 use crate::data::{LabelMap, LabelRuns, View};
 use crate::error::Result;
 use crate::objects::largest::first_largest;
@@ -18,13 +18,13 @@ struct Divided {
     largest: u16,
 }
 
-/// The raw labels of a view in ids of the groups; `ids` gives the id of a group. `None` where the view has no raw labels.
+/// The raw labels of a view in ids of the groups. `ids` gives the id of a group. `None` where the view has no raw labels.
 ///
 /// A pixel of a divided segment takes the group whose piece has most weight `alpha' T` at it.
 ///
 /// # Errors
 /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite.
-pub(super) fn paint(
+pub(super) fn relabelled(
     gaussians: &Gaussians,
     view: &View,
     assigned: &Assigned<'_>,
@@ -58,11 +58,11 @@ pub(super) fn paint(
             divided.insert(segment, Divided { ids, largest });
         }
     }
-    let painted = raw.ids.iter().map(|&id| table[usize::from(id)]).collect();
+    let ids = raw.ids.iter().map(|&id| table[usize::from(id)]).collect();
     let mut map = LabelMap {
         width: raw.width,
         height: raw.height,
-        ids: painted,
+        ids,
     };
     let pixels: Vec<u32> = (0..raw.ids.len() as u32)
         .filter(|&p| divided.contains_key(&raw.ids[p as usize]))
@@ -71,7 +71,7 @@ pub(super) fn paint(
         return Ok(Some(map));
     }
     let projected = Projected::new(&gaussians.splats(), &view.camera, settings)?;
-    for band in pixels.chunks(BAND) {
+    for band in pixels.chunks(BAND_PIXELS) {
         let weights = projected.weights(Some(band));
         let id = |(row, &pixel): (usize, &u32)| {
             let (columns, values) = weights.row(row);
@@ -86,7 +86,7 @@ pub(super) fn paint(
 }
 
 impl Divided {
-    /// The id with most weight at a pixel, the first of equals; that of the largest piece where there is none.
+    /// The id with most weight at a pixel, the first among equals. Without weight, the id of the largest piece.
     fn id_at(&self, gaussians: &[u32], weights: &[f32]) -> u16 {
         let mut sums: Vec<(u16, f64)> = vec![(self.largest, 0.0)];
         for (gaussian, weight) in gaussians.iter().zip(weights) {
