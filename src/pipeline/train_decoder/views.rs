@@ -3,7 +3,7 @@
 use super::sampling::stratified_sample;
 use crate::backend::device::{read, upload};
 use crate::config::{Blend, SegmentationConfig};
-use crate::data::{Classes, LabelRuns, LabelScores, View};
+use crate::data::{Classes, LabelProbabilities, LabelRuns, View};
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::select;
@@ -68,7 +68,7 @@ pub struct TrainingViews<'a> {
     replaced: Option<ReplacedLabels>,
     classes: Classes,
     /// Class probabilities of raw labels, of the views that were used already and have them.
-    scores: Vec<Option<LabelScores>>,
+    scores: Vec<Option<LabelProbabilities>>,
 }
 
 /// Labels of the pixels by what identities say.
@@ -283,7 +283,7 @@ impl<'a> TrainingViews<'a> {
 
 /// `scores` of the pixels `numbers`, `[P, classes]`; 1 for their label where nothing is scored.
 fn probabilities(
-    scores: &LabelScores,
+    scores: &LabelProbabilities,
     labels: &[u16],
     numbers: &[u32],
     classes: usize,
