@@ -1,7 +1,8 @@
 //! The program as a user runs it: exit codes, messages, and the files that it writes.
 
 use crate::support::plates::{HEIGHT, WIDTH, camera, plates, scene};
-use coseg::backend::device::BackendName;
+use crate::support::program::{cpu_backend, fails, read_json, read_npy, succeeds, text, utf8};
+use crate::support::short_runs::short_run;
 use coseg::data::{Classes, Limits};
 use coseg::raster::{Settings, render};
 use coseg::splat::camera::Camera;
@@ -9,58 +10,7 @@ use coseg::splat::ply;
 use glam::DVec3;
 use std::ffi::OsString;
 use std::path::Path;
-use std::process::{Command, Output};
-
-/// Runs the command.
-pub fn coseg(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_coseg"))
-        .args(arguments)
-        .output()
-        .unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
-
-#[track_caller]
-pub fn succeeds(arguments: &[&str]) -> String {
-    let output = coseg(arguments);
-    assert!(
-        output.status.success(),
-        "{arguments:?}: {}",
-        text(&output.stderr)
-    );
-    text(&output.stdout)
-}
-
-/// Runs, expects `code`, and returns standard error, which must not show a panic or a trace.
-#[track_caller]
-pub fn fails(arguments: &[&str], code: i32) -> String {
-    let output = coseg(arguments);
-    let message = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
-    assert!(message.contains("error: "), "{message}");
-    assert!(
-        !message.contains("panicked") && !message.contains("fault of its own"),
-        "{message}"
-    );
-    message
-}
-
-pub fn utf8(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
-
-pub fn read_npy(path: &Path) -> (Vec<u64>, Vec<f32>) {
-    let file =
-        npyz::NpyFile::new(std::io::BufReader::new(std::fs::File::open(path).unwrap())).unwrap();
-    (file.shape().to_vec(), file.into_vec().unwrap())
-}
-
-pub fn read_json(path: &Path) -> serde_json::Value {
-    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
-}
+use std::process::Command;
 
 #[test]
 fn help_names_every_command_and_shows_examples() {
@@ -214,11 +164,7 @@ fn render_writes_arrays_labels_and_pictures() {
         "--alpha-max",
         "0.9",
     ];
-    let cpu = BackendName::compiled()
-        .iter()
-        .rfind(|name| **name != BackendName::Wgpu)
-        .unwrap()
-        .to_string();
+    let cpu = cpu_backend();
     succeeds(&[&render_args[..], &more, &["--backend", &cpu]].concat());
     let mut files: Vec<_> = std::fs::read_dir(&out)
         .unwrap()
@@ -341,32 +287,6 @@ fn vote_outvotes_wrong_views() {
         assert_eq!(labels[middle], truth[middle]);
     }
     assert_eq!(Classes::read(&out.join("classes.json")).unwrap().len(), 4);
-}
-
-/// The output of `coseg train` for a short run on the scene in `data` into `run`.
-pub fn short_run(data: &Path, run: &Path) -> String {
-    let small = [
-        "--set",
-        "building.iterations=40",
-        "--set",
-        "building.random_points=300",
-    ];
-    let rows = [
-        "--set",
-        "segmentation.iterations=20",
-        "--set",
-        "segmentation.rows=raw,vote,per_gaussian",
-    ];
-    let train = [
-        "train",
-        "--data",
-        utf8(data),
-        "--out",
-        utf8(run),
-        "--seed",
-        "3",
-    ];
-    succeeds(&[&train[..], &small, &rows].concat())
 }
 
 #[test]
@@ -692,7 +612,7 @@ fn weights_of_features_are_read_on_the_device_of_the_run() {
         folder.path().join("run"),
         folder.path().join("blur.safetensors"),
     );
-    crate::features::mobilenet::write_blur_weights(&weights);
+    crate::support::mobilenet_weights::write_blur_weights(&weights);
     let source = format!("features.weights={}", utf8(&weights));
     let sets = [
         "building.iterations=3",

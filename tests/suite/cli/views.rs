@@ -1,7 +1,7 @@
 //! New views by the program: paths, sizes, run folders in place of files, and files that are not what they are given as.
 
-use crate::cli::commands::{fails, read_json, succeeds, utf8};
 use crate::support::plates::{HEIGHT, WIDTH, camera, scene};
+use crate::support::program::{cpu_backend, fails, read_json, succeeds, utf8};
 use coseg::backend::device::BackendName;
 use coseg::data::formats::transforms;
 use coseg::data::{Limits, NamedCamera, Split, read_cameras};
@@ -42,11 +42,7 @@ fn size(path: &Path) -> (u32, u32) {
 
 /// Renders from `scene` into `out`, on the CPU.
 fn render(scene: &Path, out: &Path, more: &[&str]) -> String {
-    let cpu = BackendName::compiled()
-        .iter()
-        .rfind(|name| **name != BackendName::Wgpu)
-        .unwrap()
-        .to_string();
+    let cpu = cpu_backend();
     succeeds(
         &[
             &[

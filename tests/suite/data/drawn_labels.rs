@@ -1,8 +1,8 @@
 //! Labels drawn by hand: LabelMe and COCO instances; whole, then broken.
 
-use crate::cli::commands::{fails, read_json, succeeds, utf8};
 use crate::support::assert_names;
 use crate::support::plates::{HEIGHT, WIDTH, scene};
+use crate::support::program::{fails, read_json, succeeds, utf8};
 use coseg::config::{Association, RawFormat};
 use coseg::data::{LabelMap, LoadOptions, Scene, Segment, check, info, load};
 use serde_json::{Value, json};

@@ -1,14 +1,13 @@
 //! Masks of photos: how they are read in each layout, what they leave out, and what is wrong with them.
 
-use crate::cli::commands::{fails, succeeds, utf8};
-use crate::data::colmap;
-use crate::data::data_check::edit;
+use crate::support::colmap;
 use crate::support::plates::{HEIGHT, WIDTH, scene};
+use crate::support::program::{fails, succeeds, utf8};
+use crate::support::transforms_json::edit;
 use coseg::Error;
 use coseg::config::Config;
-use coseg::data::check;
 use coseg::data::mask::Mask;
-use coseg::data::{LabelMap, LoadOptions, Scene, View, load};
+use coseg::data::{LabelMap, LoadOptions, Scene, View, check, load};
 use image::{DynamicImage, GrayImage, ImageFormat, Luma};
 use serde_json::{Value, json};
 use std::fs;
@@ -18,7 +17,6 @@ use std::path::Path;
 const CORNER: (u32, u32) = (20, 16);
 /// Its pixels.
 const PIXELS: usize = 320;
-
 /// The corner in black, as a PNG of one bit a pixel, 80x64.
 const ONE_BIT: &str = "89504e470d0a1a0a0000000d4948445200000050000000400100000000a5bccd9b000000194944415478da63\
     6060e0ff0f010c4382f91f0e4699a3ccff004f754ebfc2d49adc0000000049454e44ae426082";
@@ -334,7 +332,7 @@ fn a_folder_of_masks_serves_every_layout() {
         .map(|view| &*view.name)
         .collect();
     assert_eq!(with, ["v4"], "not those that the frames name");
-    let scannet = crate::data::scannet::scene();
+    let scannet = crate::support::scannet::scene();
     fs::create_dir(scannet.path().join("people")).unwrap();
     grey(64, 48, |_, y| y > 9)
         .save(scannet.path().join("people/5.png"))

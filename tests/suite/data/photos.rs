@@ -1,7 +1,7 @@
 //! Photos stay in their files and label maps in runs: how much is in memory, and that nothing else changes.
 
-use crate::cli::commands::read_json;
-use crate::pipeline::resume;
+use crate::support::plate_runs;
+use crate::support::program::read_json;
 use coseg::Error;
 use coseg::data::{LabelMap, LabelRuns, LoadOptions, Photo, PhotoCache, Scene, load};
 use coseg::pipeline::VariantOutcome;
@@ -177,14 +177,14 @@ fn a_run_that_keeps_no_decoded_photo_gives_the_same_bits() {
     let folder = tempfile::tempdir().expect("folder");
     crate::support::plates::scene(folder.path());
     let run = |decoded_mb: usize, threads: usize| {
-        let mut config = resume::config(folder.path());
+        let mut config = plate_runs::config(folder.path());
         config.data.decoded_mb = decoded_mb;
         let out = folder.path().join(format!("run-{decoded_mb}"));
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .build()
             .expect("threads");
-        let outcome = pool.install(|| resume::whole(&config, &out));
+        let outcome = pool.install(|| plate_runs::whole(&config, &out));
         let held = cache(&outcome.scene).bytes();
         (
             outcome,
@@ -202,7 +202,7 @@ fn a_run_that_keeps_no_decoded_photo_gives_the_same_bits() {
     );
     let (none, held, other) = run(0, 3);
     assert_eq!(held, 0);
-    resume::same(&plenty, &none);
+    plate_runs::same(&plenty, &none);
     assert!(ply == other, "scene.ply differs");
     assert_eq!(
         (plenty.test.psnr, plenty.test.ssim),
@@ -234,9 +234,9 @@ fn views_that_the_page_does_not_show_are_handed_over() {
         frames.push(frame);
     }
     fs::write(dir.join("transforms.json"), transforms.to_string()).expect("transforms");
-    let mut config = resume::config(dir);
+    let mut config = plate_runs::config(dir);
     (config.building.iterations, config.segmentation.rows) = (2, Some(Vec::new()));
-    let outcome = resume::whole(&config, &dir.join("run"));
+    let outcome = plate_runs::whole(&config, &dir.join("run"));
     let mut names = Vec::new();
     let beside = |view: HeldOutView| {
         names.push(view.view.name.clone());

@@ -1,11 +1,10 @@
 //! Raw labels as segmenters write them: COCO panoptic, ADE20K colours, folders of masks; whole, then broken.
 
-use crate::cli::commands::{fails, read_json, succeeds, utf8};
 use crate::support::assert_names;
 use crate::support::plates::{HEIGHT, WIDTH, scene};
+use crate::support::program::{fails, read_json, succeeds, utf8};
 use coseg::config::{Association, RawFormat};
-use coseg::data::{LabelMap, LoadOptions, Scene, Segment, load};
-use coseg::data::{check, info};
+use coseg::data::{LabelMap, LoadOptions, Scene, Segment, check, info, load};
 use image::{GrayImage, Luma, Rgb, RgbImage};
 use serde_json::json;
 use std::fs;

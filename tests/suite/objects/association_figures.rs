@@ -1,14 +1,11 @@
 //! Figures of association on trained scenes; nothing here passes or fails.
 
-use crate::objects::association::associate;
+use crate::support::plate_objects::{associate, rendered};
 use crate::support::spoilt_masks::{Noise, spoilt};
-use coseg::config::{Association, AssociationConfig, LabelSource};
-use coseg::data::{
-    Classes, LabelMap, LabelRuns, Limits, LoadOptions, Scene, Segment, Split, View, load,
-};
+use coseg::config::{Association, AssociationConfig};
+use coseg::data::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Scene, Segment, Split, load};
 use coseg::metrics::{InstanceScores, instance_scores};
-use coseg::objects::{LabelMaps, LabelRule, Semantics, vote};
-use coseg::raster::{Settings, SplatTensors};
+use coseg::objects::Semantics;
 use coseg::splat::{Gaussians, ply};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -17,7 +14,6 @@ use std::path::PathBuf;
 
 /// Classes of the test scenes of which there are no instances.
 const STUFF: [&str; 3] = ["wall", "floor", "ceiling"];
-
 /// Pixels of each pair of ids.
 type Counts = BTreeMap<(u16, u16), usize>;
 
@@ -103,31 +99,6 @@ fn owner(counts: &Counts, of: u16) -> Option<u16> {
         .filter(|((_, b), _)| *b == of)
         .max_by_key(|(_, n)| **n)
         .map(|((a, _), _)| *a)
-}
-
-/// What a vote of the raw labels of the training views shows in the test views.
-pub fn rendered(gaussians: &Gaussians, scene: &Scene) -> Vec<LabelMap> {
-    let settings = Settings::default();
-    let votes = vote(
-        gaussians,
-        scene.split(Split::Train),
-        &scene.classes,
-        &settings,
-        &crate::support::device(),
-    )
-    .expect("votes")
-    .identities();
-    let rule = LabelRule {
-        source: LabelSource::Labels,
-        min_coverage: 0.5,
-    };
-    let maps = LabelMaps::new(&votes, &scene.classes, rule);
-    let splats = SplatTensors::new(gaussians, &crate::support::device());
-    let render = |view: &View| {
-        maps.of(&splats.seen_by(&view.camera, &settings))
-            .expect("a map")
-    };
-    scene.split(Split::Test).map(render).collect()
 }
 
 /// True ids in all views: what the Gaussians allow.

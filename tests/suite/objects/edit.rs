@@ -1,8 +1,8 @@
 //! Objects of a labelled scene: listed, picked, removed, turned and moved.
 
-use crate::cli::commands::{fails, succeeds, utf8};
 use crate::support::hard_labels::hard_label_map;
 use crate::support::plates::{HEIGHT, WIDTH, camera, plates, scene};
+use crate::support::program::{fails, succeeds, utf8};
 use coseg::data::{Classes, Limits, ObjectOf};
 use coseg::objects::{inventory, pick};
 use coseg::raster::{Projected, Settings, render};
@@ -212,7 +212,7 @@ fn distant_scene(dir: &Path) -> PathBuf {
     let (gaussians, labels) = plates();
     ply::write(&path, &gaussians, ORIGIN, Some(&labels)).unwrap();
     let file = dir.join("transforms.json");
-    let mut transforms = crate::cli::commands::read_json(&file);
+    let mut transforms = crate::support::program::read_json(&file);
     for frame in transforms["frames"].as_array_mut().unwrap() {
         for (row, by) in ORIGIN.to_array().iter().enumerate() {
             let cell = &mut frame["transform_matrix"][row][3];

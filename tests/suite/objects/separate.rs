@@ -1,7 +1,7 @@
 //! Things of one label that do not touch.
 
-use crate::cli::commands::{fails, succeeds, utf8};
 use crate::support::plates::plates;
+use crate::support::program::{fails, succeeds, utf8};
 use coseg::data::{Class, Classes, Limits, ObjectOf};
 use coseg::error::Error;
 use coseg::objects::{Separated, Separation};

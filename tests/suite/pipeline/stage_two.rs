@@ -252,7 +252,7 @@ fn weights_made_again_at_each_step_give_the_same_bits_as_kept_ones() {
 #[test]
 fn the_vote_sums_weights_by_label_whatever_the_number_of_classes() {
     // 70 classes, of which a view shows from 1 to 60.
-    let mut scene = crate::reconstruction::trainer::scene();
+    let mut scene = crate::support::painted_plane::scene();
     scene.classes = Classes::from_names(0, (0..=70).map(|id| (id, format!("class {id}"))));
     for (v, view) in scene.views.iter_mut().enumerate() {
         let (width, height) = (view.camera.width, view.camera.height);
@@ -371,10 +371,10 @@ fn averaged_parameters_differ_from_the_last_ones() {
 fn without_truth_only_what_is_wanted_is_trained() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::support::plates::scene(folder.path());
-    let mut config = crate::pipeline::resume::config(folder.path());
+    let mut config = crate::support::plate_runs::config(folder.path());
     config.segmentation.rows = None;
     let rows = |config: &Config, out: &str| -> Vec<Variant> {
-        crate::pipeline::resume::whole(config, &folder.path().join(out))
+        crate::support::plate_runs::whole(config, &folder.path().join(out))
             .rows
             .iter()
             .map(|row| row.row)
@@ -395,12 +395,12 @@ fn without_truth_only_what_is_wanted_is_trained() {
 fn a_truth_that_no_row_is_scored_by_is_none() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::support::plates::scene(folder.path());
-    let mut config = crate::pipeline::resume::config(folder.path());
+    let mut config = crate::support::plate_runs::config(folder.path());
     (config.segmentation.rows, config.segmentation.iterations) = (None, 4);
     let trained = |association: Association, out: &str| {
         let mut config = config.clone();
         config.data.association = association;
-        let outcome = crate::pipeline::resume::whole(&config, &folder.path().join(out));
+        let outcome = crate::support::plate_runs::whole(&config, &folder.path().join(out));
         let notes = coseg::report::Report::notes_of(&outcome, &config).concat();
         let is_scored = |row: &coseg::pipeline::VariantOutcome| {
             row.scores.labels.miou.is_some() || row.scores.instances.is_some()

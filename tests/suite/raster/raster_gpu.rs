@@ -1,6 +1,6 @@
 //! The rasterizer's GPU kernels against the CPU's in f64, fed the same f32 numbers.
 
-use crate::backend::device_training::on_device;
+use crate::support::device_tensors::on_device;
 use crate::support::gpu;
 use crate::support::raster_reference::{self as reference, Cloud, camera, cloud, numbers};
 use burn::tensor::{DType, Device, Tensor, TensorData};

@@ -1,5 +1,6 @@
 //! The results in a run folder: files, layouts, and a page that needs no other file.
 
+use crate::support::program::read_json;
 use coseg::config::{Config, Variant};
 use coseg::data::{Class, Classes, LabelMap, Split, View};
 use coseg::metrics::ImageScores;
@@ -265,10 +266,6 @@ fn folder() -> (Option<tempfile::TempDir>, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().to_owned();
     (Some(folder), path)
-}
-
-fn read_json(path: &Path) -> serde_json::Value {
-    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
 #[test]

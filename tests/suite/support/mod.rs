@@ -1,17 +1,35 @@
 //! Scenes, references and devices that several tests share.
 
+pub mod blender;
+pub mod browser;
+pub mod capture;
+pub mod colmap;
+pub mod comparison;
+#[cfg(feature = "wgpu")]
+pub mod device_tensors;
 pub mod dino_reference;
+pub mod dino_weights;
+pub mod feature_maps;
 pub mod hard_labels;
 pub mod lifting;
 pub mod linear_probe;
+pub mod mobilenet_weights;
 pub mod onnx;
+pub mod painted_plane;
+pub mod photometric;
+pub mod plate_objects;
+pub mod plate_runs;
 pub mod plates;
 pub mod point_probe;
 #[path = "../../../examples/pretrain_encoder/training.rs"]
 pub mod pretraining;
+pub mod program;
 pub mod raster_reference;
+pub mod scannet;
+pub mod short_runs;
 pub mod spoilt_masks;
 pub mod torch_file;
+pub mod transforms_json;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use coseg::backend::device::BackendName;
