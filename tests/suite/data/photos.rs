@@ -10,9 +10,8 @@ use image::RgbImage;
 use rayon::prelude::*;
 use serde_json::json;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
-use std::time::Instant;
 use tempfile::TempDir;
 
 const WIDTH: u32 = 400;
@@ -275,47 +274,6 @@ fn label_maps_come_back_from_their_runs() {
             .flat_map(|(id, n)| std::iter::repeat_n(id, n))
             .collect();
         assert!(unrolled == map.ids && runs.map() == map, "{name}");
-    }
-}
-
-/// What reading photos and label maps of the folder `COSEG_SCENE_DIR` costs, and how much memory they take.
-#[test]
-#[ignore = "needs a scene folder; prints figures"]
-fn measure_a_scene_folder() {
-    let dir = std::env::var_os("COSEG_SCENE_DIR")
-        .map(PathBuf::from)
-        .expect("COSEG_SCENE_DIR");
-    let peak = || coseg::report::peak_memory_bytes().unwrap_or(0) >> 20;
-    let before = peak();
-    for decoded_mb in [0, 1_024] {
-        let clock = Instant::now();
-        let scene = loaded(&dir, decoded_mb);
-        let seconds = clock.elapsed().as_secs_f64();
-        let views = &scene.views;
-        let maps = || {
-            views
-                .iter()
-                .flat_map(|v| [&v.truth, &v.raw, &v.instances])
-                .flatten()
-        };
-        let clock = Instant::now();
-        views
-            .iter()
-            .for_each(|view| drop(view.image.pixels().expect("photo")));
-        let photo = 1e3 * clock.elapsed().as_secs_f64() / views.len() as f64;
-        let clock = Instant::now();
-        let ids: usize = maps().map(|map| map.map().ids.len()).sum();
-        let map = 1e3 * clock.elapsed().as_secs_f64() / maps().count().max(1) as f64;
-        eprintln!(
-            "{} views, decoded_mb {decoded_mb}: loaded in {seconds:.2} s, peak {before} -> {} MB, {} MB of photos held, \
-             {photo:.2} ms a photo; {} label maps, {} kB in runs of {} kB, {map:.3} ms a map",
-            views.len(),
-            peak(),
-            cache(&scene).bytes() >> 20,
-            maps().count(),
-            maps().map(LabelRuns::bytes).sum::<usize>() >> 10,
-            (2 * ids) >> 10,
-        );
     }
 }
 

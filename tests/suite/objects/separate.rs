@@ -7,8 +7,6 @@ use coseg::error::Error;
 use coseg::objects::{Separated, Separation};
 use coseg::splat::{Gaussians, ply};
 use glam::DVec3;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 /// Opacity logits of 0.95 and 0.04.
 const SOLID: f32 = 2.944;
@@ -220,41 +218,6 @@ fn a_large_gaussian_touches_more_than_its_nearest() {
             .map_or(1, Vec::len)
     };
     assert_eq!((pieces(&parts), pieces(&parts[1..])), (1, 2));
-}
-
-/// Seconds for 200,000 random Gaussians of one label in a room of side 5; run by hand, with --nocapture.
-#[test]
-#[ignore = "a measurement"]
-fn seconds_of_one_large_label() {
-    let count = 200_000;
-    for (spread, large) in [(0.01, 8), (0.01, 1_000), (0.1, 8), (0.3, 8)] {
-        let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let mut parts = Vec::with_capacity(count);
-        parts.resize_with(count, || {
-            ([0; 3].map(|_| rng.random_range(0.0..5.0)), 1.0, SOLID)
-        });
-        let mut gaussians = balls(&parts);
-        for (i, scales) in gaussians.log_scales.iter_mut().enumerate() {
-            let size = if i < large {
-                2.0
-            } else {
-                spread * rng.random_range(0.5_f32..2.0)
-            };
-            *scales = [0; 3].map(|_| (size * rng.random_range(0.1..1.0)).ln());
-        }
-        gaussians.rotations = (0..count)
-            .map(|_| [0; 4].map(|_| rng.random_range(-1.0..1.0)))
-            .collect();
-        let clock = std::time::Instant::now();
-        let found = Separation::default()
-            .apply(&gaussians, &vec![2; count], &classes(), |_| true)
-            .expect("pieces");
-        let pieces = found.pieces.get(&2).map_or(1, Vec::len);
-        println!(
-            "spread {spread}, {large} as large as the room: {pieces} pieces, {:.2?}",
-            clock.elapsed()
-        );
-    }
 }
 
 #[test]

@@ -20,11 +20,12 @@ pub mod photometric;
 pub mod plate_objects;
 pub mod plate_runs;
 pub mod plates;
-pub mod point_probe;
 #[path = "../../../examples/pretrain_encoder/training.rs"]
 pub mod pretraining;
 pub mod program;
 pub mod raster_reference;
+#[path = "../../../examples/pretrain_encoder/rooms.rs"]
+pub mod rooms;
 pub mod scannet;
 pub mod short_runs;
 pub mod spoilt_masks;
