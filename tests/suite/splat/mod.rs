@@ -4,3 +4,4 @@ pub mod camera;
 pub mod camera_paths;
 pub mod level;
 pub mod ply;
+pub mod properties;

@@ -328,7 +328,7 @@ fn unusable_scenes_are_not_written() {
 }
 
 #[test]
-fn any_truncated_or_damaged_ply_is_an_error_or_a_scene_but_no_panic() {
+fn a_ply_cut_anywhere_is_an_error() {
     let dir = tempfile::tempdir().expect("folder");
     let path = dir.path().join("scene.ply");
     write(
@@ -352,28 +352,6 @@ fn any_truncated_or_damaged_ply_is_an_error_or_a_scene_but_no_panic() {
                 "cut to {length} of {} bytes",
                 whole.len()
             );
-        }
-        let mut state = 7_u64;
-        for _ in 0..3_000 {
-            let mut damaged = whole.clone();
-            for _ in 0..2 {
-                state = state
-                    .wrapping_mul(6_364_136_223_846_793_005)
-                    .wrapping_add(1_442_695_040_888_963_407);
-                let at = (state >> 33) as usize % damaged.len();
-                damaged[at] = (state >> 25) as u8;
-            }
-            fs::write(&path, &damaged).expect("write");
-            if let Ok(scene) = read(&path, &Limits::default()) {
-                assert!(
-                    scene
-                        .gaussians
-                        .means
-                        .iter()
-                        .flatten()
-                        .all(|v| v.is_finite())
-                );
-            }
         }
     }
 }
@@ -521,25 +499,4 @@ fn files_that_are_taken_for_scenes_are_named() {
             "{message}"
         );
     }
-}
-
-/// `cargo test --release --test suite ply_speed -- --ignored --nocapture`
-#[test]
-#[ignore = "a measurement"]
-fn ply_speed_of_a_million_gaussians() {
-    let dir = tempfile::tempdir().expect("folder");
-    let path = dir.path().join("scene.ply");
-    let n = 1_000_000;
-    let (scene, labels) = (gaussians(n, 3), vec![5_u16; n]);
-    let start = std::time::Instant::now();
-    write(&path, &scene, DVec3::ZERO, Some(&labels)).expect("write");
-    eprintln!(
-        "write: {:.2} s, {} MB",
-        start.elapsed().as_secs_f64(),
-        fs::metadata(&path).expect("file").len() >> 20
-    );
-    let start = std::time::Instant::now();
-    let found = reread(&path);
-    eprintln!("read: {:.2} s", start.elapsed().as_secs_f64());
-    assert_eq!(found.gaussians.len(), n);
 }
