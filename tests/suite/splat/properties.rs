@@ -13,13 +13,20 @@ use proptest::sample::Index;
 use std::fs;
 use std::path::Path;
 
-/// Up to `most` Gaussians of any degree and of any finite numbers.
-fn gaussians(most: usize) -> impl Strategy<Value = Gaussians> {
-    (0..4_usize, 0..=most).prop_flat_map(|(sh_degree, n)| {
-        let number = POSITIVE | NEGATIVE | NORMAL | SUBNORMAL | ZERO;
+fn any_finite() -> impl Strategy<Value = f32> + Copy {
+    POSITIVE | NEGATIVE | NORMAL | SUBNORMAL | ZERO
+}
+
+/// Up to `most` Gaussians of any degree, at `places`, of any finite numbers.
+fn gaussians(
+    most: usize,
+    places: impl Strategy<Value = f32> + Clone,
+) -> impl Strategy<Value = Gaussians> {
+    (0..4_usize, 0..=most).prop_flat_map(move |(sh_degree, n)| {
+        let number = any_finite();
         let coefficients = n * 3 * (sh_degree + 1).pow(2);
         let columns = (
-            vec(uniform3(number), n),
+            vec(uniform3(places.clone()), n),
             vec(uniform3(number), n),
             vec(uniform4(number), n),
             vec(number, n),
@@ -41,8 +48,11 @@ fn gaussians(most: usize) -> impl Strategy<Value = Gaussians> {
 /// Gaussians, with a label for each or none.
 type Labelled = (Gaussians, Option<Vec<u16>>);
 
-fn scenes(most: usize) -> impl Strategy<Value = Labelled> {
-    gaussians(most).prop_flat_map(|gaussians| {
+fn scenes(
+    most: usize,
+    places: impl Strategy<Value = f32> + Clone,
+) -> impl Strategy<Value = Labelled> {
+    gaussians(most, places).prop_flat_map(|gaussians| {
         let labels = proptest::option::of(vec(any::<u16>(), gaussians.len()));
         (Just(gaussians), labels)
     })
@@ -122,7 +132,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(96))]
 
     #[test]
-    fn scenes_come_back(scene in scenes(40)) {
+    fn scenes_come_back(scene in scenes(40, any_finite())) {
         let dir = tempfile::tempdir().expect("folder");
         let path = dir.path().join("scene.ply");
         for bytes in files(&path, &scene, DVec3::ZERO) {
@@ -134,13 +144,15 @@ proptest! {
     }
 
     #[test]
-    fn cut_files_are_refused(scene in scenes(6), origin in origins(), cuts in vec(any::<Index>(), 20)) {
+    fn cut_files_are_refused(scene in scenes(6, -100.0..100.0_f32), origin in origins(), cuts in vec(any::<Index>(), 20)) {
         let dir = tempfile::tempdir().expect("folder");
         let path = dir.path().join("scene.ply");
         let [binary, ascii] = files(&path, &scene, origin);
         for cut in cuts {
             let length = cut.index(binary.len());
-            prop_assert!(!is_read(&path, &binary[..length])?, "cut to {length}");
+            // Of a scene of nothing the last line end can be missing.
+            let noticed = !scene.0.is_empty() || length + 1 < binary.len();
+            prop_assert!(!(is_read(&path, &binary[..length])? && noticed), "cut to {length}");
             // The last number can be cut within its digits unnoticed.
             is_read(&path, &ascii[..cut.index(ascii.len())])?;
         }
@@ -148,7 +160,7 @@ proptest! {
 
     #[test]
     fn changed_bytes_do_not_panic(
-        scene in scenes(6),
+        scene in scenes(6, -100.0..100.0_f32),
         origin in origins(),
         damages in vec(vec((any::<Index>(), any::<u8>()), 1..4), 40),
     ) {
