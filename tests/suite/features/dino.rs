@@ -1,8 +1,9 @@
 //! DINO's ViT: parity with stored activations and with plain loops, any image size, memory, weight files.
 
 use crate::support::dino_reference::by_plain_loops;
-use crate::support::dino_weights::{Size, Tensors, generated, picture, write};
+use crate::support::dino_weights::{Size, Tensors, generated, write};
 use crate::support::lifting::extract;
+use crate::support::pictures::picture;
 use burn::tensor::{Tensor, TensorData};
 use coseg::Error;
 use coseg::config::{FeatureConfig, FeatureSource};

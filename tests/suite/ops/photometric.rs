@@ -1,10 +1,9 @@
 //! The fused photometric loss: against plain tensors, finite differences, and its own invariants.
 
 use crate::support::photometric::{Loss, compare, run, target, target_of};
-use burn::tensor::{DType, Device, Tensor};
+use burn::tensor::DType;
 use coseg::data::mask::Mask;
-use coseg::ops::{PhotometricTarget, photometric_loss, photometric_loss_plain};
-use std::sync::Arc;
+use coseg::ops::{photometric_loss, photometric_loss_plain};
 
 /// Smooth structure plus noise, in 0..1, never equal for two phases.
 fn picture(height: usize, width: usize, phase: f64) -> Vec<f64> {
@@ -121,7 +120,10 @@ fn same_bits_at_any_thread_count() {
 mod on_gpu {
     use super::*;
     use crate::support::gpu;
+    use burn::tensor::{Device, Tensor};
     use coseg::backend::host_fallbacks;
+    use coseg::ops::PhotometricTarget;
+    use std::sync::Arc;
 
     /// `picture` in numbers that an f32 holds.
     fn single(height: usize, width: usize) -> Vec<f64> {

@@ -108,3 +108,9 @@ pub fn after(browser: &str, page: &Path, script: &str, id: &str) -> String {
         .replace("&gt;", ">")
         .replace("&amp;", "&")
 }
+
+/// What stands in the element with this id.
+pub fn inside<'a>(page: &'a str, id: &str) -> &'a str {
+    let (_, after) = page.split_once(&format!("id=\"{id}\">")).unwrap();
+    after.split_once("</script>").unwrap().0
+}

@@ -34,6 +34,7 @@ pub fn matrix(camera: &Camera, (to_camera, opencv): Convention) -> DMat4 {
     if to_camera { matrix.inverse() } else { matrix }
 }
 
+/// The rows of a matrix, as JSON has them.
 pub fn rows(matrix: DMat4) -> Vec<[f64; 4]> {
     (0..4).map(|r| matrix.row(r).to_array()).collect()
 }

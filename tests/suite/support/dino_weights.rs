@@ -1,6 +1,5 @@
-//! Weights of DINO's ViT in any size, generated, and pictures for it.
+//! Weights of DINO's ViT in any size, generated.
 
-use image::RgbImage;
 use safetensors::tensor::{Dtype, TensorView};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -88,18 +87,4 @@ pub fn write(path: &Path, tensors: &Tensors) {
         safetensors::serialize(views, None).expect("serialize"),
     )
     .expect("write");
-}
-
-/// A picture with structure of several sizes.
-pub fn picture(width: u32, height: u32, seed: u32) -> RgbImage {
-    RgbImage::from_fn(width, height, |x, y| {
-        let n = (x.wrapping_mul(73) ^ y.wrapping_mul(151) ^ seed.wrapping_mul(977))
-            .wrapping_mul(2_654_435_761)
-            >> 24;
-        image::Rgb([
-            (x * 255 / width) as u8,
-            (n / 2 + y * 100 / height) as u8,
-            ((x / 7 + y / 5 + seed) % 2 * 180) as u8,
-        ])
-    })
 }

@@ -46,6 +46,7 @@ pub fn associate(
     Ok(found.expect("nothing stops it"))
 }
 
+/// The association with default settings.
 pub fn found(gaussians: &Gaussians, scene: &Scene) -> objects::Association {
     associate(gaussians, scene, &AssociationConfig::default()).expect("association")
 }
@@ -130,7 +131,7 @@ pub fn plate_folder(dir: &Path) {
 }
 
 /// What a vote of the raw labels of the training views shows in the test views.
-pub fn rendered(gaussians: &Gaussians, scene: &Scene) -> Vec<LabelMap> {
+fn rendered(gaussians: &Gaussians, scene: &Scene) -> Vec<LabelMap> {
     let settings = Settings::default();
     let votes = vote(
         gaussians,

@@ -105,3 +105,31 @@ pub fn same(a: &Outcome, b: &Outcome) {
         assert!(scores(a) == scores(b), "identities of {row}");
     }
 }
+
+/// A short run of `ours` whose second stage is changed by `edit`.
+pub fn trained(edit: impl Fn(&mut SegmentationConfig)) -> Outcome {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let mut config = Config {
+        building: BuildingConfig {
+            iterations: 40,
+            random_points: 400,
+            ..BuildingConfig::default()
+        },
+        segmentation: SegmentationConfig {
+            iterations: 20,
+            rows: Some(vec![Variant::Ours]),
+            ..SegmentationConfig::default()
+        },
+        ..Config::default()
+    };
+    edit(&mut config.segmentation);
+    config.data.dir = Some(folder.path().to_owned());
+    run(
+        &config,
+        &folder.path().join("run"),
+        &crate::support::device(),
+        &mut Silent,
+    )
+    .expect("a run")
+}

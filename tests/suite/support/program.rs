@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 /// Runs the command.
-pub fn coseg(arguments: &[&str]) -> Output {
+fn coseg(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_coseg"))
         .args(arguments)
         .output()
