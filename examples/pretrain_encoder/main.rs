@@ -4,6 +4,7 @@
 //!     cargo run --release --example pretrain_encoder -- --out encoder.safetensors
 //!     cargo run --release -- train --set spatial.source.pretrained=encoder.safetensors
 
+mod rooms;
 mod training;
 
 use clap::Parser;

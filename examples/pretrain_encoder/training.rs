@@ -2,12 +2,13 @@
 //!
 //! The head is the decoder of Eq. 7 without image features, so the encoder learns to be useful where it will be used.
 
+use super::rooms::{LabelledCloud, ROOMS_PER_SEED, Scores, room};
 use burn::module::Module;
 use burn::optim::{AdamConfig, GradientsParams};
 use burn::tensor::{Device, Tensor, TensorData};
-use coseg::data::builtin::{PRETRAINING_SEEDS, classes, labelled_points};
+use coseg::data::builtin::classes;
 use coseg::error::{Error, Result, ensure};
-use coseg::metrics::{Confusion, Void};
+use coseg::metrics::Confusion;
 use coseg::segmentation::decoder::{Decoder, DecoderConfig};
 use coseg::segmentation::encoder::{Cloud, encode, random_weights};
 use coseg::segmentation::loss::{CoSegLoss, LabelLoss};
@@ -24,9 +25,6 @@ use std::sync::Arc;
 
 /// Purpose of the random stream of one step.
 const STEP_STREAM: u64 = 0x7072_6574;
-/// Rooms of one seed; held-out rooms follow the trained ones.
-const ROOMS_PER_SEED: u64 = 1 << 12;
-
 /// What to train, and for how long.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PretrainOptions {
@@ -57,33 +55,6 @@ impl Default for PretrainOptions {
             points,
             steps: 600,
             rate: 5e-3,
-        }
-    }
-}
-
-/// Labelled points of one room.
-#[derive(Clone, Debug, Default)]
-pub struct LabelledCloud {
-    /// `[N, 3]` metres, z up.
-    pub positions: Vec<[f32; 3]>,
-    /// `[N]` class indices, [`UNLABELLED`] where there is none.
-    pub labels: Vec<u16>,
-}
-
-/// How well labels can be told.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Scores {
-    /// Share of labelled points told right.
-    pub accuracy: f64,
-    /// Mean IoU over the classes present, all rooms together.
-    pub miou: f64,
-}
-
-impl From<&Confusion> for Scores {
-    fn from(confusion: &Confusion) -> Self {
-        Self {
-            accuracy: confusion.accuracy(Void::Wrong).unwrap_or_default(),
-            miou: confusion.miou(Void::Wrong).unwrap_or_default(),
         }
     }
 }
@@ -170,24 +141,6 @@ fn rate(step: usize, options: &PretrainOptions) -> f64 {
     let done = (step as f64 + 0.5) / options.steps as f64;
     let rise = (done / 0.05).min(1.0);
     options.rate * rise * 0.5 * (1.0 + (std::f64::consts::PI * done).cos())
-}
-
-/// Room `i` of `seed`, labels as class indices.
-pub fn room(seed: u64, i: u64, points: usize) -> LabelledCloud {
-    let rooms = PRETRAINING_SEEDS.end - PRETRAINING_SEEDS.start;
-    let made = labelled_points(
-        PRETRAINING_SEEDS.start + (seed.wrapping_mul(ROOMS_PER_SEED) + i) % rooms,
-        points,
-    );
-    let lookup = classes().lookup();
-    LabelledCloud {
-        positions: made.positions,
-        labels: made
-            .classes
-            .iter()
-            .map(|&c| lookup[usize::from(c)])
-            .collect(),
-    }
 }
 
 /// Loss of one step: a random room, thinned, turned, mirrored, scaled, shaken, sometimes cut in two.

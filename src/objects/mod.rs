@@ -27,4 +27,4 @@ pub use self::renderer::{Frame, RenderOptions, Renderer};
 pub use self::semantics::{Semantics, has_truth};
 pub use self::separate::{Separated, Separation};
 pub use self::superpoints::{Superpoints, SurfaceGraph};
-pub use self::vote::{Votes, refined_vote, vote};
+pub use self::vote::{Votes, refined_vote, vote, weighted_vote};

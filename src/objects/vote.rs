@@ -45,17 +45,30 @@ pub fn vote<'a>(
     collect(gaussians, views, classes.len(), cast, settings, device)
 }
 
-/// Votes for labels with errors. They differ from [`vote`] in three ways.
-///
-/// - Labelled pixels of views with scores divide their vote among classes as the network does.
-/// - The votes of a view on a Gaussian are multiplied by its distance from the camera. Near views have the most pixels of a Gaussian,
-///   but a network sees too little of an object in them.
-/// - [`REFINEMENTS`] steps of expectation maximisation follow (Dempster et al. 1977), which undo the blur of blending. The label of a
-///   pixel is taken as drawn from the blended class shares `sum_j w_j p_jc` of its Gaussians. A vote of class c on Gaussian i counts
-///   `w_i p_ic / sum_j w_j p_jc`, where the shares p are those of the votes before. From equal shares, a step gives the plain vote.
+/// Votes for labels with errors: as [`vote`], but labelled pixels of views with scores divide their vote among classes as the
+/// segmenter does, and the votes of a view on a Gaussian are multiplied by its distance from the camera. Near views have the most
+/// pixels of a Gaussian, but a network sees too little of an object in them.
 ///
 /// # Errors
 /// Those of [`vote`] and of [`ViewScores::read`](crate::data::ViewScores::read).
+pub fn weighted_vote<'a>(
+    gaussians: &Gaussians,
+    views: impl Iterator<Item = &'a View>,
+    classes: &Classes,
+    settings: &Settings,
+    device: &Device,
+) -> Result<Votes> {
+    let cast = |view: &View| ViewVotes::weighted(view, classes, gaussians, device);
+    collect(gaussians, views, classes.len(), cast, settings, device)
+}
+
+/// The [`weighted_vote`] after [`REFINEMENTS`] steps of expectation maximisation (Dempster et al. 1977), which undo the blur of
+/// blending. The label of a pixel is taken as drawn from the blended class shares `sum_j w_j p_jc` of its Gaussians. Its vote for
+/// class c counts `w_i p_ic / sum_j w_j p_jc` on Gaussian i, where the shares p are those of the votes before. From equal shares, a
+/// step gives the votes without refinement, divided by the coverage of their pixels.
+///
+/// # Errors
+/// Those of [`weighted_vote`].
 pub fn refined_vote<'a>(
     gaussians: &Gaussians,
     views: impl Iterator<Item = &'a View>,
@@ -65,9 +78,9 @@ pub fn refined_vote<'a>(
 ) -> Result<Votes> {
     let views: Vec<&View> = views.collect();
     let views = || views.iter().copied();
-    let cast = |view: &View| ViewVotes::weighted(view, classes, gaussians, device);
-    let mut votes = collect(gaussians, views(), classes.len(), cast, settings, device)?;
+    let mut votes = weighted_vote(gaussians, views(), classes, settings, device)?;
     for _ in 0..REFINEMENTS {
+        let cast = |view: &View| ViewVotes::weighted(view, classes, gaussians, device);
         votes = refine(votes, gaussians, views(), cast, settings, device)?;
     }
     Ok(votes)

@@ -1,24 +1,13 @@
 //! What a step of training has besides rasterizing and losses, on a GPU: optimiser, running means, the look at gradients,
 //! Eq. 9. Against the CPU's kernels in f64, fed the same f32 numbers.
 
-use crate::ops::device_ops::{assert_close, host, leaf, value_and_gradients, waves};
+use crate::support::device_tensors::{
+    assert_close, host, leaf, on_device, value_and_gradients, waves,
+};
 use burn::tensor::{Device, Tensor, TensorData};
-use coseg::backend::host_fallbacks;
 use coseg::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step, sum_all};
 use coseg::segmentation::loss::{NeighbourPairs, neighbour_divergence};
 use std::sync::Arc;
-
-/// What `f` gives, none of whose tensors went to the CPU's kernels when it ran on a GPU.
-pub fn on_device<T>(on: Option<&Device>, f: impl FnOnce() -> T) -> T {
-    let before = host_fallbacks();
-    let out = f();
-    assert!(
-        on.is_none() || host_fallbacks() == before,
-        "{} tensors went to the host",
-        host_fallbacks() - before
-    );
-    out
-}
 
 #[test]
 fn adam_steps_with_one_rate_and_with_one_a_column() {

@@ -1,22 +1,18 @@
 //! `coseg bench` as a person runs it. The tests check that it measures, never what.
 
-use crate::cli::commands::{fails, read_json, succeeds, utf8};
 use crate::support::plates::scene;
-use coseg::backend::device::BackendName;
+use crate::support::program::{cpu_backend, fails, read_json, succeeds, utf8};
 use std::path::Path;
-
-/// The name of a CPU backend.
-pub fn backend() -> String {
-    BackendName::compiled()
-        .iter()
-        .rfind(|name| **name != BackendName::Wgpu)
-        .unwrap()
-        .to_string()
-}
 
 /// `bench --repeats 1` on a CPU backend.
 fn quick(more: &[&str]) -> String {
-    succeeds(&[&["bench", "--repeats", "1", "--backend", &backend()], more].concat())
+    succeeds(
+        &[
+            &["bench", "--repeats", "1", "--backend", &cpu_backend()],
+            more,
+        ]
+        .concat(),
+    )
 }
 
 /// The figures of a section for so many Gaussians in a JSON file.
@@ -125,7 +121,7 @@ fn trained_gaussians_come_from_a_run() {
     let folder = tempfile::tempdir().unwrap();
     scene(folder.path());
     let run = folder.path().join("run");
-    let (data, out, backend) = (utf8(folder.path()), utf8(&run), backend());
+    let (data, out, backend) = (utf8(folder.path()), utf8(&run), cpu_backend());
     let mut train = vec!["train", "--data", data, "--out", out, "--backend", &backend];
     for setting in [
         "building.iterations=3",

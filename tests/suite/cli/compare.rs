@@ -1,8 +1,7 @@
 //! `coseg compare` as a person runs it.
 
-use crate::cli::bench::backend;
-use crate::cli::commands::{fails, read_json, succeeds, utf8};
 use crate::support::plates::scene;
+use crate::support::program::{cpu_backend, fails, read_json, succeeds, utf8};
 
 const PLAN: &str = r#"
 title = "two rows"
@@ -29,7 +28,7 @@ fn a_table_is_made_in_parts() {
     scene(&scenes.join("plates"));
     let (plan, out) = (folder.path().join("plan.toml"), folder.path().join("table"));
     std::fs::write(&plan, PLAN).unwrap();
-    let backend = backend();
+    let backend = cpu_backend();
     let command = [
         "compare",
         utf8(&plan),

@@ -1,8 +1,7 @@
 //! `coseg render --features pca`: image features of a run as colours.
 
-use crate::cli::bench::backend;
-use crate::cli::commands::{fails, read_npy, succeeds, utf8};
 use crate::support::plates::{HEIGHT, WIDTH, scene};
+use crate::support::program::{cpu_backend, fails, read_npy, succeeds, utf8};
 use coseg::data::{Limits, Split, read_cameras};
 use coseg::features::FeatureColors;
 use coseg::raster::{Settings, render};
@@ -41,7 +40,7 @@ fn features_are_rendered_in_the_colours_of_the_run() {
     scene(folder.path());
     let run = run(folder.path(), "ours");
     let [plain, with, arrays] = ["plain", "with", "arrays"].map(|name| folder.path().join(name));
-    let backend = backend();
+    let backend = cpu_backend();
     let backend = ["--backend", &backend];
     let features = [&backend[..], &["--features", "pca"]].concat();
     succeeds(&arguments(&run, &plain, &backend));

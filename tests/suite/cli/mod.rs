@@ -1,8 +1,17 @@
 //! Tests of `coseg::cli`.
 
+#[cfg(all(feature = "wgpu", target_os = "linux"))]
+pub mod adapters;
+pub mod associate;
 pub mod bench;
 pub mod commands;
 pub mod compare;
+pub mod edit;
 pub mod features;
+pub mod render;
+pub mod render_path;
 pub mod render_settings;
+pub mod separate;
+pub mod train;
+pub mod view;
 pub mod views;

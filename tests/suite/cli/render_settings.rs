@@ -1,7 +1,7 @@
 //! A scene in a run folder is rendered as the run rendered it.
 
-use crate::cli::commands::{succeeds, utf8};
 use crate::support::plates::scene;
+use crate::support::program::{succeeds, utf8};
 use std::path::Path;
 use std::process::Command;
 

@@ -1,7 +1,7 @@
 //! Plans: what each fault of a file is answered with.
 
-use super::{PLAN, write_plan};
 use crate::support::assert_names;
+use crate::support::comparison::{PLAN, write_plan};
 use coseg::compare::{Plan, Tables};
 use coseg::error::Error;
 

@@ -1,7 +1,8 @@
 //! A small plan as it is run, resumed and refused.
 
-use super::{PLAN, write_plan};
 use crate::support::assert_names;
+use crate::support::comparison::{PLAN, write_plan};
+use crate::support::program::read_json;
 use coseg::compare::{Cell, Finished, Options, Plan, Tables, Watch, run};
 use coseg::error::Error;
 use coseg::progress::{Event, Progress};
@@ -63,11 +64,6 @@ fn folder() -> (tempfile::TempDir, Plan, PathBuf) {
     let plan = Plan::read(&write_plan(folder.path(), PLAN), None).expect("a plan");
     let out = folder.path().join("out");
     (folder, plan, out)
-}
-
-fn read_json(path: &Path) -> serde_json::Value {
-    let text = std::fs::read_to_string(path).expect("a file");
-    serde_json::from_str(&text).expect("JSON")
 }
 
 /// Scores of cells to twelve digits: JSON may change the last bit. Times differ from run to run.

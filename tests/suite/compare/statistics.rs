@@ -1,6 +1,6 @@
 //! Means and spreads, and what of them is bold.
 
-use super::{PLAN, write_plan};
+use crate::support::comparison::{PLAN, write_plan};
 use coseg::compare::{Cell, Figures, Plan, Statistic, Tables};
 use coseg::pipeline::FieldScores;
 

@@ -1,3 +1,4 @@
 //! Tests of `coseg::config`.
 
 pub mod load;
+pub mod refused;

@@ -1,12 +1,11 @@
 //! What loads and is seldom meant: degenerate poses, odd intrinsics, labels that say nothing; and floods of one fault.
 
-use crate::cli::commands::{fails, succeeds, utf8};
-use crate::data::colmap;
-use crate::data::data_check::edit;
+use crate::support::colmap;
 use crate::support::plates::{HEIGHT, WIDTH, scene};
+use crate::support::program::{fails, succeeds, utf8};
+use crate::support::transforms_json::edit;
 use coseg::config::Config;
-use coseg::data::check;
-use coseg::data::{LabelMap, LoadOptions, load};
+use coseg::data::{LabelMap, LoadOptions, check, load};
 use serde_json::{Value, json};
 use std::fs;
 use tempfile::TempDir;

@@ -1,8 +1,7 @@
 //! COLMAP models in pieces, and photos that no model has.
 
-use crate::data::colmap::{VIEWS, binary, name, pinhole, scene, text};
-use coseg::data::check;
-use coseg::data::{LoadOptions, load, locate};
+use crate::support::colmap::{VIEWS, binary, name, pinhole, scene, text};
+use coseg::data::{LoadOptions, check, load, locate};
 use std::fs;
 use std::path::Path;
 

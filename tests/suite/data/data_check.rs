@@ -1,21 +1,13 @@
 //! `coseg data check` and `info`, and the layouts that nothing tells apart.
 
-use crate::cli::commands::{fails, read_json, succeeds, utf8};
 use crate::support::plates::scene;
+use crate::support::program::{fails, succeeds, utf8};
+use crate::support::transforms_json::edit;
 use coseg::config::{Config, Layout};
-use coseg::data::check;
-use coseg::data::{LabelMap, LoadOptions, load, locate};
+use coseg::data::{LabelMap, LoadOptions, check, load, locate};
 use serde_json::json;
 use std::fs;
 use std::path::Path;
-
-/// Changes the scene's `transforms.json`.
-pub fn edit(dir: &Path, change: impl Fn(&mut serde_json::Value)) {
-    let path = dir.join("transforms.json");
-    let mut value = read_json(&path);
-    change(&mut value);
-    fs::write(path, value.to_string()).unwrap();
-}
 
 /// Ten frames, from the six of the small scene.
 fn ten_frames(dir: &Path) {

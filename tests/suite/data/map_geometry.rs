@@ -1,14 +1,13 @@
 //! Which camera label maps are of: maps that were made of the scene come back as they were, and maps of photos have the
 //! distortion of the lens taken out once.
 
-use crate::cli::commands::{succeeds, utf8};
-use crate::data::colmap;
-use crate::data::data_check::edit;
+use crate::support::colmap;
 use crate::support::plates::{HEIGHT, WIDTH, scene};
+use crate::support::program::{succeeds, utf8};
+use crate::support::transforms_json::edit;
 use coseg::config::Association;
 use coseg::data::formats::transforms::load_cameras;
-use coseg::data::{LabelMap, Limits, LoadOptions, MapGeometry, load};
-use coseg::data::{check, info};
+use coseg::data::{LabelMap, Limits, LoadOptions, MapGeometry, check, info, load};
 use serde_json::json;
 use std::fs;
 use std::path::Path;

@@ -1,14 +1,11 @@
 //! Folders of masks: which one is looked into, how files in it are named, when none is, and what is reported.
 
-use crate::cli::commands::{succeeds, utf8};
-use crate::data::blender;
-use crate::data::colmap;
-use crate::data::data_check::edit;
-use crate::data::scannet;
 use crate::support::plates::{self, HEIGHT, WIDTH};
-use coseg::data::check;
+use crate::support::program::{succeeds, utf8};
+use crate::support::transforms_json::edit;
+use crate::support::{blender, colmap, scannet};
 use coseg::data::mask::Mask;
-use coseg::data::{LabelMap, LoadOptions, Scene, load};
+use coseg::data::{LabelMap, LoadOptions, Scene, check, load};
 use image::{GrayImage, Luma};
 use serde_json::json;
 use std::fs;
@@ -181,7 +178,7 @@ fn photos_of_one_name_in_two_folders_have_masks_of_their_own() {
     .unwrap();
     for (split, count, id) in [("train", 5, 1), ("test", 3, 2)] {
         let path = dir.join(format!("transforms_{split}.json"));
-        let mut value = crate::cli::commands::read_json(&path);
+        let mut value = crate::support::program::read_json(&path);
         for i in 0..count {
             value["frames"][i]["mask_path"] = json!(format!("alpha/{split}/r_{i}.png"));
             value["frames"][i]["raw_label_path"] = json!(format!("seen/{split}/r_{i}.png"));

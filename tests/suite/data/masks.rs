@@ -1,48 +1,15 @@
-//! Masks of photos: how they are read in each layout, what they leave out, and what is wrong with them.
+//! Masks of photos: how they are read in each layout, and what they leave out.
 
-use crate::cli::commands::{fails, succeeds, utf8};
-use crate::data::colmap;
-use crate::data::data_check::edit;
+use crate::support::colmap;
+use crate::support::masked_plates::{ONE_BIT, PIXELS, corner, grey, is_corner, masked, used};
 use crate::support::plates::{HEIGHT, WIDTH, scene};
-use coseg::Error;
-use coseg::config::Config;
-use coseg::data::check;
-use coseg::data::mask::Mask;
-use coseg::data::{LabelMap, LoadOptions, Scene, View, load};
-use image::{DynamicImage, GrayImage, ImageFormat, Luma};
+use crate::support::program::{fails, succeeds, utf8};
+use crate::support::transforms_json::edit;
+use coseg::data::{LabelMap, LoadOptions, Scene, View, check, load};
+use image::{DynamicImage, Luma};
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;
-
-/// The upper left corner of the plates' photos is what masks leave out here.
-const CORNER: (u32, u32) = (20, 16);
-/// Its pixels.
-const PIXELS: usize = 320;
-
-/// The corner in black, as a PNG of one bit a pixel, 80x64.
-const ONE_BIT: &str = "89504e470d0a1a0a0000000d4948445200000050000000400100000000a5bccd9b000000194944415478da63\
-    6060e0ff0f010c4382f91f0e4699a3ccff004f754ebfc2d49adc0000000049454e44ae426082";
-
-fn used(x: u32, y: u32) -> bool {
-    x >= CORNER.0 || y >= CORNER.1
-}
-
-/// Black where not `used`, nearly black elsewhere.
-fn grey(width: u32, height: u32, used: impl Fn(u32, u32) -> bool) -> DynamicImage {
-    GrayImage::from_fn(width, height, |x, y| Luma([u8::from(used(x, y))])).into()
-}
-
-fn corner() -> DynamicImage {
-    grey(WIDTH as u32, HEIGHT as u32, used)
-}
-
-/// The plates, and a mask for photo 1 that leaves the corner out.
-fn masked(dir: &Path) {
-    scene(dir);
-    fs::create_dir_all(dir.join("masks")).unwrap();
-    corner().save(dir.join("masks/v1.png")).unwrap();
-    edit(dir, |v| v["frames"][1]["mask_path"] = json!("masks/v1.png"));
-}
 
 fn loaded(dir: &Path, options: &LoadOptions) -> Scene {
     load(dir, options).unwrap()
@@ -50,20 +17,6 @@ fn loaded(dir: &Path, options: &LoadOptions) -> Scene {
 
 fn view<'a>(scene: &'a Scene, name: &str) -> &'a View {
     scene.views.iter().find(|view| view.name == name).unwrap()
-}
-
-#[track_caller]
-fn refused(dir: &Path, options: &LoadOptions, parts: &[&str]) {
-    let error: Error = load(dir, options).expect_err("an error");
-    crate::support::assert_names(&error, parts);
-    // A check tells the same.
-    let problems = check(dir, options).problems;
-    assert_eq!(problems[0].to_string(), error.to_string());
-}
-
-/// Whether exactly the corner is left out of the plates' photos.
-fn is_corner(mask: &Mask) -> bool {
-    (0..WIDTH * HEIGHT).all(|i| mask.uses(i) == used((i % WIDTH) as u32, (i / WIDTH) as u32))
 }
 
 #[test]
@@ -334,7 +287,7 @@ fn a_folder_of_masks_serves_every_layout() {
         .map(|view| &*view.name)
         .collect();
     assert_eq!(with, ["v4"], "not those that the frames name");
-    let scannet = crate::data::scannet::scene();
+    let scannet = crate::support::scannet::scene();
     fs::create_dir(scannet.path().join("people")).unwrap();
     grey(64, 48, |_, y| y > 9)
         .save(scannet.path().join("people/5.png"))
@@ -342,50 +295,6 @@ fn a_folder_of_masks_serves_every_layout() {
     let scene = loaded(scannet.path(), &named);
     assert_eq!(view(&scene, "5").mask.as_ref().unwrap().left_out(), 640);
     assert!(view(&scene, "6").mask.is_none());
-}
-
-#[test]
-fn broken_masks_are_refused_by_name() {
-    let folder = tempfile::tempdir().unwrap();
-    let (dir, options) = (folder.path(), LoadOptions::default());
-    masked(dir);
-    let file = dir.join("masks/v1.png");
-    grey(64, 80, |_, _| true).save(&file).unwrap();
-    refused(
-        dir,
-        &options,
-        &[
-            "masks/v1.png",
-            "size",
-            "64x80",
-            "80x64",
-            "its photo",
-            "neither cut nor turned",
-        ],
-    );
-    grey(80, 64, |_, _| false).save(&file).unwrap();
-    refused(
-        dir,
-        &options,
-        &["masks/v1.png", "all pixels", "black", "invert"],
-    );
-    corner().save_with_format(&file, ImageFormat::Jpeg).unwrap();
-    refused(
-        dir,
-        &options,
-        &["masks/v1.png", "JPEG", "PNG", "compression"],
-    );
-    fs::write(&file, b"\x89PNG\r\n\x1a\n").unwrap();
-    refused(dir, &options, &["masks/v1.png", "end of the image"]);
-    fs::remove_file(&file).unwrap();
-    refused(
-        dir,
-        &options,
-        &["masks/v1.png", "no such file", "put the mask there"],
-    );
-    // All faults of a frame at once: here also a label map that is not there.
-    fs::remove_file(dir.join("labels/v1.png")).unwrap();
-    assert_eq!(check(dir, &options).problems.len(), 2);
 }
 
 #[test]
@@ -463,30 +372,4 @@ fn a_run_notices_that_masks_have_changed() {
     );
     corner().save(dir.join("masks/v1.png")).unwrap();
     succeeds(&["train", "--resume", utf8(&run)]);
-}
-
-#[test]
-fn photos_and_label_maps_are_no_folder_of_masks() {
-    for sets in [
-        &["data.masks=images"][..],
-        &["data.masks=maps", "data.raw_labels=maps"],
-    ] {
-        let sets: Vec<String> = sets.iter().map(|&set| set.to_owned()).collect();
-        crate::support::assert_names(
-            &Config::load(None, &sets).unwrap_err(),
-            &["data.masks", "other than data.images"],
-        );
-    }
-    let config = Config::load(None, &["data.masks=people".into()]).unwrap();
-    assert_eq!(
-        LoadOptions::from(&config.data).masks.as_deref(),
-        Some("people")
-    );
-    assert_eq!(LoadOptions::default().masks, None);
-    assert!(
-        Config::default()
-            .to_toml()
-            .unwrap()
-            .contains("\nmasks = \"\"\n")
-    );
 }

@@ -1,25 +1,33 @@
 //! Tests of `coseg::data`.
 
 pub mod blender;
+pub mod broken_colmap;
+pub mod broken_masks;
+pub mod broken_transforms;
 pub mod builtin;
 pub mod camera_files;
 pub mod cautions;
 pub mod classes;
+pub mod coco_instances;
+pub mod coco_panoptic;
 pub mod colmap;
 pub mod colmap_models;
+pub mod color_maps;
 pub mod data_check;
-pub mod drawn_labels;
+pub mod labelme;
 pub mod lens;
 pub mod map_geometry;
 pub mod mask_folders;
 pub mod masks;
 pub mod photos;
+pub mod point_clouds;
 pub mod poses;
 pub mod properties;
-pub mod raw_formats;
 pub mod real_poses;
+pub mod reduced_photos;
 pub mod replica;
 pub mod scannet;
+pub mod segment_folders;
 pub mod splits;
 pub mod transforms;
 pub mod turned_photos;

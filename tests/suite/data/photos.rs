@@ -1,77 +1,18 @@
 //! Photos stay in their files and label maps in runs: how much is in memory, and that nothing else changes.
 
-use crate::cli::commands::read_json;
-use crate::pipeline::resume;
+use crate::support::bent_photos::{
+    HEIGHT, PHOTO, VIEWS, WIDTH, cache, loaded, picture, pixels, scene,
+};
+use crate::support::plate_runs;
+use crate::support::program::read_json;
 use coseg::Error;
-use coseg::data::{LabelMap, LabelRuns, LoadOptions, Photo, PhotoCache, Scene, load};
+use coseg::data::{LabelMap, LabelRuns, Photo};
 use coseg::pipeline::VariantOutcome;
 use coseg::report::{HeldOutView, held_out_views};
-use image::RgbImage;
 use rayon::prelude::*;
 use serde_json::json;
 use std::fs;
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Instant;
-use tempfile::TempDir;
-
-const WIDTH: u32 = 400;
-const HEIGHT: u32 = 300;
-const VIEWS: usize = 8;
-/// Bytes of a decoded photo.
-const PHOTO: usize = (WIDTH * HEIGHT * 3) as usize;
-
-/// Photos as PNG and JPEG, taken through a lens that bends them.
-fn scene() -> TempDir {
-    let dir = tempfile::tempdir().expect("folder");
-    fs::create_dir(dir.path().join("images")).expect("folder");
-    let name = |i: usize| {
-        format!(
-            "images/v{i}.{}",
-            if i.is_multiple_of(2) { "png" } else { "jpg" }
-        )
-    };
-    for i in 0..VIEWS {
-        picture(i as u32)
-            .save(dir.path().join(name(i)))
-            .expect("photo");
-    }
-    let pose = |i: usize| json!([[1, 0, 0, i], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]);
-    let frames: Vec<_> = (0..VIEWS)
-        .map(|i| json!({ "file_path": name(i), "transform_matrix": pose(i) }))
-        .collect();
-    let file = json!({
-        "camera_model": "OPENCV", "w": WIDTH, "h": HEIGHT, "fl_x": 300.0, "fl_y": 300.0, "cx": 200.0, "cy": 150.0,
-        "k1": -0.1, "frames": frames,
-    });
-    fs::write(dir.path().join("transforms.json"), file.to_string()).expect("transforms");
-    dir
-}
-
-fn picture(i: u32) -> RgbImage {
-    RgbImage::from_fn(WIDTH, HEIGHT, |x, y| {
-        image::Rgb([(x + 31 * i) as u8, (y * (i + 1)) as u8, (x * y / 64) as u8])
-    })
-}
-
-fn loaded(dir: &Path, decoded_mb: usize) -> Scene {
-    load(
-        dir,
-        &LoadOptions {
-            decoded_mb,
-            ..LoadOptions::default()
-        },
-    )
-    .expect("scene")
-}
-
-fn cache(scene: &Scene) -> &PhotoCache {
-    scene.views[0].image.cache().expect("photos in files")
-}
-
-fn pixels(scene: &Scene, i: usize) -> Arc<RgbImage> {
-    scene.views[i].image.pixels().expect("photo")
-}
 
 #[test]
 fn no_more_photos_are_kept_than_the_budget_allows_and_all_are_as_ever() {
@@ -177,14 +118,14 @@ fn a_run_that_keeps_no_decoded_photo_gives_the_same_bits() {
     let folder = tempfile::tempdir().expect("folder");
     crate::support::plates::scene(folder.path());
     let run = |decoded_mb: usize, threads: usize| {
-        let mut config = resume::config(folder.path());
+        let mut config = plate_runs::config(folder.path());
         config.data.decoded_mb = decoded_mb;
         let out = folder.path().join(format!("run-{decoded_mb}"));
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .build()
             .expect("threads");
-        let outcome = pool.install(|| resume::whole(&config, &out));
+        let outcome = pool.install(|| plate_runs::whole(&config, &out));
         let held = cache(&outcome.scene).bytes();
         (
             outcome,
@@ -202,7 +143,7 @@ fn a_run_that_keeps_no_decoded_photo_gives_the_same_bits() {
     );
     let (none, held, other) = run(0, 3);
     assert_eq!(held, 0);
-    resume::same(&plenty, &none);
+    plate_runs::same(&plenty, &none);
     assert!(ply == other, "scene.ply differs");
     assert_eq!(
         (plenty.test.psnr, plenty.test.ssim),
@@ -234,9 +175,9 @@ fn views_that_the_page_does_not_show_are_handed_over() {
         frames.push(frame);
     }
     fs::write(dir.join("transforms.json"), transforms.to_string()).expect("transforms");
-    let mut config = resume::config(dir);
+    let mut config = plate_runs::config(dir);
     (config.building.iterations, config.segmentation.rows) = (2, Some(Vec::new()));
-    let outcome = resume::whole(&config, &dir.join("run"));
+    let outcome = plate_runs::whole(&config, &dir.join("run"));
     let mut names = Vec::new();
     let beside = |view: HeldOutView| {
         names.push(view.view.name.clone());
@@ -276,219 +217,4 @@ fn label_maps_come_back_from_their_runs() {
             .collect();
         assert!(unrolled == map.ids && runs.map() == map, "{name}");
     }
-}
-
-/// What reading photos and label maps of the folder `COSEG_SCENE_DIR` costs, and how much memory they take.
-#[test]
-#[ignore = "needs a scene folder; prints figures"]
-fn measure_a_scene_folder() {
-    let dir = std::env::var_os("COSEG_SCENE_DIR")
-        .map(PathBuf::from)
-        .expect("COSEG_SCENE_DIR");
-    let peak = || coseg::report::peak_memory_bytes().unwrap_or(0) >> 20;
-    let before = peak();
-    for decoded_mb in [0, 1_024] {
-        let clock = Instant::now();
-        let scene = loaded(&dir, decoded_mb);
-        let seconds = clock.elapsed().as_secs_f64();
-        let views = &scene.views;
-        let maps = || {
-            views
-                .iter()
-                .flat_map(|v| [&v.truth, &v.raw, &v.instances])
-                .flatten()
-        };
-        let clock = Instant::now();
-        views
-            .iter()
-            .for_each(|view| drop(view.image.pixels().expect("photo")));
-        let photo = 1e3 * clock.elapsed().as_secs_f64() / views.len() as f64;
-        let clock = Instant::now();
-        let ids: usize = maps().map(|map| map.map().ids.len()).sum();
-        let map = 1e3 * clock.elapsed().as_secs_f64() / maps().count().max(1) as f64;
-        eprintln!(
-            "{} views, decoded_mb {decoded_mb}: loaded in {seconds:.2} s, peak {before} -> {} MB, {} MB of photos held, \
-             {photo:.2} ms a photo; {} label maps, {} kB in runs of {} kB, {map:.3} ms a map",
-            views.len(),
-            peak(),
-            cache(&scene).bytes() >> 20,
-            maps().count(),
-            maps().map(LabelRuns::bytes).sum::<usize>() >> 10,
-            (2 * ids) >> 10,
-        );
-    }
-}
-
-#[test]
-fn large_photos_are_reduced_with_their_cameras_and_labels() {
-    let dir = tempfile::tempdir().expect("folder");
-    crate::support::plates::scene(dir.path());
-    let of = |max_side: usize| {
-        load(
-            dir.path(),
-            &LoadOptions {
-                max_side,
-                ..LoadOptions::default()
-            },
-        )
-        .expect("scene")
-    };
-    let (whole, half) = (of(0), of(40));
-    assert_eq!(of(80).views[0].camera.width, 80, "as large as allowed");
-    for (a, b) in whole.views.iter().zip(&half.views) {
-        assert_eq!(
-            (
-                b.camera.width,
-                b.camera.height,
-                b.image.width(),
-                b.image.height()
-            ),
-            (40, 32, 40, 32)
-        );
-        // The same rays.
-        assert_eq!(a.camera.ray(20.0, 10.0), b.camera.ray(10.0, 5.0));
-        let (large, small) = (
-            a.image.pixels().expect("photo"),
-            b.image.pixels().expect("photo"),
-        );
-        let mean = |image: &RgbImage| {
-            image.as_raw().iter().map(|&v| f64::from(v)).sum::<f64>() / image.len() as f64
-        };
-        assert!(
-            (mean(&large) - mean(&small)).abs() < 1.0,
-            "{} {}",
-            mean(&large),
-            mean(&small)
-        );
-        // Bicubic with a kernel as wide as the reduction: within the ringing of a mean of four.
-        let four = |x: u32, y: u32| {
-            let at = |i: u32, j: u32| f64::from(large.get_pixel(2 * x + i, 2 * y + j)[1]);
-            (at(0, 0) + at(1, 0) + at(0, 1) + at(1, 1)) / 4.0
-        };
-        let off = small
-            .enumerate_pixels()
-            .map(|(x, y, pixel)| (f64::from(pixel[1]) - four(x, y)).abs())
-            .sum::<f64>();
-        assert!(off / (40.0 * 32.0) < 3.0, "{off}");
-        for (a, b) in [(&a.truth, &b.truth), (&a.raw, &b.raw)] {
-            let (a, b) = (
-                a.as_ref().expect("labels").map(),
-                b.as_ref().expect("labels").map(),
-            );
-            assert_eq!((b.width, b.height), (40, 32));
-            let near = |x: usize, y: usize| {
-                [0, 1].iter().any(|i| {
-                    [0, 1]
-                        .iter()
-                        .any(|j| a.ids[(2 * y + j) * 80 + 2 * x + i] == b.ids[y * 40 + x])
-                })
-            };
-            assert!((0..32).all(|y| (0..40).all(|x| near(x, y))));
-        }
-    }
-    // Maps that were made of the reduced scene fit it.
-    half.views[0]
-        .raw
-        .as_ref()
-        .expect("labels")
-        .map()
-        .write(&dir.path().join("raw/v0.png"))
-        .expect("written");
-    assert_eq!(of(40).views[0].raw, half.views[0].raw);
-    let options = LoadOptions {
-        max_side: 40,
-        ..LoadOptions::default()
-    };
-    assert!(coseg::data::check(dir.path(), &options).problems.is_empty());
-    let info = coseg::data::info(dir.path(), &options).expect("info");
-    assert_eq!((info.labelled, info.raw_labelled), (6, 6));
-    coseg::data::thumbnails(dir.path(), &options, 3, 20).expect("thumbnails");
-    let cameras = coseg::data::load_cameras(
-        dir.path(),
-        &LoadOptions {
-            max_side: 40,
-            ..LoadOptions::default()
-        },
-        None,
-    );
-    assert_eq!(
-        cameras.expect("cameras")[3].camera.width,
-        40,
-        "as the scene has them"
-    );
-    // Decoded again, a photo is the same.
-    let again = load(
-        dir.path(),
-        &LoadOptions {
-            max_side: 40,
-            decoded_mb: 0,
-            ..LoadOptions::default()
-        },
-    )
-    .expect("scene");
-    assert_eq!(pixels(&again, 3), pixels(&half, 3));
-    // Through a lens that bends, too.
-    let bent = scene();
-    let reduced = load(
-        bent.path(),
-        &LoadOptions {
-            max_side: 100,
-            ..LoadOptions::default()
-        },
-    )
-    .expect("scene");
-    let (full, small) = (
-        &loaded(bent.path(), 64).views[2].camera,
-        &reduced.views[2].camera,
-    );
-    assert_eq!(
-        (small.width, small.height, small.fx, small.cx),
-        (100, 75, full.fx / 4.0, full.cx / 4.0)
-    );
-    let checked = coseg::data::check(
-        bent.path(),
-        &LoadOptions {
-            max_side: 100,
-            ..LoadOptions::default()
-        },
-    );
-    assert!(
-        checked.problems.is_empty()
-            && checked
-                .notices
-                .iter()
-                .any(|n| n.starts_with("8 photos have more than 100"))
-    );
-}
-
-#[test]
-fn what_datasets_leave_out_is_unlabelled_unless_a_class_has_that_id() {
-    let dir = tempfile::tempdir().expect("folder");
-    crate::support::plates::scene(dir.path());
-    let raw = |id: u16| {
-        let path = dir.path().join("raw/v0.png");
-        let mut map = LabelMap::read(&path, &coseg::data::Limits::default()).expect("map");
-        map.ids[0] = id;
-        map.write(&path).expect("written");
-        load(dir.path(), &LoadOptions::default())
-            .map(|scene| scene.views[0].raw.as_ref().expect("labels").map().ids[0])
-    };
-    assert_eq!(raw(255).expect("scene"), 0);
-    assert!(
-        raw(254)
-            .expect_err("no class")
-            .to_string()
-            .contains("label id 254")
-    );
-    let classes = dir.path().join("classes.json");
-    let text = fs::read_to_string(&classes)
-        .expect("classes")
-        .replace("\"id\": 4", "\"id\": 255");
-    fs::write(&classes, text).expect("written");
-    assert!(
-        raw(255)
-            .expect_err("4 is no class now")
-            .to_string()
-            .contains("label id 4")
-    );
 }

@@ -1,11 +1,10 @@
 //! Conventions of poses on real captures: what is found, and that right ones give no alarm.
 
-use crate::data::poses::{
+use crate::support::capture::{
     CONVENTIONS, Capture, matrix, name, one_problem, rows, suspected, without_cloud,
 };
-use coseg::data::LoadOptions;
-use coseg::data::check;
 use coseg::data::formats::transforms::load_cameras;
+use coseg::data::{LoadOptions, check};
 use std::fs;
 use std::path::Path;
 
@@ -20,7 +19,7 @@ const SCENES: [(&str, &str); 5] = [
 
 /// A scene folder elsewhere.
 fn capture_of(dir: &Path, transforms: &str) -> Capture {
-    let manifest = crate::cli::commands::read_json(&dir.join(transforms));
+    let manifest = crate::support::program::read_json(&dir.join(transforms));
     let cameras = load_cameras(&dir.join(transforms), None).unwrap();
     let paths = manifest["frames"]
         .as_array()

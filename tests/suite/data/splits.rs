@@ -1,9 +1,8 @@
 //! How a `transforms.json` says which frames are held out.
 
-use crate::data::data_check::edit;
 use crate::support::plates::scene;
-use coseg::data::check;
-use coseg::data::{LoadOptions, Split, load};
+use crate::support::transforms_json::edit;
+use coseg::data::{LoadOptions, Split, check, load};
 use serde_json::{Value, json};
 use std::path::Path;
 use tempfile::TempDir;

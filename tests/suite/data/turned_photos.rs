@@ -1,8 +1,7 @@
 //! Photos whose EXIF data ask programs to turn them: label maps of the turned photos do not fit, and the error says so.
 
 use crate::support::plates::{HEIGHT, WIDTH, scene};
-use coseg::data::check;
-use coseg::data::{LabelMap, LoadOptions, load};
+use coseg::data::{LabelMap, LoadOptions, check, load};
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
@@ -150,7 +149,7 @@ fn photos_upside_down_are_told_of_where_they_have_labels() {
         "{told:?}"
     );
     load(dir, &LoadOptions::default()).expect("scene");
-    crate::data::data_check::edit(dir, |v| {
+    crate::support::transforms_json::edit(dir, |v| {
         for frame in v["frames"].as_array_mut().expect("frames") {
             let frame = frame.as_object_mut().expect("frame");
             frame.remove("label_path");

@@ -1,7 +1,9 @@
 //! DINO's ViT: parity with stored activations and with plain loops, any image size, memory, weight files.
 
 use crate::support::dino_reference::by_plain_loops;
+use crate::support::dino_weights::{Size, Tensors, generated, write};
 use crate::support::lifting::extract;
+use crate::support::pictures::picture;
 use burn::tensor::{Tensor, TensorData};
 use coseg::Error;
 use coseg::config::{FeatureConfig, FeatureSource};
@@ -11,21 +13,8 @@ use coseg::features::dino::Vit;
 use coseg::splat::camera::Camera;
 use glam::{DMat3, DVec3};
 use image::RgbImage;
-use safetensors::tensor::{Dtype, SafeTensors, TensorView};
-use std::collections::BTreeMap;
+use safetensors::tensor::SafeTensors;
 use std::path::Path;
-
-pub type Tensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
-
-/// Dimensions of a network.
-#[derive(Clone, Copy)]
-pub struct Size {
-    pub width: usize,
-    pub patch: usize,
-    pub depth: usize,
-    pub side: usize,
-    pub hidden: usize,
-}
 
 const SMALL_8: Size = Size {
     width: 384,
@@ -41,77 +30,6 @@ const TINY: Size = Size {
     side: 3,
     hidden: 96,
 };
-
-/// Tensors with the names and shapes of the official code; values from a hash of name and place, the size of trained ones.
-pub fn generated(size: Size) -> Tensors {
-    let Size {
-        width: d,
-        patch,
-        depth,
-        side,
-        hidden,
-    } = size;
-    let mut shapes: Vec<(String, Vec<usize>)> = vec![
-        ("cls_token".into(), vec![1, 1, d]),
-        ("pos_embed".into(), vec![1, 1 + side * side, d]),
-        ("patch_embed.proj.weight".into(), vec![d, 3, patch, patch]),
-        ("patch_embed.proj.bias".into(), vec![d]),
-    ];
-    let mut layer = |name: String, weight: Vec<usize>| {
-        shapes.push((format!("{name}.bias"), vec![weight[0]]));
-        shapes.push((format!("{name}.weight"), weight));
-    };
-    for n in 0..depth {
-        layer(format!("blocks.{n}.norm1"), vec![d]);
-        layer(format!("blocks.{n}.attn.qkv"), vec![3 * d, d]);
-        layer(format!("blocks.{n}.attn.proj"), vec![d, d]);
-        layer(format!("blocks.{n}.norm2"), vec![d]);
-        layer(format!("blocks.{n}.mlp.fc1"), vec![hidden, d]);
-        layer(format!("blocks.{n}.mlp.fc2"), vec![d, hidden]);
-    }
-    layer("norm".into(), vec![d]);
-    let tensors = shapes.into_iter().map(|(name, shape)| {
-        let mut state = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| {
-            (h ^ u64::from(b)).wrapping_mul(0x100_0000_01b3)
-        });
-        let fan: usize = shape[1..].iter().product();
-        let norm = name.contains("norm") && name.ends_with("weight");
-        let (mean, spread) = if norm {
-            (1.0, 0.3)
-        } else {
-            (0.0, 2.0 / (fan as f32).sqrt().clamp(4.0, 40.0))
-        };
-        let values = (0..shape.iter().product()).map(|_| {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            mean + spread * ((state >> 40) as f32 / (1_u64 << 23) as f32 - 1.0)
-        });
-        (name, (shape.clone(), values.collect()))
-    });
-    tensors.collect()
-}
-
-pub fn write(path: &Path, tensors: &Tensors) {
-    let bytes: Vec<Vec<u8>> = tensors
-        .values()
-        .map(|(_, v)| v.iter().flat_map(|x| x.to_le_bytes()).collect())
-        .collect();
-    let views = tensors
-        .iter()
-        .zip(&bytes)
-        .map(|((name, (shape, _)), bytes)| {
-            (
-                name.clone(),
-                TensorView::new(Dtype::F32, shape.clone(), bytes).expect("a tensor"),
-            )
-        });
-    std::fs::write(
-        path,
-        safetensors::serialize(views, None).expect("serialize"),
-    )
-    .expect("write");
-}
 
 fn read(path: &Path) -> Tensors {
     let bytes = std::fs::read(path).expect("stored tensors");
@@ -133,19 +51,6 @@ fn net(size: Size) -> Vit {
     let path = dir.path().join("vit.safetensors");
     write(&path, &generated(size));
     Vit::load(&path, &crate::support::device()).expect("weights")
-}
-
-pub fn picture(width: u32, height: u32, seed: u32) -> RgbImage {
-    RgbImage::from_fn(width, height, |x, y| {
-        let n = (x.wrapping_mul(73) ^ y.wrapping_mul(151) ^ seed.wrapping_mul(977))
-            .wrapping_mul(2_654_435_761)
-            >> 24;
-        image::Rgb([
-            (x * 255 / width) as u8,
-            (n / 2 + y * 100 / height) as u8,
-            ((x / 7 + y / 5 + seed) % 2 * 180) as u8,
-        ])
-    })
 }
 
 /// The largest difference relative to the largest value.

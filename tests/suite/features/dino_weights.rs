@@ -1,6 +1,7 @@
 //! DINO's weight files: PyTorch and safetensors, nested, broken, of other networks.
 
-use crate::features::dino::{Size, Tensors, generated, picture, write};
+use crate::support::dino_weights::{Size, Tensors, generated, write};
+use crate::support::pictures::picture;
 use crate::support::torch_file::{self, Value};
 use coseg::Error;
 use coseg::features::FeatureMap;

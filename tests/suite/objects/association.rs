@@ -1,69 +1,21 @@
 //! Association: segments with ids of their own in every view become objects.
 
-use crate::cli::commands::{fails, read_json, succeeds, utf8};
-use crate::objects::association_figures::rendered;
-use crate::support::hard_labels::hard_label_map;
-use crate::support::plates::{self, camera, plates};
-use crate::support::spoilt_masks::{Noise, shuffled, spoilt};
+use crate::support::plate_objects::{
+    associate, found, joined, map, map_scores, plate_scene, rendered_scores,
+};
+use crate::support::plates;
+use crate::support::spoilt_masks::{Noise, spoilt};
 use coseg::config::{self, AssociationConfig, Variant};
-use coseg::data::{Classes, LabelMap, LabelRuns, Limits, LoadOptions, Scene, Segment, Split, load};
-use coseg::error::Result;
-use coseg::metrics::{InstanceScores, instance_scores};
+use coseg::data::{LabelMap, Segment};
 use coseg::objects;
 use coseg::pipeline::run;
 use coseg::progress::Silent;
-use coseg::raster::{Projected, Settings};
-use coseg::splat::{Gaussians, ply};
+use coseg::raster::Settings;
+use coseg::splat::Gaussians;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use std::collections::BTreeSet;
 use std::fs;
 use std::ops::ControlFlow;
-use std::path::Path;
-
-/// Six views of the plates with exact instances; raw labels are the same under ids drawn anew in each view.
-fn plate_scene() -> (Gaussians, Scene) {
-    let folder = tempfile::tempdir().expect("folder");
-    plates::scene(folder.path());
-    let (gaussians, labels) = plates();
-    let mut scene = load(folder.path(), &LoadOptions::default()).expect("scene");
-    let mut rng = ChaCha8Rng::seed_from_u64(3);
-    for (i, view) in scene.views.iter_mut().enumerate() {
-        view.camera = camera(i);
-        let projected =
-            Projected::new(&gaussians.splats(), &view.camera, &Settings::default()).expect("view");
-        let truth = hard_label_map(&projected, &labels, 0.5);
-        view.raw = Some(shuffled(&truth, &mut rng).into());
-        view.instances = Some(truth.into());
-    }
-    (gaussians, scene)
-}
-
-/// The association that nothing stops.
-pub fn associate(
-    gaussians: &Gaussians,
-    scene: &Scene,
-    config: &AssociationConfig,
-) -> Result<objects::Association> {
-    let go_on = &mut |_| ControlFlow::Continue(());
-    let found = objects::associate(gaussians, scene, config, &Settings::default(), go_on)?;
-    Ok(found.expect("nothing stops it"))
-}
-
-fn found(gaussians: &Gaussians, scene: &Scene) -> objects::Association {
-    associate(gaussians, scene, &AssociationConfig::default()).expect("association")
-}
-
-/// The map, which is there.
-fn map(runs: &Option<LabelRuns>) -> LabelMap {
-    runs.as_ref().expect("map").map()
-}
-
-/// Scores of the maps of both splits against the instances.
-fn map_scores(scene: &Scene, maps: &[Option<LabelRuns>]) -> InstanceScores {
-    let pairs = scene.views.iter().zip(maps);
-    instance_scores(pairs.map(|(v, m)| (map(&v.instances), map(m))))
-}
 
 #[test]
 fn shuffled_ids_become_objects() {
@@ -256,7 +208,7 @@ fn no_group_that_is_left_is_an_error() {
     let folder = tempfile::tempdir().expect("folder");
     plates::scene(folder.path());
     let (mut config, out) = (
-        crate::pipeline::resume::config(folder.path()),
+        crate::support::plate_runs::config(folder.path()),
         folder.path().join("run"),
     );
     (config.data.association, config.segmentation.rows) =
@@ -326,34 +278,6 @@ fn noise_of_single_views_is_outvoted() {
     );
 }
 
-/// Scores of what a vote of the objects shows in the test views.
-fn rendered_scores(gaussians: &Gaussians, mut scene: Scene) -> InstanceScores {
-    found(gaussians, &scene).apply(&mut scene);
-    let maps = rendered(gaussians, &scene);
-    let truth = scene.split(Split::Test).map(|view| map(&view.instances));
-    instance_scores(truth.zip(&maps))
-}
-
-/// The plates where in the training views, in order, `joined` are one segment: pairs of instances, one pair a view.
-fn joined(joined: [Option<(u16, u16)>; 4]) -> (Gaussians, Scene) {
-    let (gaussians, mut scene) = plate_scene();
-    let mut rng = ChaCha8Rng::seed_from_u64(7);
-    let trained = scene
-        .views
-        .iter_mut()
-        .filter(|view| view.split == Split::Train);
-    for (view, pair) in trained.zip(joined) {
-        let truth = map(&view.instances);
-        let one = |&id: &u16| pair.filter(|(_, b)| *b == id).map_or(id, |(a, _)| a);
-        let map = LabelMap {
-            ids: truth.ids.iter().map(one).collect(),
-            ..truth
-        };
-        view.raw = Some(shuffled(&map, &mut rng).into());
-    }
-    (gaussians, scene)
-}
-
 #[test]
 fn a_segment_over_two_things_is_divided_and_joins_nothing() {
     let pairs = [(4, 1), (4, 2), (1, 2), (3, 1)];
@@ -386,157 +310,4 @@ fn what_most_views_take_for_one_is_one() {
         let (gaussians, scene) = joined(views);
         assert_eq!(found(&gaussians, &scene).groups.len(), groups, "{views:?}");
     }
-}
-
-/// What `coseg train` says of a short run that associates the labels of `dir`.
-pub fn short_run(dir: &Path, run: &Path) -> String {
-    let sets = [
-        "data.association=gaussians",
-        "building.iterations=60",
-        "building.random_points=400",
-        "segmentation.iterations=20",
-        "segmentation.rows=raw,vote,per_gaussian",
-    ];
-    let sets: Vec<&str> = sets.iter().flat_map(|set| ["--set", set]).collect();
-    succeeds(
-        &[
-            &["train", "--data", utf8(dir), "--out", utf8(run)][..],
-            &sets,
-        ]
-        .concat(),
-    )
-}
-
-/// The plates with raw labels under shuffled ids, and true instances.
-fn plate_folder(dir: &Path) {
-    plates::scene(dir);
-    let mut value = read_json(&dir.join("transforms.json"));
-    let mut rng = ChaCha8Rng::seed_from_u64(5);
-    for frame in value["frames"].as_array_mut().expect("frames") {
-        frame["instance_path"] = frame["label_path"].take();
-        frame.as_object_mut().expect("frame").remove("label_path");
-        let truth = LabelMap::read(
-            &dir.join(frame["instance_path"].as_str().expect("path")),
-            &Limits::default(),
-        );
-        let raw = dir.join(frame["raw_label_path"].as_str().expect("path"));
-        shuffled(&truth.expect("truth"), &mut rng)
-            .write(&raw)
-            .expect("raw labels");
-    }
-    fs::write(dir.join("transforms.json"), value.to_string()).expect("write");
-    fs::remove_file(dir.join("classes.json")).expect("remove");
-}
-
-#[test]
-fn associate_writes_maps_of_global_ids() {
-    let folder = tempfile::tempdir().expect("folder");
-    let dir = folder.path();
-    plate_folder(dir);
-    let (ply, out) = (dir.join("plates.ply"), dir.join("out"));
-    let arguments = [
-        "associate",
-        "--scene",
-        utf8(&ply),
-        "--data",
-        utf8(dir),
-        "--out",
-        utf8(&out),
-    ];
-    let said = succeeds(&arguments);
-    assert!(
-        said.contains("16 segments of training views: 4 objects; 0 segments are in no object"),
-        "{said}"
-    );
-    assert!(
-        said.contains("held-out views, maps: accuracy 1.0000, mIoU 1.0000, PQ 1.0000"),
-        "{said}"
-    );
-    assert!(
-        said.contains("held-out views, rendered: accuracy 1.0000"),
-        "{said}"
-    );
-    let classes = Classes::read(&out.join("classes.json")).expect("classes");
-    assert_eq!((classes.len(), classes.name(4)), (4, "object 4"));
-    let bytes = fs::read(out.join("labels/v2.png")).expect("map");
-    assert_eq!(bytes[24..26], [16, 0], "16-bit grey");
-    let labels = ply::read(&out.join("scene.ply"), &Limits::default())
-        .expect("scene")
-        .labels
-        .expect("labels");
-    let (_, truth) = plates();
-    let pairs: BTreeSet<(u16, u16)> = labels
-        .iter()
-        .copied()
-        .zip(truth)
-        .filter(|(found, _)| *found > 0)
-        .collect();
-    assert_eq!(pairs.len(), 4, "{pairs:?}");
-    // The ids mean the same in all views.
-    let mut pairs = BTreeSet::new();
-    for i in 0..6 {
-        let map =
-            LabelMap::read(&out.join(format!("labels/v{i}.png")), &Limits::default()).expect("map");
-        let truth = LabelMap::read(&dir.join(format!("labels/v{i}.png")), &Limits::default())
-            .expect("truth");
-        pairs.extend(map.ids.into_iter().zip(truth.ids));
-    }
-    assert_eq!(
-        pairs.iter().filter(|(found, _)| *found > 0).count(),
-        4,
-        "{pairs:?}"
-    );
-    let message = fails(
-        &[&arguments[..], &["--set", "data.association=tracks"]].concat(),
-        2,
-    );
-    assert!(
-        message.contains("\"none\"") && message.contains("\"gaussians\""),
-        "{message}"
-    );
-}
-
-#[test]
-fn a_run_trains_on_objects_and_scores_them() {
-    let folder = tempfile::tempdir().expect("folder");
-    let dir = folder.path();
-    plate_folder(dir);
-    let run = dir.join("run");
-    let said = short_run(dir, &run);
-    assert!(said.contains("16 segments joined into"), "{said}");
-    let metrics = read_json(&run.join("metrics.json"));
-    assert_eq!(metrics["association"]["segments"], 16);
-    let labels = &metrics["test"]["labels"];
-    for row in ["raw", "vote", "per_gaussian"] {
-        let scores = &labels[row]["instances"];
-        assert_eq!(
-            (&scores["instances"], &labels[row]["miou"]),
-            (&4.into(), &serde_json::Value::Null),
-            "{labels}"
-        );
-        assert!(
-            scores["accuracy"].as_f64().expect("accuracy") > 0.5,
-            "{row}: {scores}"
-        );
-    }
-    let page = fs::read_to_string(run.join("report.html")).expect("page");
-    assert!(
-        page.contains("Objects against true instances")
-            && page.contains("Association joined the 16 segments"),
-        "the page says so"
-    );
-    let classes = Classes::read(&run.join("classes.json")).expect("classes");
-    assert!(classes.name(1).starts_with("object "));
-    let said: serde_json::Value =
-        serde_json::from_str(&succeeds(&["eval", utf8(&run), "--json"])).expect("JSON");
-    let scores = &said["test"]["labels"]["per_gaussian"];
-    let [found, told] = [
-        &scores["instances"]["accuracy"],
-        &labels["per_gaussian"]["instances"]["accuracy"],
-    ];
-    assert!(
-        (found.as_f64().expect("score") - told.as_f64().expect("score")).abs() < 1e-3,
-        "{said}"
-    );
-    assert_eq!(scores["miou"], serde_json::Value::Null);
 }

@@ -1,8 +1,7 @@
 //! Votes and label maps on a GPU: those of the CPU.
 
-use crate::backend::device_training::on_device;
-use crate::objects::renderer::scene as gaussians;
-use crate::support::raster_reference::numbers;
+use crate::support::device_tensors::on_device;
+use crate::support::raster_reference::{colored_gaussians as gaussians, numbers};
 use burn::tensor::Device;
 use coseg::config::LabelSource;
 use coseg::data::{Classes, LabelMap, LabelRuns, Scene};
@@ -15,7 +14,7 @@ fn classes(count: u16) -> Classes {
 
 /// A scene of eight views that show from 1 to 64 of 70 classes, and pixels of none.
 fn labelled() -> Scene {
-    let mut scene = crate::reconstruction::trainer::scene();
+    let mut scene = crate::support::painted_plane::scene();
     scene.classes = classes(70);
     for (v, view) in scene.views.iter_mut().enumerate() {
         let (width, height) = (view.camera.width, view.camera.height);

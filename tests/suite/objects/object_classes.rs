@@ -1,11 +1,12 @@
 //! Objects that have classes: their scores by class, and how the classes travel.
 
-use crate::cli::commands::{read_json, succeeds, utf8};
-use crate::objects::association::short_run;
+use crate::support::plate_objects::short_run;
 use crate::support::plates;
+use crate::support::program::{read_json, succeeds, utf8};
 use coseg::data::{Class, Classes, LabelMap, Limits, ObjectOf};
 use coseg::metrics::{SemanticView, semantic_scores};
-use rand::{SeedableRng, seq::SliceRandom};
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;

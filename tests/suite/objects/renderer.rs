@@ -1,34 +1,12 @@
 //! Frames of a labelled scene: those of separate passes on the host, and the same on a GPU.
 
 use crate::support::hard_labels::hard_label_map;
-use crate::support::raster_reference::{camera, cloud, numbers};
+use crate::support::raster_reference::{camera, colored_gaussians};
 use burn::tensor::Device;
 use coseg::objects::{RenderOptions, Renderer};
 use coseg::raster::{Projected, Settings, render};
 use coseg::splat::Gaussians;
 use coseg::splat::camera::Camera;
-
-/// 400 random Gaussians with view-dependent colours.
-pub fn scene(camera: &Camera, scale: f64) -> Gaussians {
-    let cloud = cloud(400, scale, camera, 21);
-    let [means, log_scales, rotations, opacity_logits] = cloud.single();
-    let triples = |v: &[f32]| v.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect();
-    let sh = numbers(12 * cloud.len(), 8)
-        .into_iter()
-        .map(|v| v as f32)
-        .collect();
-    Gaussians {
-        means: triples(&means),
-        log_scales: triples(&log_scales),
-        rotations: rotations
-            .chunks_exact(4)
-            .map(|c| [c[0], c[1], c[2], c[3]])
-            .collect(),
-        opacity_logits,
-        sh,
-        sh_degree: 1,
-    }
-}
 
 /// As many different labels, in no order, not all numbers among them.
 fn labels(gaussians: usize, different: usize) -> Vec<u16> {
@@ -87,7 +65,7 @@ fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
 #[test]
 fn a_frame_is_what_separate_passes_render() {
     let camera = camera(90, 70);
-    let gaussians = scene(&camera, 0.03);
+    let gaussians = colored_gaussians(&camera, 0.03);
     let rendered = render(
         &gaussians,
         &camera,
@@ -144,7 +122,7 @@ fn a_frame_is_what_separate_passes_render() {
 fn equal_weights_go_to_the_lower_label() {
     let camera = camera(30, 20);
     // Two Gaussians at one place, so thin that the one behind weighs no less in f32.
-    let mut pair = scene(&camera, 0.3).select(&[3, 3]);
+    let mut pair = colored_gaussians(&camera, 0.3).select(&[3, 3]);
     pair.opacity_logits.fill(-20.0);
     let settings = Settings {
         alpha_min: 0.0,
@@ -191,7 +169,7 @@ fn equal_weights_go_to_the_lower_label() {
 
 #[test]
 fn labels_of_another_scene_are_refused() {
-    let gaussians = scene(&camera(20, 20), 0.1);
+    let gaussians = colored_gaussians(&camera(20, 20), 0.1);
     let error = Renderer::new(
         gaussians,
         Some(vec![1; 7]),
@@ -204,7 +182,7 @@ fn labels_of_another_scene_are_refused() {
 
 #[test]
 fn what_is_no_scene_is_refused() {
-    let whole = scene(&camera(20, 20), 0.1);
+    let whole = colored_gaussians(&camera(20, 20), 0.1);
     let refused = |gaussians, options, parts: &[&str]| {
         let error = Renderer::new(gaussians, None, options, &crate::support::device())
             .expect_err("unusable");
@@ -257,7 +235,7 @@ fn what_is_no_scene_is_refused() {
 #[test]
 fn labels_from_end_to_end_and_any_coverage() {
     let camera = camera(60, 50);
-    let gaussians = scene(&camera, 0.03);
+    let gaussians = colored_gaussians(&camera, 0.03);
     let labels: Vec<u16> = (0..gaussians.len()).map(|i| [0, u16::MAX][i % 2]).collect();
     for device in extra_device().into_iter().chain([crate::support::device()]) {
         let map = |min_coverage| {
@@ -280,7 +258,7 @@ fn labels_from_end_to_end_and_any_coverage() {
 
 #[test]
 fn a_scene_without_gaussians_shows_the_background() {
-    let empty = scene(&camera(20, 20), 0.1).select(&[]);
+    let empty = colored_gaussians(&camera(20, 20), 0.1).select(&[]);
     for device in extra_device().into_iter().chain([crate::support::device()]) {
         for labels in [None, Some(Vec::new())] {
             let with_labels = labels.is_some();
@@ -300,7 +278,7 @@ fn a_scene_without_gaussians_shows_the_background() {
 #[cfg(feature = "wgpu")]
 mod on_gpu {
     use super::*;
-    use crate::backend::device_training::on_device;
+    use crate::support::device_tensors::on_device;
     use coseg::objects::Frame;
 
     /// A pixel may differ where a Gaussian is at a cut-off (1 / 255 at most) but for rounding, a label where two weigh the same.
@@ -339,7 +317,7 @@ mod on_gpu {
             center: near.center + near.rotation.transpose().z_axis * 1e3,
             ..near.clone()
         };
-        let gaussians = scene(&near, 0.4);
+        let gaussians = colored_gaussians(&near, 0.4);
         for different in [None, Some(1), Some(9), Some(60)] {
             let labels = different.map(|different| labels(gaussians.len(), different));
             let start = |device| {
@@ -364,7 +342,7 @@ mod on_gpu {
             return;
         };
         let camera = camera(1200, 900);
-        let gaussians = scene(&camera, 0.1);
+        let gaussians = colored_gaussians(&camera, 0.1);
         let labels = Some(labels(gaussians.len(), 260));
         let render = |device| {
             Renderer::new(gaussians.clone(), labels.clone(), options(), device)

@@ -1,12 +1,11 @@
 //! Raw labels whose ids mean something in their view alone: what is said where they are taken for classes, and photos in which
 //! nothing was found.
 
-use crate::cli::commands::{fails, succeeds, utf8};
-use crate::data::data_check::edit;
 use crate::support::plates::{HEIGHT, WIDTH, scene};
+use crate::support::program::{fails, succeeds, utf8};
+use crate::support::transforms_json::edit;
 use coseg::config::{Association, RawFormat};
-use coseg::data::{LoadOptions, load};
-use coseg::data::{check, info};
+use coseg::data::{LoadOptions, check, info, load};
 use image::{GrayImage, Luma};
 use std::fs;
 use std::path::Path;

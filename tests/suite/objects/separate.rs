@@ -1,14 +1,9 @@
 //! Things of one label that do not touch.
 
-use crate::cli::commands::{fails, succeeds, utf8};
-use crate::support::plates::plates;
-use coseg::data::{Class, Classes, Limits, ObjectOf};
+use coseg::data::{Class, Classes, ObjectOf};
 use coseg::error::Error;
 use coseg::objects::{Separated, Separation};
-use coseg::splat::{Gaussians, ply};
-use glam::DVec3;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use coseg::splat::Gaussians;
 
 /// Opacity logits of 0.95 and 0.04.
 const SOLID: f32 = 2.944;
@@ -222,41 +217,6 @@ fn a_large_gaussian_touches_more_than_its_nearest() {
     assert_eq!((pieces(&parts), pieces(&parts[1..])), (1, 2));
 }
 
-/// Seconds for 200,000 random Gaussians of one label in a room of side 5; run by hand, with --nocapture.
-#[test]
-#[ignore = "a measurement"]
-fn seconds_of_one_large_label() {
-    let count = 200_000;
-    for (spread, large) in [(0.01, 8), (0.01, 1_000), (0.1, 8), (0.3, 8)] {
-        let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let mut parts = Vec::with_capacity(count);
-        parts.resize_with(count, || {
-            ([0; 3].map(|_| rng.random_range(0.0..5.0)), 1.0, SOLID)
-        });
-        let mut gaussians = balls(&parts);
-        for (i, scales) in gaussians.log_scales.iter_mut().enumerate() {
-            let size = if i < large {
-                2.0
-            } else {
-                spread * rng.random_range(0.5_f32..2.0)
-            };
-            *scales = [0; 3].map(|_| (size * rng.random_range(0.1..1.0)).ln());
-        }
-        gaussians.rotations = (0..count)
-            .map(|_| [0; 4].map(|_| rng.random_range(-1.0..1.0)))
-            .collect();
-        let clock = std::time::Instant::now();
-        let found = Separation::default()
-            .apply(&gaussians, &vec![2; count], &classes(), |_| true)
-            .expect("pieces");
-        let pieces = found.pieces.get(&2).map_or(1, Vec::len);
-        println!(
-            "spread {spread}, {large} as large as the room: {pieces} pieces, {:.2?}",
-            clock.elapsed()
-        );
-    }
-}
-
 #[test]
 fn the_ignored_id_is_given_to_nothing() {
     let parts = balls(&[row(0.0, 8), row(2.0, 5)].concat());
@@ -438,94 +398,4 @@ fn bad_input_is_an_error() {
     let mut huge = gaussians;
     huge.log_scales[0] = [1e4; 3];
     assert_eq!(separated(&huge, &[2; 3]).labels, [2; 3]);
-}
-
-#[test]
-fn the_command_writes_objects_that_edit_knows() {
-    let folder = tempfile::tempdir().unwrap();
-    let (gaussians, labels) = plates();
-    // Three plates of one class before a wall.
-    let labels: Vec<u16> = labels
-        .iter()
-        .map(|&id| if id == 4 { 1 } else { 2 })
-        .collect();
-    let path = |name: &str| folder.path().join(name);
-    ply::write(&path("scene.ply"), &gaussians, DVec3::ZERO, Some(&labels)).unwrap();
-    classes().write(&path("classes.json")).unwrap();
-    let (scene, out) = (path("scene.ply"), path("objects/scene.ply"));
-    // As far as a Gaussian is half opaque the plates do not touch.
-    let level = ["--level", "0.5"];
-    let said = succeeds(
-        &[
-            &[
-                "separate",
-                "--scene",
-                utf8(folder.path()),
-                "--out",
-                utf8(&out),
-            ],
-            &level[..],
-        ]
-        .concat(),
-    );
-    assert!(
-        said.contains("chair: 3 pieces") && said.contains("4 labels, 2 before"),
-        "{said}"
-    );
-    let listed = succeeds(&["objects", "--scene", utf8(&path("objects"))]);
-    assert!(
-        ["chair 1", "chair 2", "chair 3", "wall"]
-            .iter()
-            .all(|name| listed.contains(name)),
-        "{listed}"
-    );
-    for (what, left) in [("chair 2", 86), ("chair", 36)] {
-        let edited = path(&format!("{left}/scene.ply"));
-        succeeds(&[
-            "edit",
-            "--scene",
-            utf8(&out),
-            "--out",
-            utf8(&edited),
-            "--remove",
-            what,
-        ]);
-        assert_eq!(
-            ply::read(&edited, &Limits::default())
-                .unwrap()
-                .gaussians
-                .len(),
-            left
-        );
-    }
-    let whole = succeeds(&[
-        "separate",
-        "--scene",
-        utf8(&scene),
-        "--out",
-        utf8(&path("wall/s.ply")),
-        "--only",
-        "wall",
-    ]);
-    assert!(whole.contains("2 labels, 2 before"), "{whole}");
-    for (out, expected) in [(&scene, "another file"), (&path("wall/s.obj"), ".ply")] {
-        let message = fails(
-            &["separate", "--scene", utf8(&scene), "--out", utf8(out)],
-            1,
-        );
-        assert!(message.contains(expected), "{message}");
-    }
-    let level = fails(
-        &[
-            "separate",
-            "--scene",
-            utf8(&scene),
-            "--out",
-            utf8(&path("a.ply")),
-            "--level",
-            "1",
-        ],
-        1,
-    );
-    assert!(level.contains("level"), "{level}");
 }

@@ -1,7 +1,7 @@
 //! What `coseg vote` takes for votes.
 
-use crate::cli::commands::{fails, utf8};
 use crate::support::plates::{HEIGHT, WIDTH, scene};
+use crate::support::program::{fails, utf8};
 use coseg::data::LabelMap;
 use image::{GrayImage, Luma};
 

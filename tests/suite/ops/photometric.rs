@@ -1,9 +1,9 @@
 //! The fused photometric loss: against plain tensors, finite differences, and its own invariants.
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use crate::support::photometric::{Loss, compare, run, target, target_of};
+use burn::tensor::DType;
 use coseg::data::mask::Mask;
-use coseg::ops::{PhotometricTarget, photometric_loss, photometric_loss_plain};
-use std::sync::Arc;
+use coseg::ops::{photometric_loss, photometric_loss_plain};
 
 /// Smooth structure plus noise, in 0..1, never equal for two phases.
 fn picture(height: usize, width: usize, phase: f64) -> Vec<f64> {
@@ -18,55 +18,6 @@ fn picture(height: usize, width: usize, phase: f64) -> Vec<f64> {
             0.5 + 0.3 * (0.3 * x + 0.2 * y + c + phase).sin() + 0.15 * (noise - 0.5)
         })
         .collect()
-}
-
-fn target_of(bytes: Vec<u8>, size: (usize, usize), mask: Option<Mask>) -> Arc<PhotometricTarget> {
-    let (height, width) = size;
-    let pixels =
-        image::RgbImage::from_raw(width as u32, height as u32, bytes).expect("as many bytes");
-    Arc::new(PhotometricTarget::new(Arc::new(pixels), mask))
-}
-
-/// `values` in 8 bits as a target.
-pub fn target(values: &[f64], size: (usize, usize), mask: Option<Mask>) -> Arc<PhotometricTarget> {
-    let bytes = values.iter().map(|v| (v * 255.0).round() as u8).collect();
-    target_of(bytes, size, mask)
-}
-
-/// A loss of an image `[H, W, 3]`.
-type Loss<'a> = &'a dyn Fn(Tensor<3>) -> Tensor<1>;
-
-/// `factor` times the loss of `image`, and its gradient.
-fn run(
-    loss: Loss<'_>,
-    image: &[f64],
-    (height, width): (usize, usize),
-    factor: f64,
-    options: (&Device, DType),
-) -> (f64, Vec<f64>) {
-    let data = TensorData::new(image.to_vec(), [height, width, 3]);
-    let leaf = Tensor::<3>::from_data(data, options).require_grad();
-    let loss = loss(leaf.clone());
-    assert_eq!(loss.dims(), [1]);
-    let gradient = leaf
-        .grad(&(loss.clone() * factor).backward())
-        .expect("tracked");
-    assert_eq!(gradient.dims(), [height, width, 3]);
-    let gradient = gradient.into_data().convert::<f64>().into_vec();
-    (
-        loss.into_data()
-            .convert::<f64>()
-            .into_vec::<f64>()
-            .expect("one")[0],
-        gradient.expect("f64"),
-    )
-}
-
-/// Loss and gradient of `image` on the CPU in f64.
-pub fn compare(target: &Arc<PhotometricTarget>, image: &[f64], weight: f64) -> (f64, Vec<f64>) {
-    let device = crate::support::device().autodiff();
-    let loss = |image| photometric_loss(image, target, weight);
-    run(&loss, image, target.size(), 1.0, (&device, DType::F64))
 }
 
 fn rms(values: &[f64]) -> f64 {
@@ -169,7 +120,10 @@ fn same_bits_at_any_thread_count() {
 mod on_gpu {
     use super::*;
     use crate::support::gpu;
+    use burn::tensor::{Device, Tensor};
     use coseg::backend::host_fallbacks;
+    use coseg::ops::PhotometricTarget;
+    use std::sync::Arc;
 
     /// `picture` in numbers that an f32 holds.
     fn single(height: usize, width: usize) -> Vec<f64> {

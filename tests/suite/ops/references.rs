@@ -1,6 +1,6 @@
 //! A whole step of a stage with all custom operations replaced by their plain-tensor references.
 
-use crate::reconstruction::trainer::{config, scene};
+use crate::support::painted_plane::{config, scene};
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::Tensor;
 use coseg::config::{BuildingConfig, Config, LabelSource, Resolution, Strategy, Variant};

@@ -1,6 +1,6 @@
 //! A run that begins with Gaussians of a file.
 
-use crate::pipeline::resume::{config, whole};
+use crate::support::plate_runs::{config, whole};
 use crate::support::plates;
 use coseg::config::{Config, Variant};
 use coseg::data::Limits;

@@ -1,7 +1,7 @@
 //! Ctrl-C and other signals while `coseg train` runs.
 
-use crate::cli::commands::{succeeds, utf8};
 use crate::support::plates::scene;
+use crate::support::program::{succeeds, utf8};
 use std::ffi::OsStr;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
@@ -137,7 +137,7 @@ fn a_run_that_is_interrupted_saves_and_is_gone_on_with() {
 
     let said = succeeds(&resume);
     assert!(said.contains("per-Gaussian CE"), "{said}");
-    let metrics = crate::cli::commands::read_json(&run.join("metrics.json"));
+    let metrics = crate::support::program::read_json(&run.join("metrics.json"));
     let lines: Vec<_> = metrics["commands"]
         .as_array()
         .unwrap()

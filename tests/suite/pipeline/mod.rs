@@ -10,6 +10,7 @@ pub mod interrupt;
 pub mod provenance;
 pub mod resume;
 pub mod rivals;
+pub mod rows;
 pub mod run_folder;
 pub mod stage_two;
 pub mod stops;

@@ -1,6 +1,6 @@
 //! What a run resumes from: variants do not decide over which Gaussians, and a refusal names the setting that made other inputs.
 
-use crate::pipeline::resume::{StopAt, config, same, whole};
+use crate::support::plate_runs::{StopAt, config, same, whole};
 use crate::support::plates;
 use coseg::config::{Association, Config, FeatureSource, Resolution, SpatialSource, Variant};
 use coseg::data::{LoadOptions, Split, load};

@@ -1,7 +1,8 @@
 //! A run folder that is resumed.
 
-use crate::cli::commands::{fails, read_json, short_run, succeeds, utf8};
 use crate::support::plates::scene;
+use crate::support::program::{fails, read_json, succeeds, utf8};
+use crate::support::short_runs::short_run;
 use std::collections::BTreeMap;
 use std::path::Path;
 

@@ -1,6 +1,6 @@
 //! What a run does once it is told to stop.
 
-use crate::pipeline::resume::{config, same, whole};
+use crate::support::plate_runs::{config, same, whole};
 use coseg::config::{Association, Variant};
 use coseg::pipeline::run;
 use coseg::progress::{Event, Progress};

@@ -1,6 +1,6 @@
 //! What masks leave out does not count: gradients, scores, and a stranger who walks through the photos of a room.
 
-use crate::ops::photometric::{compare, target};
+use crate::support::photometric::{compare, target};
 use coseg::config::{BuildingConfig, Config};
 use coseg::data::builtin::{BuiltinOptions, scene_with};
 use coseg::data::mask::Mask;

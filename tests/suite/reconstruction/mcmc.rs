@@ -1,8 +1,6 @@
 //! The building stage with 3DGS-MCMC, and with AbsGS: both learn, keep to the cap, and resume exactly.
 
-use crate::reconstruction::trainer::{
-    advance, assert_bits_follow_the_seed, config, scene, untimed,
-};
+use crate::support::painted_plane::{advance, assert_bits_follow_the_seed, config, scene, untimed};
 use coseg::config::{AdcConfig, BuildingConfig, Config, McmcConfig, Strategy};
 use coseg::data::Points;
 use coseg::reconstruction::{Trainer, TrainerState, schedule};

@@ -1,141 +1,17 @@
 //! The building stage on a tiny scene: it learns, resumes exactly, and refuses what it cannot train on.
 
-use coseg::config::{AdcConfig, BuildingConfig, Config, Strategy};
-use coseg::data::mask::Mask;
-use coseg::data::{Classes, Points, Scene, Split, View};
+use crate::support::painted_plane::{
+    HEIGHT, WIDTH, advance, assert_bits_follow_the_seed, config, scene, untimed,
+};
+use coseg::config::{BuildingConfig, Config};
+use coseg::data::{Scene, Split};
 use coseg::progress::{Event, Progress, Silent};
 use coseg::raster::{Settings, render};
-use coseg::reconstruction::initialization::random_points;
 use coseg::reconstruction::{Trainer, TrainerState, schedule};
-use coseg::splat::camera::Camera;
-use glam::{DMat3, DVec3};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-
-const WIDTH: usize = 44;
-const HEIGHT: usize = 36;
-
-/// A camera at `center` that looks at the origin, world up +z.
-fn camera(center: DVec3) -> Camera {
-    let forward = -center.normalize();
-    let right = forward.cross(DVec3::Z).normalize();
-    let rotation = DMat3::from_cols(right, forward.cross(right), forward).transpose();
-    let (width, height) = (WIDTH, HEIGHT);
-    Camera {
-        rotation,
-        center,
-        fx: 40.0,
-        fy: 40.0,
-        cx: 22.0,
-        cy: 18.0,
-        width,
-        height,
-    }
-}
-
-/// Colour of the plane z = 0 at (x, y).
-fn paint(x: f64, y: f64) -> [f64; 3] {
-    let check = 0.2 * (4.0 * x).sin() * (4.0 * y).sin();
-    [
-        0.45 + 0.3 * x.sin() + check,
-        0.45 + 0.3 * (1.3 * y).cos() - check,
-        0.5 + 0.2 * (x + y).sin(),
-    ]
-}
-
-fn photo(camera: &Camera) -> image::RgbImage {
-    image::RgbImage::from_fn(WIDTH as u32, HEIGHT as u32, |u, v| {
-        let ray = camera.ray(f64::from(u) + 0.5, f64::from(v) + 0.5);
-        let hit = camera.center - ray * (camera.center.z / ray.z);
-        image::Rgb(paint(hit.x, hit.y).map(|c| (c.clamp(0.0, 1.0) * 255.0).round() as u8))
-    })
-}
-
-/// A painted plane seen from an arc; every fourth view is held out.
-pub fn scene() -> Scene {
-    let views = (0..8)
-        .map(|i| {
-            let angle = 0.5 + 0.25 * f64::from(i);
-            let camera = camera(DVec3::new(2.0 * angle.cos(), 2.0 * angle.sin(), 2.5));
-            let split = if i % 4 == 2 {
-                Split::Test
-            } else {
-                Split::Train
-            };
-            View {
-                name: format!("view{i}"),
-                split,
-                image: photo(&camera).into(),
-                camera,
-                mask: None,
-                truth: None,
-                raw: None,
-                scores: None,
-                segments: Vec::new(),
-                instances: None,
-            }
-        })
-        .collect();
-    let positions: Vec<[f32; 3]> = (0..400)
-        .map(|i| {
-            [
-                (i % 20) as f32 * 0.2 - 1.9,
-                (i / 20) as f32 * 0.2 - 1.9,
-                0.0,
-            ]
-        })
-        .collect();
-    let colors = positions
-        .iter()
-        .map(|p| paint(f64::from(p[0]), f64::from(p[1])).map(|c| c as f32))
-        .collect();
-    Scene {
-        name: "plane".into(),
-        views,
-        classes: Classes::default(),
-        points: Points { positions, colors },
-        drawn: false,
-        origin: DVec3::ZERO,
-        up: DVec3::Z,
-    }
-}
-
-/// Densifies every 10 iterations from 10 to 45 and resets at 30.
-pub fn config() -> Config {
-    let building = BuildingConfig {
-        iterations: 60,
-        sh_degree: 2,
-        densify_every: 10,
-        densify_until: Some(0.75),
-        strategy: Strategy::Adc(AdcConfig {
-            threshold: Some(2e-5),
-            ..AdcConfig::default()
-        }),
-        reset_every: 30,
-        ..BuildingConfig::default()
-    };
-    Config {
-        building,
-        seed: 7,
-        ..Config::default()
-    }
-}
+use glam::DVec3;
 
 fn device() -> burn::tensor::Device {
     crate::support::device()
-}
-
-pub fn advance(stage: &mut Trainer, to: usize) {
-    while stage.iteration() < to {
-        stage.step().expect("a step");
-    }
-}
-
-/// Clocks differ between runs; everything else must not.
-pub fn untimed(mut state: TrainerState) -> TrainerState {
-    state.seconds = 0.0;
-    state.curve.iter_mut().for_each(|p| p.seconds = 0.0);
-    state
 }
 
 #[derive(Default)]
@@ -364,29 +240,6 @@ fn run_resumed_from_its_own_checkpoint_keeps_the_curves() {
     );
 }
 
-/// Runs of `config` with equal seeds agree in every bit at one and two threads, and others differ.
-pub fn assert_bits_follow_the_seed(config: &Config) {
-    let run = |threads, seed| {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .expect("a pool");
-        pool.install(|| {
-            let (scene, device) = (scene(), device());
-            let config = Config {
-                seed,
-                ..config.clone()
-            };
-            let mut stage = Trainer::new(&scene, &config, &device).expect("a stage");
-            advance(&mut stage, 35);
-            untimed(stage.state().expect("a state"))
-        })
-    };
-    let one = run(1, 7);
-    assert!(one == run(2, 7));
-    assert!(one.gaussians != run(1, 8).gaussians);
-}
-
 #[test]
 fn same_seed_same_bits_at_one_and_two_threads() {
     assert_bits_follow_the_seed(&config());
@@ -420,116 +273,6 @@ fn non_finite_values_stop_the_run_and_are_located() {
         message.contains("loss") || message.contains("gradient") || message.contains("sh"),
         "{message}"
     );
-}
-
-#[test]
-fn scenes_without_points_start_in_the_frusta() {
-    let mut scene = scene();
-    scene.points = Points::default();
-    let building = BuildingConfig {
-        random_points: 500,
-        ..config().building
-    };
-    let config = Config {
-        building,
-        ..config()
-    };
-    let stage = Trainer::new(&scene, &config, &device()).expect("a stage");
-    let gaussians = stage.gaussians().expect("on the host");
-    assert_eq!(gaussians.len(), 500);
-    let seen = |p: &[f32; 3]| {
-        let p = glam::Vec3::from(*p).as_dvec3();
-        let sees = |v: &&View| {
-            let hit = v.camera.project(p);
-            hit.is_some_and(|(x, y, _)| (0.0..44.0).contains(&x) && (0.0..36.0).contains(&y))
-        };
-        scene.split(Split::Train).filter(sees).count()
-    };
-    assert!(gaussians.means.iter().all(|p| seen(p) >= 1));
-    // photos agree on the painted plane: most points lie near it, where blind ones would spread over metres
-    let mut heights: Vec<f32> = gaussians.means.iter().map(|p| p[2].abs()).collect();
-    heights.sort_by(f32::total_cmp);
-    assert!(
-        heights[250] < 0.3,
-        "median distance from the plane {}",
-        heights[250]
-    );
-}
-
-/// The pixels that `count` initial points of `views` are drawn at: each photo shows at a pixel where that is.
-fn drawn(views: &mut [View], count: usize) -> Vec<(usize, usize, usize)> {
-    for (i, view) in views.iter_mut().enumerate() {
-        view.image = image::RgbImage::from_fn(WIDTH as u32, HEIGHT as u32, |x, y| {
-            image::Rgb([i as u8, x as u8, y as u8])
-        })
-        .into();
-    }
-    let views: Vec<&View> = views.iter().collect();
-    let points = random_points(&views, count, &mut ChaCha8Rng::seed_from_u64(8)).expect("points");
-    assert_eq!(points.positions.len(), points.colors.len());
-    points
-        .colors
-        .iter()
-        .map(|c| c.map(|v| (v * 255.0).round() as usize))
-        .map(|[i, x, y]| (i, x, y))
-        .collect()
-}
-
-#[test]
-fn initial_points_lie_on_used_pixels_however_few() {
-    let mut views = scene().views;
-    // 5 % of each photo but one, which is left out, and one without a mask.
-    let used = |x: usize, y: usize| (30..40).contains(&x) && (20..28).contains(&y);
-    let masks = |i: usize| match i {
-        3 => None,
-        5 => Some(Mask::new(WIDTH, HEIGHT, |_| false)),
-        _ => Some(Mask::new(WIDTH, HEIGHT, |pixel| {
-            used(pixel % WIDTH, pixel / WIDTH)
-        })),
-    };
-    views
-        .iter_mut()
-        .enumerate()
-        .for_each(|(i, view)| view.mask = masks(i));
-    let count = 7_000;
-    let pixels = drawn(&mut views, count);
-    assert_eq!(pixels.len(), count);
-    assert!(
-        pixels
-            .iter()
-            .all(|&(i, x, y)| i != 5 && (i == 3 || used(x, y))),
-        "none on a pixel that is left out"
-    );
-    let each: Vec<usize> = (0..80)
-        .map(|p| {
-            pixels
-                .iter()
-                .filter(|at| at.0 != 3 && at.1 == 30 + p % 10 && at.2 == 20 + p / 10)
-                .count()
-        })
-        .collect();
-    assert!(
-        each.iter().all(|times| (40..120).contains(times)),
-        "75 of each: {each:?}"
-    );
-    views.iter_mut().for_each(|view| view.mask = masks(5));
-    assert!(drawn(&mut views, 10).is_empty(), "no pixel is used");
-}
-
-#[test]
-fn initial_points_without_masks_are_those_of_the_seed() {
-    let mut rng = ChaCha8Rng::seed_from_u64(8);
-    let mut draw = || {
-        let pixel = (
-            rng.random_range(0..8),
-            rng.random_range(0..WIDTH),
-            rng.random_range(0..HEIGHT),
-        );
-        let _offset: f64 = rng.random();
-        pixel
-    };
-    let want: Vec<(usize, usize, usize)> = (0..300).map(|_| draw()).collect();
-    assert_eq!(drawn(&mut scene().views, 300), want);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Attendance: which Gaussians too few pixels show (Algorithm 1).
 
-use crate::segmentation::unprojection::{cloud, features, maps, views};
+use crate::support::feature_maps::{cloud, features, maps, views};
 use crate::support::lifting::unproject;
 use coseg::config::UnprojectionConfig;
 use coseg::raster::Settings;

@@ -248,7 +248,7 @@ fn features_are_lifted_alike() {
             steps,
         })
     };
-    let set = crate::segmentation::unprojection::features(&masked, maps);
+    let set = crate::support::feature_maps::features(&masked, maps);
     let cases = [Resolution::Image, Resolution::Feature]
         .into_iter()
         .flat_map(|r| [(r, views_of(&camera)), (r, masked.clone())]);
@@ -323,6 +323,6 @@ fn views_of(camera: &Camera) -> Vec<View> {
     [0.0, 0.3, -0.4]
         .into_iter()
         .enumerate()
-        .map(|(i, x)| crate::segmentation::unprojection::view(format!("v{i}"), moved(x)))
+        .map(|(i, x)| crate::support::feature_maps::view(format!("v{i}"), moved(x)))
         .collect()
 }

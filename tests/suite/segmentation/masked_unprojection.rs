@@ -1,6 +1,6 @@
 //! Image features of pixels that masks leave out are lifted onto no Gaussian.
 
-use crate::segmentation::unprojection::{cameras, cloud, features, map, maps, views};
+use crate::support::feature_maps::{cameras, cloud, features, map, maps, views};
 use crate::support::lifting::unproject;
 use coseg::config::{Resolution, UnprojectionConfig};
 use coseg::data::mask::Mask;

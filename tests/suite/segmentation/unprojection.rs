@@ -1,91 +1,14 @@
 //! Unprojection: adjointness at both resolutions, constants, Algorithm 1 by brute force, pruning, unseen Gaussians.
 
+use crate::support::feature_maps::{cameras, cloud, features, map, maps, noise, views};
 use crate::support::lifting::{FeatureSet, unproject};
 use coseg::config::{Normalisation, Resolution, UnprojectionConfig};
-use coseg::data::{Split, View};
-use coseg::features::{FeatureMap, Moments, Pca, Steps, ViewFeatures};
+use coseg::data::View;
+use coseg::features::{FeatureMap, Steps};
 use coseg::raster::{Projected, Settings, Splats};
 use coseg::segmentation::unprojection::{EPSILON, Sums};
 use coseg::splat::Gaussians;
-use coseg::splat::camera::Camera;
-use glam::{DMat3, DQuat, DVec3};
-
-/// Numbers in -1..1 without pattern.
-fn noise(i: usize, salt: usize) -> f64 {
-    let x = (i as u64)
-        .wrapping_mul(0x9e37_79b9_7f4a_7c15)
-        .wrapping_add(salt as u64 * 0x5851_f42d_4c95_7f2d);
-    let x = (x ^ x >> 29).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    ((x ^ x >> 32) & 0xffff_ffff) as f64 / 2_147_483_648.0 - 1.0
-}
-
-/// A cloud before the cameras; the last Gaussian is behind all of them.
-pub fn cloud(n: usize) -> Gaussians {
-    let mut g = Gaussians::default();
-    for i in 0..n {
-        let at = |k| noise(i, k) as f32;
-        g.means.push([2.2 * at(0), 1.6 * at(1), 4.0 + 1.5 * at(2)]);
-        g.log_scales
-            .push([-2.6 + 0.7 * at(3), -2.4 + 0.7 * at(4), -2.8 + 0.7 * at(5)]);
-        g.rotations.push([1.0, at(6), at(7), at(8)]);
-        g.opacity_logits.push(0.5 + 2.0 * at(9));
-        g.sh.extend([0.0; 3]);
-    }
-    g.means[n - 1] = [0.0, 0.0, -50.0];
-    g
-}
-
-pub fn cameras(width: usize, height: usize) -> Vec<Camera> {
-    (0..3)
-        .map(|i| {
-            let turn = DQuat::from_rotation_y(0.15 * (i as f64 - 1.0))
-                * DQuat::from_rotation_x(0.07 * i as f64);
-            let center = DVec3::new(0.4 * (i as f64 - 1.0), 0.1 * i as f64, -0.2 * i as f64);
-            let (fx, fy) = (width as f64 * 0.9, width as f64 * 0.93);
-            let (cx, cy) = (width as f64 * 0.49, height as f64 * 0.52);
-            Camera {
-                rotation: DMat3::from_quat(turn),
-                center,
-                fx,
-                fy,
-                cx,
-                cy,
-                width,
-                height,
-            }
-        })
-        .collect()
-}
-
-pub fn map(width: usize, height: usize, channels: usize, salt: usize) -> FeatureMap {
-    let data = (0..width * height * channels)
-        .map(|i| noise(i, salt) as f32)
-        .collect();
-    FeatureMap {
-        height,
-        width,
-        channels,
-        data,
-        steps: None,
-    }
-}
-
-/// Maps of one view: two scales on one grid, one with steps of its own, one finer than the image.
-pub fn maps(salt: usize) -> [FeatureMap; 4] {
-    let stepped = FeatureMap {
-        steps: Some(Steps {
-            stride: 16.0,
-            offset: 0.5,
-        }),
-        ..map(7, 5, 64, salt + 2)
-    };
-    [
-        map(24, 18, 5, salt),
-        map(24, 18, 150, salt + 1),
-        stepped,
-        map(130, 99, 3, salt + 3),
-    ]
-}
+use glam::DVec3;
 
 fn wide(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&x| f64::from(x)).collect()
@@ -291,44 +214,6 @@ fn small_gaussians_read_the_cells_that_lie_under_them() {
             }
         }
     }
-}
-
-pub fn view(name: String, camera: Camera) -> View {
-    let image = image::RgbImage::new(camera.width as u32, camera.height as u32).into();
-    View {
-        name,
-        split: Split::Train,
-        camera,
-        image,
-        mask: None,
-        truth: None,
-        raw: None,
-        scores: None,
-        segments: Vec::new(),
-        instances: None,
-    }
-}
-
-pub fn features(views: &[View], maps: impl Fn(usize) -> [FeatureMap; 4]) -> FeatureSet {
-    let identity = || Pca::fit(&Moments::new(0), 1);
-    let of = |(i, v): (usize, &View)| ViewFeatures {
-        view: v.name.clone(),
-        maps: maps(i),
-    };
-    let views = views.iter().enumerate().map(of).collect();
-    FeatureSet {
-        name: "test".into(),
-        reductions: std::array::from_fn(|_| identity()),
-        views,
-    }
-}
-
-pub fn views(width: usize, height: usize) -> Vec<View> {
-    cameras(width, height)
-        .into_iter()
-        .enumerate()
-        .map(|(i, c)| view(format!("v{i}"), c))
-        .collect()
 }
 
 #[test]
@@ -545,45 +430,4 @@ fn views_and_maps_that_do_not_match_are_refused() {
     assert!(error(&views, &bad).contains("scale 3"));
     bad.views[1].maps[2] = map(7, 5, 63, 0);
     assert!(error(&views, &bad).contains("63"));
-}
-
-/// Timing at the size that the targets are stated for; run by hand.
-#[test]
-#[ignore = "a measurement: 80 views at 480x360"]
-fn timing() {
-    let count = 80_000;
-    let mut scene = cloud(count);
-    for s in &mut scene.log_scales {
-        *s = s.map(|x| x - 1.2);
-    }
-    let camera = &cameras(480, 360)[1];
-    let maps = [
-        map(120, 90, 64, 0),
-        map(60, 45, 64, 1),
-        map(30, 23, 64, 2),
-        map(15, 12, 64, 3),
-    ];
-    let pairs = Projected::<f32>::new(&scene.splats(), camera, &Settings::default())
-        .expect("view")
-        .weights(None);
-    eprintln!("{} pairs", pairs.entries().1.len());
-    for resolution in [Resolution::Feature, Resolution::Image] {
-        let mut sums = Sums::<f32>::new(count, &[64; 4]);
-        let start = std::time::Instant::now();
-        for _ in 0..20 {
-            sums.add(
-                &scene.splats(),
-                camera,
-                &maps,
-                None,
-                resolution,
-                &Settings::default(),
-            )
-            .expect("sums");
-        }
-        eprintln!(
-            "{resolution:?}: {:.1} s for 80 views",
-            4.0 * start.elapsed().as_secs_f64()
-        );
-    }
 }

@@ -1,8 +1,8 @@
 //! `coseg label`: a folder of labels from photos, what loaders make of it, and what is never overwritten.
 
-use crate::cli::commands::{fails, succeeds, utf8};
 use crate::support::onnx::Onnx;
 use crate::support::plates::{self, HEIGHT, WIDTH, scene};
+use crate::support::program::{fails, succeeds, utf8};
 use coseg::data::{Classes, LabelMap, Limits, LoadOptions, ScoreMap, View, load};
 use coseg::objects::{vote, weighted_vote};
 use coseg::raster::Settings;

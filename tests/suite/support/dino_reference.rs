@@ -1,6 +1,6 @@
 //! A ViT written as plainly as it goes.
 
-use crate::features::dino::{Size, Tensors};
+use crate::support::dino_weights::{Size, Tensors};
 
 /// The network in f64 by plain loops, for images of whole patches on the grid of the position embeddings.
 pub fn by_plain_loops(weights: &Tensors, size: Size, planes: &[f32]) -> Vec<f64> {

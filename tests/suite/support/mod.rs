@@ -1,17 +1,49 @@
 //! Scenes, references and devices that several tests share.
 
+pub mod bent_photos;
+pub mod blender;
+pub mod browser;
+pub mod capture;
+pub mod colmap;
+pub mod comparison;
+#[cfg(feature = "wgpu")]
+pub mod device_tensors;
 pub mod dino_reference;
+pub mod dino_weights;
+pub mod feature_maps;
+pub mod finite_differences;
 pub mod hard_labels;
 pub mod lifting;
 pub mod linear_probe;
+pub mod made_up_report;
+pub mod masked_plates;
+pub mod mobilenet_weights;
 pub mod onnx;
+pub mod painted_plane;
+pub mod photometric;
+pub mod pictures;
+pub mod plate_objects;
+pub mod plate_runs;
 pub mod plates;
-pub mod point_probe;
+pub mod population;
 #[path = "../../../examples/pretrain_encoder/training.rs"]
 pub mod pretraining;
+pub mod program;
+#[cfg(feature = "wgpu")]
+pub mod raster_on_gpu;
 pub mod raster_reference;
+pub mod raw_labels;
+pub mod rendered_views;
+#[path = "../../../examples/pretrain_encoder/rooms.rs"]
+pub mod rooms;
+pub mod scannet;
+pub mod settings_file;
+pub mod short_runs;
+pub mod small_scene;
 pub mod spoilt_masks;
 pub mod torch_file;
+pub mod transforms_json;
+pub mod turned_cameras;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use coseg::backend::device::BackendName;

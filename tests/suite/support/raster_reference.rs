@@ -2,6 +2,7 @@
 //! and one loop over all Gaussians for every pixel. Also scenes to render.
 
 use coseg::raster::{Settings, Splats};
+use coseg::splat::Gaussians;
 use coseg::splat::camera::Camera;
 use glam::{DMat3, DQuat, DVec3};
 use rand::{Rng, SeedableRng};
@@ -235,4 +236,26 @@ pub fn render_shifted(
         out.transmittance[pixel] = t;
     }
     out
+}
+
+/// 400 random Gaussians with view-dependent colours.
+pub fn colored_gaussians(camera: &Camera, scale: f64) -> Gaussians {
+    let cloud = cloud(400, scale, camera, 21);
+    let [means, log_scales, rotations, opacity_logits] = cloud.single();
+    let triples = |v: &[f32]| v.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect();
+    let sh = numbers(12 * cloud.len(), 8)
+        .into_iter()
+        .map(|v| v as f32)
+        .collect();
+    Gaussians {
+        means: triples(&means),
+        log_scales: triples(&log_scales),
+        rotations: rotations
+            .chunks_exact(4)
+            .map(|c| [c[0], c[1], c[2], c[3]])
+            .collect(),
+        opacity_logits,
+        sh,
+        sh_degree: 1,
+    }
 }

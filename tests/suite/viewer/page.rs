@@ -1,11 +1,10 @@
 //! The page that shows a scene in a browser: what it carries, what it never does, and how its pictures compare.
 
-use crate::cli::commands::{fails, succeeds, utf8};
 use crate::support::assert_names;
-use crate::support::plates::{self, plates, scene as plates_scene};
+use crate::support::browser::{after, browser, drawn, inside, psnr};
+use crate::support::plates::{self, plates};
 use base64::Engine;
-use coseg::data::formats::transforms::write_cameras;
-use coseg::data::{Classes, NamedCamera, Split, read_cameras};
+use coseg::data::{Classes, NamedCamera, Split};
 use coseg::raster::{Settings, render};
 use coseg::splat::Gaussians;
 use coseg::splat::camera::Camera;
@@ -13,8 +12,6 @@ use coseg::viewer::Viewer;
 use glam::{DMat4, DVec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::path::{Path, PathBuf};
-use std::process::Command;
 
 const ORIGIN: DVec3 = DVec3::new(1000.0, -20.0, 3.0);
 
@@ -78,12 +75,6 @@ fn page_of(gaussians: &Gaussians, labels: Option<&[u16]>, classes: &Classes) -> 
     }
     .page()
     .unwrap()
-}
-
-/// What stands in the element with this id.
-fn inside<'a>(page: &'a str, id: &str) -> &'a str {
-    let (_, after) = page.split_once(&format!("id=\"{id}\">")).unwrap();
-    after.split_once("</script>").unwrap().0
 }
 
 fn columns(page: &str) -> Vec<u8> {
@@ -153,17 +144,6 @@ fn unpacked(page: &str) -> (Gaussians, Vec<u16>) {
         sh_degree: degree,
     };
     (gaussians, places.iter().map(|&v| v as u16).collect())
-}
-
-pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
-    assert_eq!(a.len(), b.len());
-    let clamp = |v: &f32| f64::from(v.clamp(0.0, 1.0));
-    let squares: f64 = a
-        .iter()
-        .zip(b)
-        .map(|(a, b)| (clamp(a) - clamp(b)).powi(2))
-        .sum();
-    -10.0 * (squares / a.len() as f64).log10()
 }
 
 fn picture(gaussians: &Gaussians) -> Vec<f32> {
@@ -352,129 +332,6 @@ fn what_cannot_be_shown_is_an_error() {
 }
 
 #[test]
-fn the_command_writes_a_page_beside_the_scene() {
-    let dir = tempfile::tempdir().unwrap();
-    let scene = plates_scene(dir.path());
-    let said = succeeds(&[
-        "view",
-        "--scene",
-        utf8(&scene),
-        "--cameras",
-        utf8(dir.path()),
-    ]);
-    let page = scene.with_file_name("viewer.html");
-    assert!(said.contains("viewer.html"), "{said}");
-    let text = std::fs::read_to_string(&page).unwrap();
-    let header: serde_json::Value = serde_json::from_str(inside(&text, "header")).unwrap();
-    assert_eq!(header["cameras"].as_array().unwrap().len(), 6);
-    assert_eq!(header["path"], utf8(&scene));
-    let other = dir.path().join("page.htm");
-    for (flag, value) in [("--alpha-max", "2"), ("--up", "0,0")] {
-        let message = fails(&["view", "--scene", utf8(&scene), flag, value], 2);
-        assert!(message.contains(flag), "{message}");
-    }
-    let message = fails(&["view", "--scene", utf8(&scene), "--out", utf8(&other)], 1);
-    assert!(
-        message.contains("--out") && message.contains(".html") && !other.exists(),
-        "{message}"
-    );
-}
-
-#[test]
-fn a_model_folder_of_graphdeco_has_its_cameras_above_its_gaussians() {
-    let dir = tempfile::tempdir().unwrap();
-    let scene = plates_scene(dir.path());
-    let model = dir.path().join("model");
-    let iteration = model.join("point_cloud/iteration_30000");
-    std::fs::create_dir_all(&iteration).unwrap();
-    std::fs::copy(&scene, iteration.join("point_cloud.ply")).unwrap();
-    write_cameras(
-        &model.join("cameras.json"),
-        &read_cameras(dir.path(), None).unwrap(),
-    )
-    .unwrap();
-    succeeds(&["view", "--scene", utf8(&model)]);
-    let page = std::fs::read_to_string(model.join("viewer.html")).unwrap();
-    let header: serde_json::Value = serde_json::from_str(inside(&page, "header")).unwrap();
-    assert_eq!(header["cameras"].as_array().unwrap().len(), 6);
-    let out = dir.path().join("pictures");
-    succeeds(&["render", "--scene", utf8(&model), "--out", utf8(&out)]);
-    assert_eq!(
-        std::fs::read_dir(&out).unwrap().count(),
-        12,
-        "colour and coverage of six views"
-    );
-}
-
-/// A browser that draws without a screen: the program that COSEG_BROWSER names, or Chromium.
-pub fn browser() -> Option<String> {
-    let named = std::env::var("COSEG_BROWSER").ok();
-    let known = ["chromium", "chromium-browser", "google-chrome"].map(str::to_owned);
-    let answers = |name: &String| {
-        Command::new(name)
-            .arg("--version")
-            .output()
-            .is_ok_and(|o| o.status.success())
-    };
-    let found = named.into_iter().chain(known).find(answers);
-    if found.is_none() {
-        eprintln!("SKIPPED: no Chromium to draw the page; COSEG_BROWSER may name one");
-    }
-    found
-}
-
-/// Runs the browser without a window on the page at `path`, with `#` and `address` behind its name.
-fn browse(browser: &str, path: &Path, address: &str, what: &str) -> String {
-    let url = format!(
-        "file://{}#{address}",
-        path.canonicalize().unwrap().display()
-    );
-    let output = Command::new(browser)
-        .args([
-            "--headless",
-            "--no-sandbox",
-            "--hide-scrollbars",
-            "--force-device-scale-factor=1",
-            "--window-size=320,240",
-        ])
-        .args([
-            "--enable-unsafe-swiftshader",
-            "--virtual-time-budget=10000",
-            what,
-            &url,
-        ])
-        .output()
-        .unwrap();
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    String::from_utf8(output.stdout).unwrap()
-}
-
-/// What the browser draws of the page, a view of this size.
-pub fn drawn(browser: &str, path: &Path, address: &str, [width, height]: [usize; 2]) -> Vec<f32> {
-    let shot = path.with_extension("png");
-    browse(
-        browser,
-        path,
-        &format!("{address}&bare"),
-        &format!("--screenshot={}", shot.display()),
-    );
-    let picture = image::open(&shot)
-        .unwrap()
-        .crop_imm(0, 0, width as u32, height as u32)
-        .to_rgb8();
-    assert_eq!(picture.dimensions(), (width as u32, height as u32));
-    picture
-        .into_raw()
-        .into_iter()
-        .map(|v| f32::from(v) / 255.0)
-        .collect()
-}
-
-#[test]
 fn a_browser_draws_what_the_rasterizer_does() {
     let Some(browser) = browser() else { return };
     let dir = tempfile::tempdir().unwrap();
@@ -498,32 +355,6 @@ fn a_browser_draws_what_the_rasterizer_does() {
         &picture(&cloud.painted(&colors)),
     );
     assert!(found > 55.0, "{found}");
-}
-
-/// The page with a program at its end, in which it finds `page` and `send`, beside itself.
-pub fn scripted(page: &Path, script: &str) -> PathBuf {
-    let send = "const send = (type, x, y, more) => document.getElementById('picture').dispatchEvent(\
-        new PointerEvent(type, { clientX: x, clientY: y, pointerId: 1, buttons: 1, ...more }));\
-        document.getElementById('picture').setPointerCapture = () => {};";
-    let text = std::fs::read_to_string(page).unwrap();
-    let script = format!(
-        "<pre id=\"said\"></pre><script type=\"module\">const page = window.page; {send} {script}</script></body>"
-    );
-    let scripted = page.with_file_name("scripted.html");
-    std::fs::write(&scripted, text.replace("</body>", &script)).unwrap();
-    scripted
-}
-
-/// The text of the element with this id after `script` has run in the page.
-pub fn after(browser: &str, page: &Path, script: &str, id: &str) -> String {
-    let dom = browse(browser, &scripted(page, script), "", "--dump-dom");
-    let (_, after) = dom.split_once(&format!("id=\"{id}\">")).unwrap();
-    after
-        .split_once("</pre>")
-        .unwrap()
-        .0
-        .replace("&gt;", ">")
-        .replace("&amp;", "&")
 }
 
 #[test]

@@ -1,13 +1,12 @@
 //! What is done to objects in the viewer's page, and the `coseg edit` line that it writes of it.
 
-use crate::cli::commands::{succeeds, utf8};
+use crate::support::browser::{after, browser, drawn, psnr, scripted};
 use crate::support::plates::{self, plates, scene as plates_scene};
-use crate::viewer::page::{after, browser, drawn, psnr, scripted};
+use crate::support::program::{succeeds, utf8};
 use coseg::data::{Classes, Limits, read_cameras};
 use coseg::raster::{Settings, render};
 use coseg::splat::camera::Camera;
-use coseg::splat::ply;
-use coseg::splat::ply::PlyScene;
+use coseg::splat::ply::{self, PlyScene};
 use glam::{DQuat, DVec3};
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -1,6 +1,6 @@
 //! A linear probe: how much of the classes can be read off frozen spatial features by one linear map.
 
-use super::pretraining::{LabelledCloud, Scores};
+use super::rooms::{LabelledCloud, Scores};
 use burn::module::{Module, Param};
 use burn::nn::Linear;
 use burn::optim::{AdamConfig, GradientsParams};

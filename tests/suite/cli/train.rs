@@ -1,0 +1,249 @@
+//! `coseg train`: the run folder, and what is refused before anything is begun.
+
+use crate::support::plates::scene;
+use crate::support::program::{fails, read_json, succeeds, utf8};
+use crate::support::short_runs::short_run;
+use std::path::Path;
+
+#[test]
+fn train_fills_the_run_folder_and_eval_agrees() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let run = folder.path().join("run");
+    let said = short_run(folder.path(), &run);
+    assert!(
+        said.contains("held-out PSNR") && said.contains("per-Gaussian CE"),
+        "{said}"
+    );
+    for file in [
+        "scene.ply",
+        "classes.json",
+        "cameras.json",
+        "config.toml",
+        "metrics.json",
+        "report.html",
+        "identities.safetensors",
+    ] {
+        assert!(run.join(file).is_file(), "{file}");
+    }
+    for kind in ["rgb", "rgb_error", "label", "label_color", "label_error"] {
+        assert!(
+            run.join(format!("renders/v2.{kind}.png")).is_file(),
+            "{kind}"
+        );
+    }
+    // A view rendered from the run folder alone is the run's own picture.
+    let (scene, cameras, out) = (
+        run.join("scene.ply"),
+        run.join("cameras.json"),
+        folder.path().join("again"),
+    );
+    succeeds(&[
+        "render",
+        "--scene",
+        utf8(&scene),
+        "--cameras",
+        utf8(&cameras),
+        "--out",
+        utf8(&out),
+        "--split",
+        "test",
+    ]);
+    let [own, again] = [run.join("renders/v2.rgb.png"), out.join("v2.rgb.png")]
+        .map(|p| image::open(p).unwrap().into_rgb8());
+    assert_eq!(own.dimensions(), again.dimensions());
+    assert!(
+        own.iter()
+            .zip(again.iter())
+            .all(|(a, b)| a.abs_diff(*b) <= 1),
+        "v2"
+    );
+    assert!(!out.join("v0.rgb.png").exists());
+    let metrics = read_json(&run.join("metrics.json"));
+    let labels = &metrics["test"]["labels"];
+    assert_eq!(
+        labels["raw"]["miou"], 1.0,
+        "raw labels of the held-out views are right in this scene"
+    );
+    assert!(
+        labels["vote"]["miou"].is_f64() && labels["per_gaussian"]["iterations"] == 20,
+        "{labels}"
+    );
+    assert!(
+        metrics["test"]["psnr"].as_f64().unwrap() > 12.0 && metrics["peak_memory_bytes"].is_u64()
+    );
+
+    let scores: serde_json::Value =
+        serde_json::from_str(&succeeds(&["eval", utf8(&run), "--json"])).unwrap();
+    let near = |a: &serde_json::Value, b: &serde_json::Value| {
+        (a.as_f64().unwrap() - b.as_f64().unwrap()).abs() < 1e-4
+    };
+    // The same figures under the same names.
+    let scores = &scores["test"];
+    assert!(near(&scores["psnr"], &metrics["test"]["psnr"]), "{scores}");
+    assert!(near(&scores["ssim"], &metrics["test"]["ssim"]), "{scores}");
+    assert!(
+        near(
+            &scores["views"]["v2"]["psnr"],
+            &metrics["test"]["views"]["v2"]["psnr"]
+        ),
+        "{scores}"
+    );
+    for score in ["miou", "miou_per_view", "accuracy"] {
+        assert!(
+            near(
+                &scores["labels"]["per_gaussian"][score],
+                &labels["per_gaussian"][score]
+            ),
+            "{score}: {scores} {labels}"
+        );
+    }
+    assert_eq!(
+        scores["labels"].as_object().unwrap().len(),
+        1,
+        "what the scene stores: {scores}"
+    );
+    assert!(near(
+        &scores["labels"]["per_gaussian"]["class_iou"]["2"],
+        &labels["per_gaussian"]["class_iou"]["2"]
+    ));
+    let classes = folder.path().join("classes.json");
+    let own = std::fs::read_to_string(&classes).unwrap();
+    std::fs::write(&classes, own.replace("green", "turquoise")).unwrap();
+    let message = fails(&["eval", utf8(&run)], 1);
+    assert!(
+        message.contains("--data") && message.contains("not those of the run"),
+        "{message}"
+    );
+    std::fs::write(&classes, own).unwrap();
+    let plain = succeeds(&["eval", utf8(&run)]);
+    assert!(
+        plain.contains("PSNR") && plain.contains("IoU of 2 green"),
+        "{plain}"
+    );
+}
+
+#[test]
+fn folders_that_are_no_scenes_are_found_before_anything_is_begun() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("runs/a");
+    let refused = |data: &Path| {
+        let message = fails(&["train", "--data", utf8(data), "--out", utf8(&out)], 1);
+        assert!(
+            !message.contains(" -> "),
+            "nothing is said to be running: {message}"
+        );
+        assert!(
+            !folder.path().join("runs").exists(),
+            "no folder is left behind"
+        );
+        message
+    };
+    let absent = folder.path().join("absent");
+    let message = refused(&absent);
+    assert!(
+        message.contains(&format!(
+            "error: no such folder: {}; give the scene folder",
+            absent.display()
+        )),
+        "{message}"
+    );
+    let config = folder.path().join("run.toml");
+    std::fs::write(&config, format!("[data]\ndir = {:?}\n", utf8(&absent))).unwrap();
+    let message = fails(
+        &["train", "--config", utf8(&config), "--out", utf8(&out)],
+        1,
+    );
+    assert!(
+        message.contains("no such folder") && !message.contains(" -> ") && !out.exists(),
+        "{message}"
+    );
+    assert!(refused(&config).contains("a scene folder"));
+    let message = fails(
+        &[
+            "vote",
+            "--scene",
+            "x.ply",
+            "--data",
+            utf8(&absent),
+            "--out",
+            utf8(&out),
+        ],
+        1,
+    );
+    assert!(message.contains("no such folder"), "{message}");
+
+    let data = folder.path().join("data");
+    std::fs::create_dir(&data).unwrap();
+    let message = refused(&data);
+    for word in [
+        "transforms.json: found no such file",
+        "expected cameras and frames",
+        "docs/data.md",
+    ] {
+        assert!(message.contains(word), "{word}: {message}");
+    }
+    std::fs::write(data.join("transforms_4.json"), "{}").unwrap();
+    let message = refused(&data);
+    assert!(
+        message.contains("--set data.transforms=transforms_4.json"),
+        "{message}"
+    );
+    std::fs::create_dir_all(data.join("sparse/0")).unwrap();
+    std::fs::write(data.join("sparse/0/cameras.bin"), [0; 8]).unwrap();
+    let message = refused(&data);
+    assert!(
+        message.contains("sparse/0") && message.contains("images.bin or images.txt"),
+        "{message}"
+    );
+    std::fs::write(data.join("transforms.json"), "{}").unwrap();
+    let message = refused(&data);
+    assert!(
+        message.contains("transforms.json (transforms) and sparse/0/cameras.bin (colmap)"),
+        "{message}"
+    );
+    assert!(
+        message.contains("--set data.layout=transforms"),
+        "{message}"
+    );
+}
+
+#[test]
+fn a_run_is_not_resumed_with_other_settings() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let run = folder.path().join("run");
+    let small = [
+        "--set",
+        "building.iterations=12",
+        "--set",
+        "building.random_points=200",
+    ];
+    let rows = [
+        "--set",
+        "segmentation.iterations=6",
+        "--set",
+        "segmentation.rows=per_gaussian",
+    ];
+    let train = ["train", "--data", utf8(folder.path()), "--out", utf8(&run)];
+    succeeds(&[&train[..], &small, &rows].concat());
+    let before = std::fs::read(run.join("config.toml")).unwrap();
+    let resume = ["train", "--resume", utf8(&run)];
+    for (set, then) in [
+        ("building.iterations=20", "12"),
+        ("segmentation.iterations=3", "6"),
+        ("seed=4", "0"),
+    ] {
+        let message = fails(&[&resume[..], &["--set", set]].concat(), 1);
+        let (key, now) = set.split_once('=').unwrap();
+        for word in [key, &format!("found {now}"), &format!("expected {then}")] {
+            assert!(message.contains(word), "{word}: {message}");
+        }
+        assert_eq!(
+            std::fs::read(run.join("config.toml")).unwrap(),
+            before,
+            "the run keeps its settings"
+        );
+    }
+    succeeds(&resume);
+}

@@ -1,0 +1,189 @@
+//! Labels drawn in tools that write COCO instances: whole, then broken.
+
+use crate::support::plates::{HEIGHT, WIDTH};
+use crate::support::raw_labels::{at, folder, labelled, options, raw, refused, write};
+use coseg::config::RawFormat;
+use coseg::data::{LoadOptions, check, load};
+use serde_json::{Value, json};
+use std::fs;
+
+/// Run lengths of a picture, in the order of columns.
+fn runs(covers: impl Fn(usize, usize) -> bool) -> Vec<u64> {
+    let mut counts = vec![0];
+    let mut inside = false;
+    for pixel in 0..WIDTH * HEIGHT {
+        if covers(pixel / HEIGHT, pixel % HEIGHT) != inside {
+            inside = !inside;
+            counts.push(0);
+        }
+        *counts.last_mut().expect("a run") += 1;
+    }
+    counts
+}
+
+/// As CVAT writes it: three annotations on v1, a box on v3, one on an image that is no photo of the scene.
+fn coco() -> Value {
+    let square =
+        |x: f64, y: f64, side: f64| json!([[x, y, x + side, y, x + side, y + side, x, y + side]]);
+    let left = runs(|x, y| x < 8 && y >= 60);
+    json!({
+        "info": {},
+        "categories": [{ "id": 0, "name": "red" }, { "id": 5, "name": "Green" }, { "id": 9, "name": "lamp" }],
+        "images": [
+            { "id": 11, "file_name": "room\\v1.png", "width": WIDTH, "height": HEIGHT },
+            { "id": 13, "file_name": "v3.png", "width": WIDTH, "height": HEIGHT },
+            { "id": 14, "file_name": "v4.png", "width": WIDTH, "height": HEIGHT },
+            { "id": 77, "file_name": "other.png", "width": 5, "height": 5 },
+        ],
+        "annotations": [
+            { "id": 1, "image_id": 11, "category_id": 0, "segmentation": square(10.0, 10.0, 10.0), "area": 1e9, "iscrowd": 0 },
+            { "id": 2, "image_id": 11, "category_id": 5, "segmentation": square(0.0, 0.0, 40.0) },
+            { "id": 3, "image_id": 11, "category_id": 9, "segmentation": square(30.0, 30.0, 5.0) },
+            { "id": 4, "image_id": 11, "category_id": 0, "iscrowd": 1,
+              "segmentation": { "size": [HEIGHT, WIDTH], "counts": left } },
+            { "id": 5, "image_id": 13, "category_id": 0, "bbox": [1, 2, 3, 4], "segmentation": [] },
+            { "id": 6, "image_id": 77, "category_id": 0, "segmentation": square(0.0, 0.0, 4.0) },
+        ],
+    })
+}
+
+#[test]
+fn coco_instances_lie_over_larger_ones() {
+    let folder = folder();
+    let dir = folder.path();
+    write(dir, "export/instances_default.json", &coco());
+    let loaded = load(dir, &options("export")).expect("scene");
+    assert!(loaded.drawn);
+    assert_eq!(labelled(&loaded), ["v1"]);
+    let places = [(5, 5), (15, 15), (32, 32), (3, 62), (3, 50), (60, 20)];
+    assert_eq!(at(&raw(&loaded, 1), &places), [2, 1, 0, 1, 0, 0]);
+    // The file itself.
+    let file = load(dir, &options("export/instances_default.json")).expect("scene");
+    assert_eq!(file.views[1].raw, loaded.views[1].raw);
+    let notices = check(dir, &options("export")).notices;
+    for part in [
+        "2 of the 3 classes",
+        "lamp",
+        "1 labelled images",
+        "3 of 4 training frames",
+    ] {
+        assert!(
+            notices.iter().any(|n| n.contains(part)),
+            "{part}: {notices:?}"
+        );
+    }
+}
+
+#[test]
+fn broken_coco_instances_are_refused() {
+    let folder = folder();
+    let dir = folder.path();
+    let named = options("coco.json");
+    let good = coco();
+    let broken = |change: &dyn Fn(&mut Value), parts: &[&str]| {
+        let mut value = good.clone();
+        change(&mut value);
+        write(dir, "coco.json", &value);
+        refused(dir, &named, &[&["coco.json"], parts].concat());
+    };
+    let segmentation = "annotations[0].segmentation";
+    broken(
+        &|v| v["annotations"][0]["category_id"] = json!(4),
+        &["annotations[0].category_id", "3 ids"],
+    );
+    broken(
+        &|v| v["annotations"][0]["image_id"] = json!(4),
+        &["annotations[0].image_id", "4 ids"],
+    );
+    broken(
+        &|v| v["annotations"][0]["segmentation"] = json!([[1, 2, 3, 4]]),
+        &[segmentation, "4 numbers"],
+    );
+    broken(
+        &|v| v["annotations"][0]["segmentation"] = json!([[1, 2, 3, 4, 5, 6, 7]]),
+        &[segmentation, "7 numbers"],
+    );
+    broken(
+        &|v| v["annotations"][0]["segmentation"] = json!([1, 2, 3, 4, 5, 6]),
+        &["line 1"],
+    );
+    broken(
+        &|v| v["annotations"][0]["segmentation"] = json!("polygon"),
+        &["line 1", "a list of polygons"],
+    );
+    broken(
+        &|v| v["annotations"][0]["segmentation"][0][3] = json!(1e200),
+        &["points", "80x64"],
+    );
+    let with_runs = |size: Value, counts: Value, parts: &[&str]| {
+        let value = json!({ "size": size, "counts": counts });
+        broken(
+            &|v| v["annotations"][0]["segmentation"] = value.clone(),
+            parts,
+        );
+    };
+    let counts = "annotations[0].segmentation.counts";
+    with_runs(json!([64, 80]), json!([1, 2, 3]), &[counts, "80x64"]);
+    with_runs(json!([64, 80]), json!([u64::MAX, 5121]), &[counts]);
+    with_runs(json!([64, 80]), json!("52203"), &[counts]);
+    with_runs(
+        json!([64, 80]),
+        json!("\u{1}oooooooooooooooooooo"),
+        &[counts],
+    );
+    with_runs(json!([0, 0]), json!([]), &[counts]);
+    with_runs(
+        json!([1_000_000_000, 1_000_000_000]),
+        json!([1]),
+        &["pixels", "limit"],
+    );
+    with_runs(
+        json!([u64::MAX, u64::MAX]),
+        json!([1]),
+        &["pixels", "limit"],
+    );
+    with_runs(json!([64]), json!([1]), &["line 1"]);
+    with_runs(json!([64, 80]), json!([-5]), &["line 1"]);
+    broken(
+        &|v| v["categories"][1]["id"] = json!(0),
+        &["categories[1].id", "each id once"],
+    );
+    broken(&|v| v["categories"] = json!([]), &["categories", "none"]);
+    broken(
+        &|v| v["images"][1]["id"] = json!(11),
+        &["images[1].id", "11 twice"],
+    );
+    broken(
+        &|v| v["images"][3]["file_name"] = json!("v1.jpg"),
+        &["images", "another image of this photo"],
+    );
+    broken(
+        &|v| v["images"][0]["width"] = json!(64),
+        &["size of the picture", "64x64"],
+    );
+    broken(
+        &|v| {
+            v["images"]
+                .as_array_mut()
+                .expect("images")
+                .iter_mut()
+                .for_each(|i| i["file_name"] = json!("x.png"))
+        },
+        &["annotations", "none of which is a photo", "v0"],
+    );
+    broken(
+        &|v| *v = json!({ "images": [] }),
+        &["line 1", "missing field"],
+    );
+    let text = good.to_string();
+    fs::write(dir.join("coco.json"), &text[..text.len() / 2]).expect("write");
+    refused(dir, &named, &["coco.json", "line 1", "EOF"]);
+    fs::write(dir.join("coco.json"), text.replacen("10.0", "NaN", 1)).expect("write");
+    refused(dir, &named, &["coco.json", "line 1"]);
+    // Named as one format, and of another.
+    let wrong = LoadOptions {
+        raw_format: RawFormat::CocoInstances,
+        ..options("nothing")
+    };
+    refused(dir, &wrong, &["nothing"]);
+}

@@ -1,0 +1,248 @@
+//! Rows of stage two: what of them is trained, stored and shown.
+
+use crate::support::hard_labels::hard_label_map;
+use crate::support::plate_runs::trained;
+use coseg::config::{Association, Config, LabelSource, SegmentationConfig, Variant};
+use coseg::data::{LoadOptions, Split, load};
+use coseg::objects::{Identities, LabelMaps, LabelRule};
+use coseg::pipeline::train_decoder::{TrainingPlan, TrainingViews};
+use coseg::pipeline::{Inputs, decoder_training, encode};
+use coseg::random::{Purpose, stream};
+use coseg::raster::{Projected, Settings, SplatTensors};
+use coseg::segmentation::loss::LabelLoss;
+use coseg::segmentation::pixels::PixelWeights;
+use std::sync::Arc;
+
+#[test]
+fn label_maps_show_the_labels_of_the_ply() {
+    let outcome = trained(|s| s.rows = Some(vec![Variant::Vote]));
+    let (gaussians, classes) = (&outcome.gaussians, &outcome.scene.classes);
+    let scores = (0..gaussians.len() * classes.len())
+        .map(|i| (i as f32 * 1.7).sin())
+        .collect();
+    let identities = Identities {
+        scores,
+        classes: classes.len(),
+    };
+    let (mut labelled, mut differ) = (0, 0);
+    for view in outcome.scene.split(Split::Test) {
+        let projected = Projected::new(&gaussians.splats(), &view.camera, &Settings::default())
+            .expect("finite");
+        let seen = SplatTensors::new(gaussians, &crate::support::device())
+            .seen_by(&view.camera, &Settings::default());
+        let map = |source| {
+            let rule = LabelRule {
+                source,
+                min_coverage: 0.5,
+            };
+            LabelMaps::new(&identities, classes, rule)
+                .of(&seen)
+                .expect("a map")
+                .ids
+        };
+        let labels = map(LabelSource::Labels);
+        assert_eq!(
+            labels,
+            hard_label_map(&projected, &identities.ids(classes), 0.5).ids
+        );
+        labelled += labels.iter().filter(|id| **id != classes.ignore).count();
+        differ += labels
+            .iter()
+            .zip(map(LabelSource::Scores))
+            .filter(|(a, b)| *a != b)
+            .count();
+    }
+    assert!(
+        labelled > 1000 && differ > 100,
+        "{labelled} labelled, {differ} otherwise by their scores"
+    );
+}
+
+#[test]
+fn averaged_parameters_differ_from_the_last_ones() {
+    let scores = |average| {
+        let outcome = trained(|s| s.average = average);
+        outcome.rows[0]
+            .identities
+            .as_ref()
+            .expect("identities")
+            .scores
+            .clone()
+    };
+    assert_ne!(scores(true), scores(false));
+}
+
+#[test]
+fn without_truth_only_what_is_wanted_is_trained() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let mut config = crate::support::plate_runs::config(folder.path());
+    config.segmentation.rows = None;
+    let rows = |config: &Config, out: &str| -> Vec<Variant> {
+        crate::support::plate_runs::whole(config, &folder.path().join(out))
+            .rows
+            .iter()
+            .map(|row| row.variant)
+            .collect()
+    };
+    assert_eq!(rows(&config, "scored"), Variant::COMPARED);
+    let file = folder.path().join("transforms.json");
+    let text = std::fs::read_to_string(&file)
+        .expect("frames")
+        .replace("\"label_path\"", "\"elsewhere\"");
+    std::fs::write(&file, text).expect("written");
+    assert_eq!(rows(&config, "unscored"), Variant::UNSCORED);
+    config.segmentation.rows = Some(vec![Variant::PerGaussian]);
+    assert_eq!(rows(&config, "asked for"), [Variant::PerGaussian]);
+}
+
+#[test]
+fn a_truth_that_no_row_is_scored_by_is_none() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let mut config = crate::support::plate_runs::config(folder.path());
+    (config.segmentation.rows, config.segmentation.iterations) = (None, 4);
+    let trained = |association: Association, out: &str| {
+        let mut config = config.clone();
+        config.data.association = association;
+        let outcome = crate::support::plate_runs::whole(&config, &folder.path().join(out));
+        let notes = coseg::report::Report::notes_of(&outcome, &config).concat();
+        let is_scored = |row: &coseg::pipeline::VariantOutcome| {
+            row.scores.labels.miou.is_some() || row.scores.instances.is_some()
+        };
+        let scored = outcome.rows.iter().any(is_scored);
+        assert_eq!(
+            notes.contains("no row of labels is scored"),
+            !scored,
+            "{notes}"
+        );
+        (
+            outcome
+                .rows
+                .iter()
+                .map(|row| row.variant)
+                .collect::<Vec<_>>(),
+            scored,
+        )
+    };
+    // Objects without classes are not scored by classes.
+    assert_eq!(
+        trained(Association::None, "classes"),
+        (Variant::COMPARED.to_vec(), true)
+    );
+    assert_eq!(
+        trained(Association::Gaussians, "objects of classes"),
+        (Variant::UNSCORED.to_vec(), false)
+    );
+    // Nor are classes by instances.
+    let file = folder.path().join("transforms.json");
+    let text = std::fs::read_to_string(&file)
+        .expect("frames")
+        .replace("\"label_path\"", "\"instance_path\"");
+    std::fs::write(&file, text).expect("written");
+    assert_eq!(
+        trained(Association::None, "instances"),
+        (Variant::UNSCORED.to_vec(), false)
+    );
+    assert_eq!(
+        trained(Association::Gaussians, "objects"),
+        (Variant::COMPARED.to_vec(), true)
+    );
+}
+
+#[test]
+fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let (gaussians, _) = crate::support::plates::plates();
+    let scene = load(folder.path(), &LoadOptions::default()).expect("scene");
+    let device = crate::support::device();
+    let scores = |average: bool, iterations: usize| {
+        let mut config = Config::default();
+        config.segmentation.average = average;
+        config.segmentation.warmup = 0.5;
+        config.segmentation.iterations = 40;
+        config.segmentation.lr = 1e-2;
+        let plan = TrainingPlan {
+            iterations,
+            ..TrainingPlan::new(&config.segmentation, LabelLoss::Ce, 0)
+        };
+        let (scene, gaussians, settings) = (&scene, &gaussians, Settings::default());
+        let inputs = Inputs {
+            settings,
+            ..Inputs::new(scene, gaussians, &config, &device)
+        };
+        let variant = Variant::NoImageFeatures;
+        let input = encode(&inputs, &config.spatial).expect("encoded");
+        let input = input.decoder_input(variant, &inputs).expect("features");
+        let mut views = inputs.training_views();
+        let prior = vec![0.0; gaussians.len() * scene.classes.len()];
+        let mut training =
+            decoder_training(variant, &plan, &input, Some(prior), &inputs, views.len());
+        for _ in 0..4 {
+            training.step(&mut views, &plan).expect("a step");
+        }
+        training.identities().scores
+    };
+    assert_ne!(
+        scores(true, 4),
+        scores(false, 4),
+        "two of four steps of a trial"
+    );
+    assert_eq!(
+        scores(true, 40),
+        scores(false, 40),
+        "none of the first twenty"
+    );
+}
+
+#[test]
+fn what_a_view_shows_is_computed_once_as_far_as_the_budget_reaches() {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let scene = load(folder.path(), &LoadOptions::default()).expect("scene");
+    let (gaussians, _) = crate::support::plates::plates();
+    #[cfg(feature = "wgpu")]
+    let devices = [Some(crate::support::device()), crate::support::gpu()];
+    #[cfg(not(feature = "wgpu"))]
+    let devices = [Some(crate::support::device())];
+    for device in devices.into_iter().flatten() {
+        // Whether the same view's second draw has the weights of its first, where they are stored, and how many pixels were drawn.
+        let draw = |weight_cache_mb: usize, share: f64| {
+            let (train, settings) = (scene.split(Split::Train), Settings::default());
+            let config = SegmentationConfig {
+                weight_cache_mb,
+                ..SegmentationConfig::default()
+            };
+            let mut views = TrainingViews::new(
+                &gaussians,
+                train,
+                &scene.classes,
+                settings,
+                &config,
+                &device,
+            );
+            let mut drawn = || {
+                views
+                    .sample(0, share, &mut stream(1, Purpose::Pixels, 0))
+                    .expect("pixels")
+                    .pixels
+            };
+            let (first, second) = (drawn(), drawn());
+            assert_eq!(first.labels, second.labels, "{device:?}");
+            // A GPU stores no weights.
+            let kept = match (&first.weights, &second.weights) {
+                (PixelWeights::Stored(first), PixelWeights::Stored(second)) => {
+                    Some(Arc::ptr_eq(first, second))
+                }
+                _ => None,
+            };
+            (kept, first.len())
+        };
+        let (kept, all) = draw(16, 1.0);
+        assert!(kept != Some(false) && all > 100, "{all} on {device:?}");
+        assert_eq!(draw(0, 1.0), (kept.map(|_| false), all), "{device:?}");
+        let (_, some) = draw(16, 0.25);
+        assert!(some < all, "{some} of {all} on {device:?}");
+    }
+}

@@ -1,0 +1,135 @@
+//! Runs of both stages on the plates, stopped and whole, and their comparison.
+
+use coseg::config::{BuildingConfig, Config, LabelLoss, SegmentationConfig, Variant};
+use coseg::pipeline::{Outcome, run};
+use coseg::progress::{CurvePoint, Event, Progress, Silent};
+use std::path::Path;
+
+/// Both stages on the plates, a second or two.
+pub fn config(data: &Path) -> Config {
+    let mut config = Config {
+        building: BuildingConfig {
+            iterations: 40,
+            random_points: 400,
+            ..BuildingConfig::default()
+        },
+        segmentation: SegmentationConfig {
+            iterations: 30,
+            rows: Some(vec![Variant::Vote, Variant::PerGaussian, Variant::Ours]),
+            pixel_share: 0.5,
+            eval_every: 10,
+            checkpoint_every: 7,
+            // Every loss depends on earlier measurements.
+            loss: LabelLoss::Gce {
+                exponent: 0.7,
+                least_recall: 1.0,
+            },
+            ..SegmentationConfig::default()
+        },
+        seed: 5,
+        ..Config::default()
+    };
+    config.data.dir = Some(data.to_owned());
+    config
+}
+
+/// Stops after some iterations of a stage.
+pub struct StopAt {
+    stage: &'static str,
+    iteration: usize,
+    now: &'static str,
+    stopped: bool,
+}
+
+impl StopAt {
+    pub fn new(stage: &'static str, iteration: usize) -> Self {
+        Self {
+            stage,
+            iteration,
+            now: "",
+            stopped: false,
+        }
+    }
+}
+
+impl Progress for StopAt {
+    fn event(&mut self, event: &Event) {
+        match event {
+            Event::Started { stage, .. } => self.now = stage,
+            Event::Step { iteration, .. } => {
+                self.stopped |= self.now == self.stage && *iteration == self.iteration;
+            }
+            _ => {}
+        }
+    }
+    fn stop(&mut self) -> bool {
+        self.stopped
+    }
+}
+
+/// A run that nothing stops.
+pub fn whole(config: &Config, out: &Path) -> Outcome {
+    run(config, out, &crate::support::device(), &mut Silent).expect("a run")
+}
+
+/// Curves but for the clock, bit for bit.
+fn bits(curve: &[CurvePoint]) -> Vec<(usize, u64, Option<u64>, usize)> {
+    curve
+        .iter()
+        .map(|p| {
+            (
+                p.iteration,
+                p.loss.to_bits(),
+                p.miou.map(f64::to_bits),
+                p.gaussians,
+            )
+        })
+        .collect()
+}
+
+/// Asserts that two runs are equal but for the clock, bit for bit.
+#[track_caller]
+pub fn same(a: &Outcome, b: &Outcome) {
+    assert!(a.gaussians == b.gaussians, "Gaussians differ");
+    assert_eq!(a.rows.len(), b.rows.len());
+    for (a, b) in a.rows.iter().zip(&b.rows) {
+        let row = a.name();
+        assert_eq!(bits(&a.curve), bits(&b.curve), "curve of {row}");
+        let scores = |r: &coseg::pipeline::VariantOutcome| -> Vec<u32> {
+            r.identities
+                .iter()
+                .flat_map(|i| &i.scores)
+                .map(|s| s.to_bits())
+                .collect()
+        };
+        assert!(scores(a) == scores(b), "identities of {row}");
+    }
+}
+
+/// A short run of `ours` whose second stage is changed by `edit`.
+pub fn trained(edit: impl Fn(&mut SegmentationConfig)) -> Outcome {
+    let folder = tempfile::tempdir().expect("a folder");
+    crate::support::plates::scene(folder.path());
+    let mut config = Config {
+        building: BuildingConfig {
+            iterations: 40,
+            random_points: 400,
+            ..BuildingConfig::default()
+        },
+        segmentation: SegmentationConfig {
+            iterations: 20,
+            rows: Some(vec![Variant::Ours]),
+            ..SegmentationConfig::default()
+        },
+        ..Config::default()
+    };
+    edit(&mut config.segmentation);
+    config.data.dir = Some(folder.path().to_owned());
+    run(
+        &config,
+        &folder.path().join("run"),
+        &crate::support::device(),
+        &mut Silent,
+    )
+    .expect("a run")
+}
