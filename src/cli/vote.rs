@@ -47,13 +47,14 @@ impl VoteArgs {
         }
         let gaussians = &ply.gaussians;
         let views = || scene.split(Split::Train);
-        let votes = vote(gaussians, views(), &scene.classes, &settings, &device)?;
+        let classes = &scene.classes;
         let identities = if self.pooled {
-            let refined = || refined_vote(gaussians, views(), &scene.classes, &settings, &device);
+            let votes = vote(gaussians, views(), classes, &settings, &device)?;
+            let refined = refined_vote(gaussians, views(), classes, &settings, &device)?;
             let exponent = config.segmentation.prior_exponent;
-            pooled_vote(gaussians, &votes, refined, exponent)?.identities
+            pooled_vote(gaussians, &votes, &refined, exponent)?.identities
         } else {
-            votes.identities()
+            vote(gaussians, views(), classes, &settings, &device)?.identities()
         };
         let ids = identities.ids(&scene.classes);
         let path = self.input.out.join("scene.ply");

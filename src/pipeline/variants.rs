@@ -258,21 +258,30 @@ impl<'a> StageTwo<'a> {
             return Ok(outcome);
         };
         let start = Instant::now();
-        let share = match self.inputs.config.segmentation.vote_share {
+        let config = &self.inputs.config.segmentation;
+        let share = match config.vote_share {
             Some(share) => share as f32,
-            None if self.prior_kind()? == Prior::Votes => {
-                best_share(trained, self.votes()?, self.inputs)?
-            }
+            None if self.votes_are_compared()? => best_share(trained, self.votes()?, self.inputs)?,
             None => 0.0,
         };
         if share > 0.0 {
-            let identities = mixed(trained, self.votes()?, share);
+            let identities = mixed(trained, self.votes()?, share, config.blend);
             outcome.scores = self.held_out.score(&identities, self.inputs)?;
             outcome.identities = Some(identities);
         }
         outcome.vote_share = Some(f64::from(share));
         outcome.seconds += start.elapsed().as_secs_f64();
         Ok(outcome)
+    }
+
+    /// Whether raw labels decide on the share of the vote. They cannot where they name frequent classes too often: the vote agrees
+    /// with that.
+    fn votes_are_compared(&self) -> Result<bool> {
+        Ok(match self.prior_kind()? {
+            Prior::None => false,
+            Prior::Votes => true,
+            Prior::Pooled => self.pooled()?.exponent == 0.0,
+        })
     }
 
     /// What decoders start from. Votes are not pooled where that would correct nothing, nor those of objects of association: two of
@@ -284,11 +293,7 @@ impl<'a> StageTwo<'a> {
             return Ok(prior);
         }
         let objects = config.data.association == Association::Gaussians;
-        if objects || self.pooled()?.pooling == 0.0 {
-            Ok(Prior::Votes)
-        } else {
-            Ok(prior)
-        }
+        if objects { Ok(Prior::Votes) } else { Ok(prior) }
     }
 
     /// The scores that a decoder starts from, `[N, C]`.
@@ -308,34 +313,31 @@ impl<'a> StageTwo<'a> {
         if let Some(votes) = self.votes.get() {
             return Ok(votes);
         }
-        let inputs = self.inputs;
         let votes = vote(
+            self.inputs.gaussians,
+            self.inputs.scene.split(Split::Train),
+            &self.inputs.scene.classes,
+            &self.inputs.settings,
+            self.inputs.device,
+        )?;
+        Ok(self.votes.get_or_init(|| votes))
+    }
+
+    /// The refined, pooled and calibrated votes, made once.
+    fn pooled(&self) -> Result<&PooledVote> {
+        if let Some(pooled) = self.pooled.get() {
+            return Ok(pooled);
+        }
+        let inputs = self.inputs;
+        let refined = refined_vote(
             inputs.gaussians,
             inputs.scene.split(Split::Train),
             &inputs.scene.classes,
             &inputs.settings,
             inputs.device,
         )?;
-        Ok(self.votes.get_or_init(|| votes))
-    }
-
-    /// The pooled and calibrated votes, made once.
-    fn pooled(&self) -> Result<&PooledVote> {
-        if let Some(pooled) = self.pooled.get() {
-            return Ok(pooled);
-        }
-        let inputs = self.inputs;
-        let refined = || {
-            refined_vote(
-                inputs.gaussians,
-                inputs.scene.split(Split::Train),
-                &inputs.scene.classes,
-                &inputs.settings,
-                inputs.device,
-            )
-        };
         let exponent = inputs.config.segmentation.prior_exponent;
-        let pooled = pooled_vote(inputs.gaussians, self.votes()?, refined, exponent)?;
+        let pooled = pooled_vote(inputs.gaussians, self.votes()?, &refined, exponent)?;
         Ok(self.pooled.get_or_init(|| pooled))
     }
 

@@ -2,9 +2,10 @@
 //!
 //! A decoder gives Gaussians with similar features the same label. That corrects wrong labels, but it loses details that only the
 //! labels of a Gaussian itself show. Where labels are good, the vote is better. Raw labels that the vote has not seen tell which
-//! case holds, unless their errors repeat in all views. This is why the pooled vote is not compared.
+//! case holds, unless the labels name frequent classes too often in all views: the vote does so too.
 
 use super::encode::Inputs;
+use crate::config::Blend;
 use crate::data::View;
 use crate::error::Result;
 use crate::metrics::{Confusion, Void};
@@ -21,27 +22,34 @@ const VIEWS: usize = 4;
 /// Keeps the logarithm of a probability finite.
 const LEAST_PROBABILITY: f32 = 1e-8;
 
-/// The logits of `(1 - share) softmax(trained) + share votes`, where the votes of a Gaussian sum to 1. Gaussians without votes keep
-/// the trained probabilities.
+/// `(1 - share) p + share votes` of the probabilities p of `trained`, where the votes of a Gaussian sum to 1. Gaussians without votes
+/// keep the trained probabilities. Identities of logits give logits.
 ///
 /// # Panics
 /// If the votes are of another number of Gaussians or classes.
-pub(super) fn mixed(trained: &Identities, votes: &Votes, share: f32) -> Identities {
+pub(super) fn mixed(trained: &Identities, votes: &Votes, share: f32, blend: Blend) -> Identities {
     assert_eq!(
         trained.scores.len(),
         votes.table.len(),
         "one row of votes for each Gaussian"
     );
     let classes = trained.classes;
-    let mut mixed = trained.softmax();
+    let mut mixed = match blend {
+        Blend::Logits => trained.softmax(),
+        Blend::Probabilities => trained.clone(),
+    };
     let rows = mixed.scores.chunks_exact_mut(classes.max(1));
     for (row, votes) in rows.zip(votes.rows()) {
         let total: f32 = votes.iter().sum();
         let share = if total > 0.0 { share } else { 0.0 };
         for (p, vote) in row.iter_mut().zip(votes) {
             let voted = vote / total.max(f32::MIN_POSITIVE);
-            *p = ((1.0 - share) * *p + share * voted + LEAST_PROBABILITY).ln();
+            *p = (1.0 - share) * *p + share * voted;
         }
+    }
+    if blend == Blend::Logits {
+        let logits = mixed.scores.iter_mut();
+        logits.for_each(|p| *p = (*p + LEAST_PROBABILITY).ln());
     }
     mixed
 }
@@ -71,7 +79,7 @@ pub(super) fn best_share(trained: &Identities, votes: &Votes, inputs: &Inputs) -
         )?;
         let others = without(votes, &own);
         for (share, confusion) in SHARES.into_iter().zip(&mut confusions) {
-            let identities = mixed(trained, &others, share);
+            let identities = mixed(trained, &others, share, inputs.config.segmentation.blend);
             let maps = LabelMaps::new(&identities, classes, rule);
             for view in run.iter().step_by(run.len().div_ceil(VIEWS)) {
                 let Some(raw) = &view.raw else { continue };
@@ -80,7 +88,9 @@ pub(super) fn best_share(trained: &Identities, votes: &Votes, inputs: &Inputs) -
             }
         }
     }
-    let agreement = confusions.map(|confusion| confusion.miou(Void::Wrong).unwrap_or(0.0));
+    let agreement = confusions
+        .each_ref()
+        .map(|confusion| confusion.miou(Void::Wrong).unwrap_or(0.0));
     let best = first_largest(agreement).unwrap_or(0);
     tracing::info!(
         "agreement with raw labels for shares {SHARES:?} of the vote: {agreement:.4?}; taken: {}",
@@ -106,8 +116,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn mixtures_are_logits_of_the_mean() {
-        let trained = Identities {
+    fn mixtures_are_means_of_probabilities() {
+        let logits = Identities {
             scores: vec![1.0, 2.0, 3.0, -50.0, 0.0, 50.0],
             classes: 3,
         };
@@ -115,11 +125,15 @@ mod tests {
             table: vec![3.0, 1.0, 0.0, 0.0, 0.0, 0.0],
             classes: 3,
         };
-        let p = trained.softmax().scores;
-        let found = mixed(&trained, &votes, 0.25).softmax().scores;
-        for (c, share) in [0.75, 0.25, 0.0].into_iter().enumerate() {
-            assert!((found[c] - (0.75 * p[c] + 0.25 * share)).abs() < 1e-6);
-            assert!((found[3 + c] - p[3 + c]).abs() < 1e-6, "no votes");
+        let probabilities = logits.softmax();
+        let p = &probabilities.scores;
+        let of_logits = mixed(&logits, &votes, 0.25, Blend::Logits).softmax();
+        let of_probabilities = mixed(&probabilities, &votes, 0.25, Blend::Probabilities);
+        for found in [of_logits.scores, of_probabilities.scores] {
+            for (c, share) in [0.75, 0.25, 0.0].into_iter().enumerate() {
+                assert!((found[c] - (0.75 * p[c] + 0.25 * share)).abs() < 1e-6);
+                assert!((found[3 + c] - p[3 + c]).abs() < 1e-6, "no votes");
+            }
         }
     }
 

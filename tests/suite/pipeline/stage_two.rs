@@ -29,7 +29,7 @@ fn a_decoder_that_has_learned_nothing_stores_the_shares_of_the_votes() {
     .expect("votes");
     let identities = outcome.rows[0].identities.as_ref().expect("identities");
     let classes = scene.classes.len();
-    let (mut checked, floor) = (0, 0.02_f32);
+    let (mut checked, floor) = (0, 0.002_f32);
     for (stored, row) in identities
         .scores
         .chunks_exact(classes)
@@ -61,7 +61,7 @@ fn a_decoder_that_has_learned_nothing_stores_the_pooled_vote() {
         s.rows = Some(vec![Variant::PooledVote, Variant::Ours]);
     });
     let [pooled, ours] = [0, 1].map(|row: usize| outcome.rows[row].identities.as_ref().unwrap());
-    let (classes, floor) = (pooled.classes, 0.02_f32);
+    let (classes, floor) = (pooled.classes, 0.002_f32);
     let rows = pooled.scores.chunks_exact(classes);
     let mut known = 0;
     for (pooled, stored) in rows.zip(ours.scores.chunks_exact(classes)) {
