@@ -7,10 +7,10 @@ use crate::data::atomic;
 use crate::error::{Error, Result, ensure, invalid};
 use crate::metrics::ImageScores;
 use crate::progress::CurvePoint;
-use safetensors::{Dtype, SafeTensors, View};
+use safetensors::tensor::TensorView;
+use safetensors::{Dtype, SafeTensorError, SafeTensors};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -59,21 +59,6 @@ struct Stored {
     dtype: Dtype,
     shape: Vec<usize>,
     bytes: Vec<u8>,
-}
-
-impl View for &Stored {
-    fn dtype(&self) -> Dtype {
-        self.dtype
-    }
-    fn shape(&self) -> &[usize] {
-        &self.shape
-    }
-    fn data(&self) -> Cow<'_, [u8]> {
-        self.bytes.as_slice().into()
-    }
-    fn data_len(&self) -> usize {
-        self.bytes.len()
-    }
 }
 
 /// Named tensors and settings, in memory.
@@ -200,7 +185,13 @@ impl Checkpoint {
         let settings =
             serde_json::json!({ "kind": self.kind, "version": VERSION, "settings": self.settings });
         let metadata = HashMap::from([(KEY.to_owned(), settings.to_string())]);
-        let bytes = safetensors::serialize(&self.tensors, Some(metadata))
+        let views = self.tensors.iter().map(|(name, tensor)| {
+            let view = TensorView::new(tensor.dtype, tensor.shape.clone(), &tensor.bytes)?;
+            Ok((name, view))
+        });
+        let views: Result<Vec<_>, SafeTensorError> = views.collect();
+        let bytes = views
+            .and_then(|views| safetensors::serialize(views, Some(metadata)))
             .map_err(|e| Error::io(path, "encode", std::io::Error::other(e.to_string())))?;
         atomic::write_bytes(path, &bytes)
     }

@@ -2,6 +2,7 @@
 
 use crate::checkpoint::Scalar;
 use crate::error::{Error, Result, invalid};
+use crate::files::{atomic, extension};
 use burn::store::pytorch_reader::{DType as TorchType, PytorchReader};
 use half::{bf16, f16};
 use safetensors::{Dtype, SafeTensors, View};
@@ -65,7 +66,7 @@ pub(crate) fn floats(bytes: &[u8], dtype: Dtype) -> Option<Vec<f32>> {
 pub struct WeightFile {
     /// Where they came from, for messages.
     pub origin: PathBuf,
-    /// By name, without a leading `module.` and without the prefix of [`WeightFile::under`].
+    /// By name, without a leading `module.` and without [`WeightFile::prefix`].
     pub tensors: BTreeMap<String, HostTensor>,
     /// The file's own notes (safetensors only).
     pub metadata: BTreeMap<String, String>,
@@ -91,10 +92,7 @@ impl WeightFile {
     /// As [`WeightFile::open`].
     pub fn open_where(path: impl AsRef<Path>, keep: impl Fn(&str) -> bool) -> Result<Self> {
         let path = path.as_ref();
-        let safetensors = path
-            .extension()
-            .is_some_and(|e| e.eq_ignore_ascii_case("safetensors"));
-        if safetensors {
+        if extension(path) == "safetensors" {
             let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
             return Self::selected(&bytes, path, keep);
         }
@@ -164,6 +162,19 @@ impl WeightFile {
         let metadata = (!self.metadata.is_empty()).then(|| self.metadata.clone());
         safetensors::serialize(&self.tensors, metadata.map(HashMap::from_iter))
             .map_err(|e| unreadable(&self.origin, "tensors", e))
+    }
+
+    /// Writes a safetensors file with one tensor, atomically.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when it cannot be written.
+    pub(crate) fn write_one(path: &Path, name: &str, tensor: HostTensor) -> Result<()> {
+        let mut file = Self {
+            origin: path.to_owned(),
+            ..Self::default()
+        };
+        file.insert(name, tensor);
+        atomic::write_bytes(path, &file.to_safetensors()?)
     }
 
     /// The tensors whose names start with `prefix`, named without it. Messages name them as the file does.

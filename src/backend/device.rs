@@ -4,9 +4,12 @@
 use crate::error::{Error, Result, invalid};
 use burn::backend::DispatchDevice;
 use burn::tensor::{Device, Tensor, TensorData};
+use serde::de::IntoDeserializer;
+use serde::{Deserialize, Serialize};
 
 /// A compute backend by name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum BackendName {
     /// burn-cuda.
     Cuda,
@@ -34,26 +37,17 @@ impl BackendName {
 
 impl std::fmt::Display for BackendName {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Cuda => "cuda",
-            Self::Wgpu => "wgpu",
-            Self::Flex => "flex",
-            Self::Ndarray => "ndarray",
-        })
+        self.serialize(f)
     }
 }
 
 impl std::str::FromStr for BackendName {
     type Err = Error;
     fn from_str(name: &str) -> Result<Self> {
-        match name {
-            "cuda" => Ok(Self::Cuda),
-            "wgpu" => Ok(Self::Wgpu),
-            "flex" => Ok(Self::Flex),
-            "ndarray" => Ok(Self::Ndarray),
-            _ => Err(invalid!(argument "backend"; found "{name}";
-                expected "cuda, wgpu, flex or ndarray"; help "choose one of them")),
-        }
+        Self::deserialize(name.into_deserializer()).map_err(|_: serde::de::value::Error| {
+            invalid!(argument "backend"; found "{name}";
+                expected "cuda, wgpu, flex or ndarray"; help "choose one of them")
+        })
     }
 }
 

@@ -57,10 +57,9 @@ pub(super) fn measure(bench: &Bench, gaussians: &Gaussians) -> Result<Figures> {
         alpha_max: 1.0,
         ..configured
     };
-    let wide = Wide::new(gaussians);
     let reference = cameras
         .iter()
-        .map(|camera| wide.render(camera, &exact))
+        .map(|camera| render_wide(gaussians, camera, &exact))
         .collect::<Result<Vec<_>>>()?;
     let mut points = points(&configured, &exact, gaussians.sh_degree);
     let mut renderers = (0..=gaussians.sh_degree)
@@ -177,41 +176,19 @@ fn number(value: f64) -> String {
     }
 }
 
-/// The same numbers as f64.
-struct Wide {
-    means: Vec<f64>,
-    log_scales: Vec<f64>,
-    rotations: Vec<f64>,
-    opacity_logits: Vec<f64>,
-    sh: Vec<f64>,
-    sh_degree: usize,
-}
-
-impl Wide {
-    fn new(g: &Gaussians) -> Self {
-        let wide = |values: &[f32]| values.iter().map(|&v| f64::from(v)).collect();
-        Self {
-            means: wide(g.means.as_flattened()),
-            log_scales: wide(g.log_scales.as_flattened()),
-            rotations: wide(g.rotations.as_flattened()),
-            opacity_logits: wide(&g.opacity_logits),
-            sh: wide(&g.sh),
-            sh_degree: g.sh_degree,
-        }
-    }
-
-    /// `[H, W, 3]` on black.
-    fn render(&self, camera: &Camera, settings: &Settings) -> Result<Vec<f64>> {
-        let splats = Splats {
-            means: &self.means[..],
-            log_scales: &self.log_scales,
-            rotations: &self.rotations,
-            opacity_logits: &self.opacity_logits,
-        };
-        let projected = Projected::new(&splats, camera, settings)?;
-        let degree = self.sh_degree;
-        let center = camera.center.to_array();
-        let colours = eval_sh(&self.means, &self.sh, degree, degree, center);
-        Ok(projected.blend(&colours, 3).image)
-    }
+/// `[H, W, 3]` on black, in f64.
+fn render_wide(gaussians: &Gaussians, camera: &Camera, settings: &Settings) -> Result<Vec<f64>> {
+    let wide = |values: &[f32]| values.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
+    let means = wide(gaussians.means.as_flattened());
+    let splats = Splats {
+        means: &means[..],
+        log_scales: &wide(gaussians.log_scales.as_flattened()),
+        rotations: &wide(gaussians.rotations.as_flattened()),
+        opacity_logits: &wide(&gaussians.opacity_logits),
+    };
+    let projected = Projected::new(&splats, camera, settings)?;
+    let degree = gaussians.sh_degree;
+    let center = camera.center.to_array();
+    let colours = eval_sh(&means, &wide(&gaussians.sh), degree, degree, center);
+    Ok(projected.blend(&colours, 3).image)
 }

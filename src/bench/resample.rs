@@ -1,8 +1,8 @@
 //! The same scene with another number of Gaussians.
 
 use crate::random::{Purpose, stream};
-use crate::splat::Gaussians;
-use glam::{DQuat, DVec3};
+use crate::splat::{Gaussians, rotation};
+use glam::DVec3;
 use rand::Rng;
 
 /// `count` Gaussians that cover about what `gaussians` cover, in spatial order.
@@ -22,13 +22,7 @@ pub fn resampled(gaussians: &Gaussians, count: usize, seed: u64) -> Gaussians {
     rows.extend(rest.into_iter().map(|i| i as u32));
     let mut out = gaussians.select(&rows);
     for i in n..count {
-        let [w, x, y, z] = out.rotations[i].map(f64::from);
-        let rotation = DQuat::from_xyzw(x, y, z, w);
-        let rotation = if rotation.length_squared() > 1e-12 {
-            rotation.normalize()
-        } else {
-            DQuat::IDENTITY
-        };
+        let rotation = rotation(&out.rotations[i]);
         // Uniform numbers with variance 1.
         let draw = out.log_scales[i]
             .map(|s| 3.0_f64.sqrt() * rng.random_range(-1.0..1.0) * f64::from(s).exp());

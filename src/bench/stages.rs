@@ -32,12 +32,7 @@ pub(super) fn measure(bench: &Bench, gaussians: &Gaussians) -> Result<Figures> {
     reset_peak_memory();
     stage_one(bench, gaussians, &mut figures)?;
     add_peak_memory("stage one", &mut figures);
-    let labelled = bench
-        .scene
-        .views
-        .iter()
-        .filter(|view| view.raw.is_some())
-        .count();
+    let labelled = bench.scene.labelled().count();
     if labelled == 0 || bench.scene.classes.is_empty() {
         let note = "the scene has no raw labels: stage two is left out";
         figures.notes.push(note.to_owned());

@@ -1,10 +1,11 @@
 //! `coseg data`: checks or describes a scene folder, or suggests photos to label.
 
-use super::scene_file::{has_extension, read_scene, scene_path};
+use super::scene_file::{read_scene, scene_path};
 use super::{Settings, fault_list, terminal};
 use clap::{Args, Subcommand};
-use coseg::data::{self, Info, LoadOptions, atomic};
+use coseg::data::{self, Info, LoadOptions};
 use coseg::error::{Result, ensure};
+use coseg::files::extension;
 use coseg::pipeline::suggest;
 use coseg::report::pictures;
 use coseg::report::sheet::contact_sheet;
@@ -119,7 +120,9 @@ impl CheckArgs {
             terminal::note(&format!("note: {notice}"));
         }
         fault_list::print(&checked.problems, self.all);
-        let layout = checked.layout.map_or("unknown", |layout| layout.name());
+        let layout = checked
+            .layout
+            .map_or("unknown".to_owned(), |layout| layout.to_string());
         let field = format!("layout {layout}, {} frames", checked.frames);
         let count = match checked.problems.len() {
             0 => "no problems".to_owned(),
@@ -138,7 +141,7 @@ impl InfoArgs {
     /// instance, so none of them is replaced. An earlier sheet in the folder itself may be.
     fn check_sheet(&self, path: &Path, options: &LoadOptions) -> Result<()> {
         data::check_output_file("--sheet", path, (&self.dir, options))?;
-        ensure!(has_extension(path, "png"), argument "--sheet"; found "{}", path.display();
+        ensure!(extension(path) == "png", argument "--sheet"; found "{}", path.display();
             expected "a .png file"; help "end the name in .png");
         let is_in_subfolder = match (path.canonicalize(), self.dir.canonicalize()) {
             (Ok(path), Ok(dir)) => path.starts_with(&dir) && path.parent() != Some(&dir),
@@ -158,10 +161,7 @@ impl InfoArgs {
         let info = data::info(&self.dir, &options)?;
         if let Some(path) = &self.sheet {
             let (tiles, classes) = data::thumbnails(&self.dir, &options, SHEET.0, SHEET.1)?;
-            atomic::write_bytes(
-                path,
-                &pictures::png(&contact_sheet(&tiles, &classes), path)?,
-            )?;
+            pictures::write(path, &contact_sheet(&tiles, &classes))?;
         }
         if self.json {
             terminal::say(&serde_json::json!(info).to_string());
@@ -217,49 +217,33 @@ fn print(info: &Info) {
         say("photos", format!("{n} of {w}x{h} pixels"));
     }
     if info.distorted > 0 {
-        say(
-            "distorted",
-            format!("{} photos, undistorted on loading", info.distorted),
-        );
+        let distorted = format!("{} photos, undistorted on loading", info.distorted);
+        say("distorted", distorted);
     }
     if info.masked > 0 {
-        say(
-            "masks",
-            format!(
-                "{} views, {:.2} % of all pixels left out",
-                info.masked,
-                100.0 * info.left_out
-            ),
+        let left_out = 100.0 * info.left_out;
+        let masks = format!(
+            "{} views, {left_out:.2} % of all pixels left out",
+            info.masked
         );
+        say("masks", masks);
     }
     let c = &info.cameras;
-    let numbers = |v: [f64; 3]| v.map(|v| format!("{v:.3}")).join(" ");
-    say(
-        "cameras",
-        format!(
-            "{} to {}, extent {:.3} about {}",
-            numbers(c.low),
-            numbers(c.high),
-            c.extent,
-            numbers(c.mean)
-        ),
-    );
+    let [low, high, mean] = [c.low, c.high, c.mean].map(|v| v.map(|v| format!("{v:.3}")).join(" "));
+    let cameras = format!("{low} to {high}, extent {:.3} about {mean}", c.extent);
+    say("cameras", cameras);
     say("points", info.points.to_string());
-    say(
-        "labels",
-        format!(
-            "{} views true, {} views raw",
-            info.labelled, info.raw_labelled
-        ),
+    let labels = format!(
+        "{} views true, {} views raw",
+        info.labelled, info.raw_labelled
     );
+    say("labels", labels);
     if info.segments > 0 {
-        say(
-            "segments",
-            format!(
-                "{} in the raw labels, to be joined over Gaussians",
-                info.segments
-            ),
+        let segments = format!(
+            "{} in the raw labels, to be joined over Gaussians",
+            info.segments
         );
+        say("segments", segments);
     }
     if info.instances > 0 {
         say("instances", format!("{} views true", info.instances));

@@ -5,13 +5,12 @@ use super::{Settings, interrupt, terminal};
 use clap::Args;
 use coseg::data::LoadOptions;
 use coseg::error::{Error, Result, ensure};
-use coseg::progress::Progress;
 use coseg::segmenter::{ClassFile, Contract, Job, Labelled, Network, label_scene};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Classes of each cell that scores keep.
-const BEST: usize = 5;
+pub const BEST: usize = 5;
 
 const HELP: &str = "\
 Runs a semantic segmenter in an ONNX file over all photos of a scene folder, train and test. Writes into a new folder
@@ -80,7 +79,6 @@ impl SegmenterArgs {
         model: &Path,
         best: usize,
         out: &Path,
-        progress: &mut dyn Progress,
     ) -> Result<Labelled> {
         if !model.is_file() {
             let help = "give the ONNX file of a semantic segmenter";
@@ -98,7 +96,7 @@ impl SegmenterArgs {
             best,
             out,
         };
-        label_scene(&job, progress)
+        label_scene(&job, &mut Bars::default())
     }
 
     /// Refuses options of a segmenter that is not there.
@@ -107,16 +105,6 @@ impl SegmenterArgs {
             argument "--contract, --classes"; found "no segmenter";
             expected "--segmenter FILE.onnx, which they are about"; help "name it, or leave them out");
         Ok(())
-    }
-
-    /// [`SegmenterArgs::label`] with the usual number of scores.
-    pub fn label_for_training(
-        &self,
-        scene: (&Path, &LoadOptions),
-        model: &Path,
-        out: &Path,
-    ) -> Result<Labelled> {
-        self.label(scene, model, BEST, out, &mut Bars::default())
     }
 }
 
@@ -128,9 +116,7 @@ impl LabelArgs {
         interrupt::watch();
         let scene = (self.data.as_path(), &options);
         let best = usize::from(self.best);
-        let done =
-            self.segmenter
-                .label(scene, &self.model, best, &self.out, &mut Bars::default())?;
+        let done = self.segmenter.label(scene, &self.model, best, &self.out)?;
         if done.stopped {
             terminal::note("stopped; the same command continues");
             return Ok(ExitCode::from(interrupt::EXIT));

@@ -1,11 +1,10 @@
 //! A labelled PLY scene with the names of its labels: what commands about objects work on.
 
-use super::scene_file::{
-    CLASSES, classes_beside, copy_cameras, has_extension, read_scene, scene_path,
-};
+use super::scene_file::{CLASSES, classes_beside, copy_cameras, read_scene, scene_path};
 use clap::Args;
 use coseg::data::{Classes, LoadOptions, atomic, check_output_file};
 use coseg::error::{Error, Result, bail, ensure, invalid};
+use coseg::files::extension;
 use coseg::objects::{Object, inventory};
 use coseg::splat::ply::PlyScene;
 use coseg::splat::{Gaussians, ply};
@@ -58,7 +57,7 @@ impl ObjectSceneArgs {
         if let Some(folder) = out.parent() {
             check_output_file("--out", out, (folder, &LoadOptions::default()))?;
         }
-        ensure!(has_extension(out, "ply"), argument "--out"; found "{}", out.display(); expected "a .ply file";
+        ensure!(extension(out) == "ply", argument "--out"; found "{}", out.display(); expected "a .ply file";
             help "end the name in .ply; other tools convert that to their formats");
         ensure!(!names.exists() || Classes::read(&names)? == *classes,
             &names, "classes"; found "another class table"; expected "that of the scene's labels, or no file";

@@ -44,17 +44,14 @@ impl Bars {
 
     /// A line about a point of the stage's curve.
     fn print(&self, point: &CurvePoint, seconds: f64) {
-        let &CurvePoint {
-            iteration,
-            loss,
-            gaussians,
-            ..
-        } = point;
-        let stage = self.stage;
-        let iterations = self.iterations;
-        let figures = figures(point);
         terminal::note(&format!(
-            "{stage} {iteration}/{iterations}  loss {loss:.4}  {figures}{gaussians} Gaussians  {seconds:.0} s"
+            "{} {}/{}  loss {:.4}  {}{} Gaussians  {seconds:.0} s",
+            self.stage,
+            point.iteration,
+            self.iterations,
+            point.loss,
+            figures(point),
+            point.gaussians
         ));
     }
 

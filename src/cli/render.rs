@@ -234,8 +234,7 @@ impl RenderArgs {
             Format::Npy => write_npy(&file("npy"), &[height, width, 3], &frame.rgb),
             Format::Png => {
                 let path = file("png");
-                let rgb = pictures::from_floats(&frame.rgb, width, height)?;
-                atomic::write_bytes(&path, &pictures::png(&rgb, &path)?)
+                pictures::write(&path, &pictures::from_floats(&frame.rgb, width, height)?)
             }
         }
     }
@@ -243,33 +242,25 @@ impl RenderArgs {
     fn write(&self, name: &str, frame: &Frame, classes: &Classes) -> Result<()> {
         let file = |kind: &str| self.out.join(format!("{name}.{kind}"));
         self.write_color(name, "rgb", frame)?;
-        let &Frame {
-            width,
-            height,
-            ref alpha,
-            ref labels,
-            ..
-        } = frame;
+        let &Frame { width, height, .. } = frame;
         match self.format {
-            Format::Npy => {
-                write_npy(&file("alpha.npy"), &[height, width], alpha)?;
-            }
+            Format::Npy => write_npy(&file("alpha.npy"), &[height, width], &frame.alpha)?,
             Format::Png => {
-                let ids = alpha
-                    .iter()
-                    .map(|a| (a.clamp(0.0, 1.0) * 255.0).round() as u16)
-                    .collect();
+                let byte = |a: &f32| (a.clamp(0.0, 1.0) * 255.0).round() as u16;
+                let ids = frame.alpha.iter().map(byte).collect();
                 LabelMap { width, height, ids }.write(&file("alpha.png"))?;
             }
         }
-        let Some(labels) = labels else { return Ok(()) };
+        let Some(labels) = &frame.labels else {
+            return Ok(());
+        };
         labels.write(&file("label.png"))?;
         if classes.is_empty() {
             return Ok(());
         }
         let path = file("label_color.png");
         let colored = pictures::with_legend(&pictures::colored(labels, classes), labels, classes);
-        atomic::write_bytes(&path, &pictures::png(&colored, &path)?)
+        pictures::write(&path, &colored)
     }
 }
 

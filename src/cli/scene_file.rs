@@ -3,6 +3,7 @@
 use coseg::config::Config;
 use coseg::data::{Classes, Limits, NamedCamera, Scene, View, atomic};
 use coseg::error::{Error, Result, ensure, invalid};
+use coseg::files::extension;
 use coseg::splat::ply;
 use coseg::splat::ply::PlyScene;
 use std::path::{Path, PathBuf};
@@ -43,7 +44,7 @@ pub fn scene_path(given: &Path) -> Result<PathBuf> {
     let files = std::fs::read_dir(given).into_iter().flatten().flatten();
     let plys = files
         .map(|entry| entry.path())
-        .filter(|path| has_extension(path, "ply"));
+        .filter(|path| extension(path) == "ply");
     let help = plys
         .min()
         .map_or(HELP.to_owned(), |other| format!("give {}", other.display()));
@@ -89,12 +90,6 @@ pub fn read_scene(path: &Path) -> Result<PlyScene> {
     ensure!(!scene.gaussians.is_empty(), path, "element vertex"; found "no Gaussian"; expected "one or more";
         help "name a scene that is not empty");
     Ok(scene)
-}
-
-/// Whether `path` ends in `.extension`, in small or in capital letters.
-pub fn has_extension(path: &Path, extension: &str) -> bool {
-    path.extension()
-        .is_some_and(|found| found.eq_ignore_ascii_case(extension))
 }
 
 /// What `--cameras` names, or else the cameras beside the scene `scene` or in its model folder of graphdeco's 3DGS.

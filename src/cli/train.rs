@@ -1,7 +1,7 @@
 //! `coseg train`: the main job.
 
 use super::held_out;
-use super::label::SegmenterArgs;
+use super::label::{BEST, SegmenterArgs};
 use super::progress::Bars;
 use super::run_folder::{IDENTITIES, REPORT, RunFolder};
 use super::scene_file::{CAMERAS, FEATURE_COLORS, SCENE, VIEWER, cameras_of, scene_path};
@@ -14,7 +14,7 @@ use coseg::data::formats::transforms;
 use coseg::data::{LoadOptions, Split, atomic};
 use coseg::error::{Result, bail};
 use coseg::pipeline;
-use coseg::pipeline::{HeldOutScores, Outcome, VariantOutcome};
+use coseg::pipeline::{Outcome, VariantOutcome};
 use coseg::report::{Command, Metrics, Report, held_out_views};
 use coseg::splat::ply;
 use coseg::viewer::Viewer;
@@ -150,7 +150,7 @@ impl TrainArgs {
         };
         let labels = run.path().join("labels");
         let scene = (dir.as_path(), &LoadOptions::from(&*config));
-        let done = self.labelling.label_for_training(scene, model, &labels)?;
+        let done = self.labelling.label(scene, model, BEST, &labels)?;
         let labels = labels.canonicalize().unwrap_or(labels);
         config.data.raw_labels = labels.display().to_string();
         Ok(done.stopped)
@@ -281,14 +281,8 @@ fn write_report(
 
 /// Name of the scene, for the run folder.
 fn scene_name(config: &Config) -> String {
-    let Some(dir) = &config.data.dir else {
-        return "builtin".to_owned();
-    };
-    let dir = dir.canonicalize().unwrap_or_else(|_| dir.to_owned());
-    let name = dir
-        .file_name()
-        .map(|name| name.to_string_lossy().into_owned());
-    name.unwrap_or_else(|| "scene".to_owned())
+    let dir = config.data.dir.as_deref();
+    dir.map_or("builtin".to_owned(), data::scene_name)
 }
 
 /// This command line, quoted where a shell would need it.
@@ -328,12 +322,8 @@ fn summary(outcome: &Outcome) {
         return;
     }
     let scored = |row: &VariantOutcome| {
-        let HeldOutScores {
-            labels,
-            instances,
-            semantic,
-        } = &row.scores;
-        labels.miou.is_some() || instances.is_some() || semantic.is_some()
+        let scores = &row.scores;
+        scores.labels.miou.is_some() || scores.instances.is_some() || scores.semantic.is_some()
     };
     if !outcome.rows.iter().any(scored) {
         let names: Vec<&str> = outcome.rows.iter().map(|row| row.variant.title()).collect();

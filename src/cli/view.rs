@@ -1,13 +1,14 @@
 //! `coseg view`: a scene as a page for the browser.
 
 use super::scene_file::{
-    SCENE, VIEWER, cameras_path, classes_beside, has_extension, rendering_beside, scene_path,
+    SCENE, VIEWER, cameras_path, classes_beside, rendering_beside, scene_path,
 };
 use super::terminal;
 use super::values::{alpha_max, numbers};
 use clap::Args;
 use coseg::data::{Limits, read_cameras};
 use coseg::error::{Result, ensure};
+use coseg::files::{extension, file_name};
 use coseg::splat::ply;
 use coseg::viewer::Viewer;
 use glam::DVec3;
@@ -61,7 +62,7 @@ impl ViewArgs {
             None if self.scene.is_dir() => self.scene.join(VIEWER),
             None => path.with_file_name(VIEWER),
         };
-        ensure!(has_extension(&out, "html"), argument "--out"; found "{}", out.display();
+        ensure!(extension(&out) == "html", argument "--out"; found "{}", out.display();
             expected "an .html file"; help "end the name in .html");
         let ply = ply::read(&path, &Limits::default())?;
         let names = self.classes.as_ref().map(|file| file.display().to_string());
@@ -97,13 +98,8 @@ fn parse_direction(text: &str) -> std::result::Result<DVec3, String> {
 
 /// The name of the folder for a scene.ply, of the file for others.
 fn title(scene: &Path) -> String {
-    let named = |path: &Path| Some(path.file_name()?.to_string_lossy().into_owned());
-    let folder = match named(scene).as_deref() {
-        Some(SCENE) => scene.parent().and_then(|folder| folder.canonicalize().ok()),
-        _ => None,
-    };
-    let title = folder.and_then(|folder| named(&folder));
-    title
-        .or_else(|| named(scene))
-        .unwrap_or_else(|| "scene".to_owned())
+    let name = file_name(scene).unwrap_or_else(|| "scene".to_owned());
+    let folder = scene.parent().and_then(|folder| folder.canonicalize().ok());
+    let folder = folder.filter(|_| name == SCENE);
+    folder.and_then(|folder| file_name(&folder)).unwrap_or(name)
 }

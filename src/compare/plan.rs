@@ -108,7 +108,7 @@ impl Plan {
         let file: PlanFile = files::toml(&text, path, form)?;
         let root = root.or(path.parent()).unwrap_or(Path::new("."));
         let scene = |given: &String| SceneFolder {
-            name: folder_name(given),
+            name: files::file_name(Path::new(given)).unwrap_or_default(),
             dir: (given != BUILTIN).then(|| root.join(given)),
         };
         let plan = Self {
@@ -240,13 +240,8 @@ impl Plan {
     fn check_size(&self) -> Result<()> {
         let path = &self.path;
         ensure!(self.seeds > 0, path, "seeds"; found "0"; expected "1 or more"; help "3 show a spread");
-        for LabelKind {
-            name,
-            labelled_photos,
-            ..
-        } in &self.labels
-        {
-            ensure!(*labelled_photos != Some(0), path, "labels {name:?}, labelled_photos"; found "0";
+        for kind in &self.labels {
+            ensure!(kind.labelled_photos != Some(0), path, "labels {:?}, labelled_photos", kind.name; found "0";
                 expected "1 or more"; help "leave it out to keep all");
         }
         let lists = [self.scenes.len(), self.labels.len(), self.rows.len()];
@@ -310,10 +305,4 @@ impl Plan {
             other => other,
         }
     }
-}
-
-/// The last part of a path.
-fn folder_name(path: &str) -> String {
-    let name = Path::new(path).file_name();
-    name.map_or(String::new(), |name| name.to_string_lossy().into_owned())
 }

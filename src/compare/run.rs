@@ -262,20 +262,19 @@ impl<'a> Comparison<'a> {
             return Ok(true);
         };
         let names: Vec<&str> = jobs.iter().map(|job| &*job.row.name).collect();
-        let CellId {
-            scene: name,
-            labels,
-            seed,
-            ..
-        } = &first.id;
+        let id = &first.id;
         watch.begins(&format!(
-            "{name}/{labels}/seed {seed}: {}",
+            "{}/{}/seed {}: {}",
+            id.scene,
+            id.labels,
+            id.seed,
             names.join(", ")
         ));
         let mut config = first.config.clone();
         config.segmentation.rows = Some(jobs.iter().map(|job| job.row.variant).collect());
-        let folder = self.options.out.join("runs").join(name).join(labels);
-        let folder = folder.join(format!("{} {seed}", first.row.name));
+        let folder = self.options.out.join("runs").join(&id.scene);
+        let folder = folder.join(&id.labels);
+        let folder = folder.join(format!("{} {}", first.row.name, id.seed));
         let outcome = pipeline::run_on(
             scene.clone(),
             &config,
@@ -293,7 +292,7 @@ impl<'a> Comparison<'a> {
                 .iter()
                 .find(|row| row.variant == job.row.variant);
             let Some(row) = row else {
-                bail!(&self.plan.path, "labels {labels:?}"; found "{name} without raw labels";
+                bail!(&self.plan.path, "labels {:?}", id.labels; found "{} without raw labels", id.scene;
                     expected "training photos with raw labels"; help "name them by data.raw_labels or data.transforms");
             };
             let cell = Cell {

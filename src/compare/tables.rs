@@ -4,7 +4,7 @@ use super::columns::{COLUMNS, Column, FIELD_COLUMNS, FRAMES, MIOU, SECONDS};
 use super::plots::{Bars, Points};
 use super::published;
 use super::statistics::mean;
-use super::{Cell, Plan, Statistic};
+use super::{Cell, CellId, Plan, Statistic};
 use crate::error::Result;
 use crate::files::atomic;
 use serde::Serialize;
@@ -15,7 +15,14 @@ use std::path::{Path, PathBuf};
 pub struct Tables<'a> {
     plan: &'a Plan,
     command: &'a str,
-    cells: BTreeMap<(&'a str, &'a str, &'a str, u64), &'a Cell>,
+    cells: BTreeMap<Key<'a>, &'a Cell>,
+}
+
+/// Scene, labels, row and seed of a cell.
+type Key<'a> = (&'a str, &'a str, &'a str, u64);
+
+fn key(id: &CellId) -> Key<'_> {
+    (&id.scene, &id.labels, &id.row, id.seed)
 }
 
 /// A line of a table, for programs.
@@ -31,14 +38,10 @@ struct Line<'a> {
 impl<'a> Tables<'a> {
     /// The tables of the finished `cells` of `plan`, for files that `command` writes.
     pub fn new(plan: &'a Plan, cells: &'a [Cell], command: &'a str) -> Self {
-        let key = |cell: &'a Cell| {
-            let id = &cell.id;
-            ((&*id.scene, &*id.labels, &*id.row, id.seed), cell)
-        };
         Self {
             plan,
             command,
-            cells: cells.iter().map(key).collect(),
+            cells: cells.iter().map(|cell| (key(&cell.id), cell)).collect(),
         }
     }
 
@@ -82,7 +85,7 @@ impl<'a> Tables<'a> {
 
     /// Finished cells of a line on `scenes`.
     fn finished(&self, labels: &str, row: &str, scenes: &[&str]) -> usize {
-        let is_one = |(scene, kind, line, _): &&(&str, &str, &str, u64)| {
+        let is_one = |(scene, kind, line, _): &&Key<'_>| {
             *kind == labels && *line == row && scenes.contains(scene)
         };
         self.cells.keys().filter(is_one).count()
@@ -123,11 +126,7 @@ impl<'a> Tables<'a> {
             }
         }
         let all = self.plan.cells();
-        let is_empty = |id: &&super::CellId| {
-            !self
-                .cells
-                .contains_key(&(&*id.scene, &*id.labels, &*id.row, id.seed))
-        };
+        let is_empty = |id: &&CellId| !self.cells.contains_key(&key(id));
         let empty = all.iter().filter(is_empty).map(ToString::to_string);
         serde_json::json!({
             "title": self.plan.title,
@@ -147,11 +146,9 @@ impl<'a> Tables<'a> {
         let mut text = format!("# {}\n", self.plan.title);
         for labels in &self.plan.labels {
             text += &format!("\n## Labels: {}\n\n", labels.name);
-            let columns: Vec<_> = self
-                .columns()
-                .into_iter()
-                .map(|column| (column.title, &scenes[..], column))
-                .collect();
+            let columns = self.columns().into_iter();
+            let columns = columns.map(|column| (column.title, &scenes[..], column));
+            let columns: Vec<_> = columns.collect();
             text += &self.table(&labels.name, &columns);
             if scenes.len() > 1 {
                 text += "\nmIoU by scene, %:\n\n";
@@ -223,15 +220,11 @@ impl<'a> Tables<'a> {
         } else {
             ""
         };
-        let commits: Vec<String> = self
-            .commits()
-            .into_iter()
-            .map(|(commit, cells)| format!("{commit} ({cells} cells)"))
-            .collect();
-        let commits = if commits.is_empty() {
-            "none".to_owned()
-        } else {
-            commits.join(", ")
+        let commits = self.commits().into_iter();
+        let commits = commits.map(|(commit, cells)| format!("{commit} ({cells} cells)"));
+        let commits = match &commits.collect::<Vec<_>>()[..] {
+            [] => "none".to_owned(),
+            some => some.join(", "),
         };
         format!(
             "\nFigures are means over scenes and seeds, of held-out views; all rows of a scene share the Gaussians of one stage \

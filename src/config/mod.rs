@@ -76,6 +76,22 @@ pub enum Preset {
     Fast,
 }
 
+/// Shows values of an enum by the names that serde gives them.
+macro_rules! display_as_serialized {
+    ($($type:ty),+) => {
+        $(
+            impl std::fmt::Display for $type {
+                fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                    serde::Serialize::serialize(self, f)
+                }
+            }
+        )+
+    };
+}
+pub(crate) use display_as_serialized;
+
+display_as_serialized!(Layout, Preset, Prior);
+
 impl Config {
     /// Checks that every value is in its range and that values that need each other are present.
     ///

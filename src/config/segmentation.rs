@@ -230,13 +230,8 @@ impl SegmentationConfig {
         if let Some(share) = self.vote_share {
             Range::Unit.check("segmentation.vote_share", share)?;
         }
-        let prior = match self.prior {
-            Prior::None => "none",
-            Prior::Votes => "votes",
-            Prior::Pooled => "pooled",
-        };
         ensure!(self.prior == Prior::None || self.blend != Blend::Logits,
-            setting "segmentation.prior"; found "{prior}"; expected "none where logits are blended";
+            setting "segmentation.prior"; found "{}", self.prior; expected "none where logits are blended";
             help "set segmentation.blend = \"probabilities\", or segmentation.prior = \"none\"");
         Ok(())
     }

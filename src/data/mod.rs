@@ -15,6 +15,7 @@ pub use self::diagnostics::check::{Checked, check};
 pub use self::diagnostics::info::{CameraBox, ClassShare, Info, Thumbnail, info, thumbnails};
 pub use self::formats::camera_file::read_cameras;
 pub use self::formats::layout::locate;
+pub use self::formats::listing::scene_name;
 pub use self::labels::label_runs::LabelRuns;
 pub use self::labels::map_geometry::MapGeometry;
 pub use self::labels::palette::class_color;
@@ -29,7 +30,9 @@ pub use crate::files::{Limits, atomic};
 use self::diagnostics::{notices, poses};
 use self::formats::listing;
 use self::mask::Mask;
-use crate::error::{Result, bail};
+use crate::config::display_as_serialized;
+use crate::error::{Result, bail, ensure};
+use crate::files::file_name;
 use crate::splat::camera::Camera;
 use glam::DVec3;
 use std::path::Path;
@@ -161,6 +164,14 @@ impl Scene {
         self.split(Split::Train).filter(|view| view.raw.is_some())
     }
 
+    /// Refuses a scene without training views.
+    pub(crate) fn expect_training_views(&self) -> Result<()> {
+        ensure!(self.split(Split::Train).next().is_some(),
+            argument "data"; found "{} without training views", self.name;
+            expected "a scene with training views"; help "mark some views as `train`");
+        Ok(())
+    }
+
     /// Views of one split, in file order.
     pub fn split(&self, split: Split) -> impl Iterator<Item = &View> {
         self.views.iter().filter(move |v| v.split == split)
@@ -177,14 +188,7 @@ pub enum Split {
     Test,
 }
 
-impl std::fmt::Display for Split {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Train => "train",
-            Self::Test => "test",
-        })
-    }
-}
+display_as_serialized!(Split);
 
 /// One posed photo with its labels.
 #[derive(Clone, Debug)]
@@ -225,11 +229,8 @@ pub struct Segment {
 impl View {
     /// The file name of the photo, or the name of the view where it lies in no file.
     pub fn file_name(&self) -> String {
-        let name = self.image.file().and_then(Path::file_name);
-        name.map_or_else(
-            || self.name.clone(),
-            |name| name.to_string_lossy().into_owned(),
-        )
+        let name = self.image.file().and_then(file_name);
+        name.unwrap_or_else(|| self.name.clone())
     }
 
     /// The photo as `[H, W, 3]` row-major sRGB in 0..1.

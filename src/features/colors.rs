@@ -1,7 +1,6 @@
 //! Colours of Gaussians by their image features.
 
 use super::{Moments, Pca, SCALES};
-use crate::data::atomic;
 use crate::error::{Result, ensure};
 use crate::weights::{HostTensor, WeightFile};
 use std::path::Path;
@@ -58,16 +57,11 @@ impl FeatureColors {
     /// # Errors
     /// [`crate::Error::Io`] when the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
-        let mut file = WeightFile {
-            origin: path.to_owned(),
-            ..WeightFile::default()
-        };
         let colors = HostTensor {
             shape: vec![self.rgb.len(), 3],
             values: self.rgb.as_flattened().to_vec(),
         };
-        file.insert(COLORS, colors);
-        atomic::write_bytes(path, &file.to_safetensors()?)
+        WeightFile::write_one(path, COLORS, colors)
     }
 
     /// Reads what [`FeatureColors::write`] wrote for a scene of `gaussians`.

@@ -50,6 +50,17 @@ pub(crate) fn names(dir: &Path, keep: impl Fn(&str, &Path) -> bool) -> Vec<Strin
     names
 }
 
+/// The last part of a path; `None` where it has none.
+pub fn file_name(path: &Path) -> Option<String> {
+    Some(path.file_name()?.to_string_lossy().into_owned())
+}
+
+/// The extension of a path in small letters; empty where it has none.
+pub fn extension(path: &Path) -> String {
+    let extension = path.extension().unwrap_or_default();
+    extension.to_string_lossy().to_lowercase()
+}
+
 /// Files by the number in their names.
 pub(crate) type Numbered = BTreeMap<usize, PathBuf>;
 
@@ -61,18 +72,11 @@ pub(crate) fn numbered(folder: &Path, prefix: &str, extensions: &[&str]) -> Resu
     let mut files = Numbered::new();
     for entry in std::fs::read_dir(folder).map_err(|e| Error::io(folder, "list", e))? {
         let path = entry.map_err(|e| Error::io(folder, "list", e))?.path();
-        let extension = path
-            .extension()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .to_lowercase();
         let stem = path.file_stem().and_then(|stem| stem.to_str());
-        let digits = stem
-            .and_then(|stem| stem.strip_prefix(prefix))
-            .filter(|digits| {
-                digits.bytes().all(|b| b.is_ascii_digit()) && extensions.contains(&&*extension)
-            });
-        let Some(number) = digits.and_then(|digits| digits.parse().ok()) else {
+        let digits = stem.and_then(|stem| stem.strip_prefix(prefix));
+        let is_number = |digits: &&str| digits.bytes().all(|b| b.is_ascii_digit());
+        let number = digits.filter(is_number).and_then(|d| d.parse().ok());
+        let Some(number) = number.filter(|_| extensions.contains(&&*extension(&path))) else {
             continue;
         };
         if let Some(other) = files.insert(number, path.clone()) {

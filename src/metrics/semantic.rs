@@ -1,7 +1,7 @@
 //! Scores of objects by what they are: mIoU over classes, and panoptic quality of things and stuff.
 
 use super::instances::{Pairs, PanopticQuality, Quality};
-use super::labels::{LabelScores, Void, label_scores};
+use super::labels::{Void, label_scores};
 use crate::data::Classes;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -89,23 +89,17 @@ pub fn semantic_scores<'a>(
         .iter()
         .zip(&found)
         .map(|(view, found)| (view.truth, &found[..]));
-    let LabelScores {
-        miou,
-        miou_per_view,
-        accuracy,
-        per_class,
-        ..
-    } = label_scores(classes, pairs, Void::Wrong);
+    let scores = label_scores(classes, pairs, Void::Wrong);
     let named = |(id, iou)| ClassIou {
         id,
         name: classes.name(id).to_owned(),
         iou,
     };
     SemanticScores {
-        miou,
-        miou_per_view,
-        accuracy,
-        per_class: per_class.into_iter().map(named).collect(),
+        miou: scores.miou,
+        miou_per_view: scores.miou_per_view,
+        accuracy: scores.accuracy,
+        per_class: scores.per_class.into_iter().map(named).collect(),
         panoptic: panoptic(classes, stuff, &class_of, &views),
     }
 }

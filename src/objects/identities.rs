@@ -1,7 +1,7 @@
 //! Segmentation identities stored on the Gaussians (`s_i` of Eq. 3).
 
 use super::largest::first_largest;
-use crate::data::{Classes, atomic};
+use crate::data::Classes;
 use crate::error::{Result, invalid};
 use crate::weights::{HostTensor, WeightFile};
 use std::path::Path;
@@ -61,12 +61,7 @@ impl Identities {
             shape: vec![self.scores.len() / self.classes.max(1), self.classes],
             values: self.scores.clone(),
         };
-        let mut file = WeightFile {
-            origin: path.to_owned(),
-            ..WeightFile::default()
-        };
-        file.insert(SCORES, scores);
-        atomic::write_bytes(path, &file.to_safetensors()?)
+        WeightFile::write_one(path, SCORES, scores)
     }
 
     /// Reads what [`Identities::write`] wrote.

@@ -31,15 +31,9 @@ pub(crate) fn load_initial_scene(
     ensure!(!atomic::same_file(path, scene_file), setting "building.gaussians"; found "{}", path.display();
         expected "another file than the run's own scene.ply, which is written over";
         help "let the run write into another folder");
-    if scene.split(Split::Train).next().is_none() {
-        bail!(argument "data"; found "{} without training views", scene.name;
-            expected "a scene with training views"; help "mark some views as `train`");
-    }
-    let ply::PlyScene {
-        mut gaussians,
-        origin,
-        ..
-    } = ply::read(path, &Limits::default())?;
+    scene.expect_training_views()?;
+    let ply = ply::read(path, &Limits::default())?;
+    let mut gaussians = ply.gaussians;
     ensure!(!gaussians.is_empty(), path, "element vertex"; found "no Gaussian"; expected "one or more";
         help "name a scene that holds something");
     let most = config.building.max_gaussians;
@@ -48,7 +42,7 @@ pub(crate) fn load_initial_scene(
             expected "{} or more, as building.gaussians has, or 0 for no limit", gaussians.len();
             help "raise it");
     }
-    let shift = origin - scene.origin;
+    let shift = ply.origin - scene.origin;
     for mean in &mut gaussians.means {
         *mean = (glam::Vec3::from(*mean).as_dvec3() + shift)
             .as_vec3()

@@ -137,18 +137,14 @@ pub struct PositionNoise {
 impl PositionNoise {
     /// The means of `splats` with noise, `[N, 3]`. The bits depend on the device, but not on the number of threads.
     pub fn apply(&self, splats: &SplatTensors, rng: &mut ChaCha8Rng) -> Tensor<2> {
-        let SplatTensors {
-            means,
-            log_scales,
-            rotations,
-            opacity_logits,
-        } = splats.clone();
-        let n = means.dims()[0];
+        let means = splats.means.clone();
+        let rotations = splats.rotations.clone();
+        let n = splats.len();
         if n == 0 {
             return means;
         }
         let noise = normals([n, 3], rng, &means.device());
-        let opacity = activation::sigmoid(opacity_logits).reshape([n, 1]);
+        let opacity = activation::sigmoid(splats.opacity_logits.clone()).reshape([n, 1]);
         let gate = activation::sigmoid((opacity - self.opacity) * -self.sharpness);
         let squared = (rotations.clone() * rotations.clone()).sum_dim(1);
         let no_rotation = squared.clone().lower_elem(ZERO_QUATERNION);
@@ -161,7 +157,7 @@ impl PositionNoise {
             x + (across.clone() * real + imaginary.clone().cross(across, 1)) * 2.0
         };
         // Sigma eta = R diag(variance) R^T eta
-        let variance = (log_scales * 2.0).exp();
+        let variance = (splats.log_scales.clone() * 2.0).exp();
         let local = rotate(noise, real.clone().neg()) * variance;
         means + rotate(local, real) * gate * self.scale
     }

@@ -230,19 +230,12 @@ impl Parameters {
 
     /// Makes the rows those of `densification`.
     pub fn rearrange(&mut self, densification: Densification) {
-        let Densification {
-            rows,
-            is_new,
-            means,
-            log_scales,
-            opacity_logits,
-            ..
-        } = densification;
         let device = self.state[MEANS].param.device();
-        let count = rows.len();
-        let rows = rows.into_iter().map(|row| row as i32).collect::<Vec<_>>();
+        let count = densification.rows.len();
+        let rows: Vec<i32> = densification.rows.iter().map(|&row| row as i32).collect();
         let rows = Tensor::<1, Int>::from_data(TensorData::new(rows, [count]), &device);
-        let is_new = Tensor::<2, Bool>::from_data(TensorData::new(is_new, [count, 1]), &device);
+        let is_new = TensorData::new(densification.is_new, [count, 1]);
+        let is_new = Tensor::<2, Bool>::from_data(is_new, &device);
         for state in &mut self.state {
             let shape = [count, state.param.dims()[1]];
             state.param = state.param.clone().select(0, rows.clone());
@@ -252,9 +245,9 @@ impl Parameters {
             }
         }
         let given = [
-            (MEANS, means.into_flattened()),
-            (LOG_SCALES, log_scales.into_flattened()),
-            (OPACITY, opacity_logits),
+            (MEANS, densification.means.into_flattened()),
+            (LOG_SCALES, densification.log_scales.into_flattened()),
+            (OPACITY, densification.opacity_logits),
         ];
         for (k, values) in given {
             let param = &mut self.state[k].param;
@@ -267,16 +260,12 @@ impl Parameters {
     /// # Errors
     /// [`Error::Device`] when the device does not return the opacities.
     pub fn reset_opacity(&mut self) -> Result<()> {
-        let AdamTensors {
-            param,
-            first,
-            second,
-        } = &mut self.state[OPACITY];
-        let mut logits = read(NAMES[OPACITY], param.clone())?;
+        let state = &mut self.state[OPACITY];
+        let mut logits = read(NAMES[OPACITY], state.param.clone())?;
         reset_opacity(&mut logits);
-        *param = upload(logits, param.dims(), &param.device());
-        *first = first.zeros_like();
-        *second = second.zeros_like();
+        state.param = upload(logits, state.param.dims(), &state.param.device());
+        state.first = state.first.zeros_like();
+        state.second = state.second.zeros_like();
         Ok(())
     }
 

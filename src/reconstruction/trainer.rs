@@ -5,7 +5,6 @@ use super::initialization::initial_gaussians;
 use super::optimizer::Parameters;
 use super::schedule::{Schedule, center, extent};
 use super::state::TrainerState;
-use super::step::Pass;
 use super::targets::Targets;
 use crate::backend::device::read;
 use crate::config::Config;
@@ -184,30 +183,21 @@ impl<'a> Trainer<'a> {
         let iteration = self.iteration + 1;
         let index = self.schedule.view(self.config.seed, iteration);
         let view = self.train[index];
-        let context = format!(", view {}, iteration {iteration}", view.name);
-        let locate = |error| match error {
-            Error::NonFinite { tensor, row, .. } => Error::NonFinite {
-                tensor,
-                row,
-                context: context.clone(),
-            },
-            other => other,
+        let locate = |mut error| {
+            if let Error::NonFinite { context, .. } = &mut error {
+                *context = format!(", view {}, iteration {iteration}", view.name);
+            }
+            error
         };
         let pass = self.pass(index, view, iteration).map_err(locate)?;
-        let Pass {
-            gradients,
-            screen,
-            radii,
-            loss,
-        } = pass;
-        if let Some(gradient) = screen {
-            self.statistics.record(gradient, radii);
+        if let Some(gradient) = pass.screen {
+            self.statistics.record(gradient, pass.radii);
         }
         self.parameters
-            .step(gradients, &self.rates(iteration), iteration as u32);
+            .step(pass.gradients, &self.rates(iteration), iteration as u32);
         self.add_noise(iteration);
         self.iteration = iteration;
-        self.losses.0 += loss;
+        self.losses.0 += pass.loss;
         self.losses.1 += 1;
         let densified = if self.schedule.densifies(iteration) {
             Some(self.densify()?)
@@ -224,7 +214,7 @@ impl<'a> Trainer<'a> {
         Ok(StepReport {
             iteration,
             view,
-            loss,
+            loss: pass.loss,
             gaussians,
             densified,
             reset,
@@ -337,14 +327,8 @@ impl<'a> Trainer<'a> {
 
 /// Checks that there are training views, and that photos and masks have the sizes of their cameras.
 fn check_scene(scene: &Scene) -> Result<()> {
-    if scene.split(Split::Train).next().is_none() {
-        bail!(argument "data"; found "{} without training views", scene.name;
-            expected "a scene with training views"; help "mark some views as `train`");
-    }
-    for view in [Split::Train, Split::Test]
-        .into_iter()
-        .flat_map(|split| scene.split(split))
-    {
+    scene.expect_training_views()?;
+    for view in scene.split(Split::Train).chain(scene.split(Split::Test)) {
         let (width, height) = (view.image.width(), view.image.height());
         if (width, height) != (view.camera.width, view.camera.height) {
             let camera = &view.camera;

@@ -157,12 +157,8 @@ impl Report<'_> {
             note("No held-out view has true labels: no row of labels is scored.".to_owned());
         }
         let views = scene.views.len();
-        match scene
-            .views
-            .iter()
-            .filter(|view| view.mask.is_some())
-            .count()
-        {
+        let masked = scene.views.iter().filter(|view| view.mask.is_some());
+        match masked.count() {
             0 => {}
             masked => note(format!(
                 "Masks leave pixels of {masked} of {views} photos out of training and of all scores."

@@ -66,10 +66,7 @@ impl HeldOutView<'_> {
         let file = |kind: &str| dir.join(format!("{stem}.{kind}.png"));
         let camera = &self.view.camera;
         let rgb = pictures::from_floats(&self.rgb, camera.width, camera.height)?;
-        let save = |kind: &str, image: &image::RgbImage| {
-            let path = file(kind);
-            atomic::write_bytes(&path, &pictures::png(image, &path)?)
-        };
+        let save = |kind: &str, image: &image::RgbImage| pictures::write(&file(kind), image);
         save("rgb", &rgb)?;
         save("rgb_error", &self.color_error(&rgb)?)?;
         let Some((_, labels)) = self.stored() else {

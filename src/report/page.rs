@@ -70,11 +70,7 @@ fn lead(report: &Report<'_>) -> String {
         0 => "no labels".to_owned(),
         n => format!("{n} classes"),
     };
-    let preset = match report.config.preset {
-        crate::config::Preset::Default => "default",
-        crate::config::Preset::Paper => "paper",
-        crate::config::Preset::Fast => "fast",
-    };
+    let preset = report.config.preset;
     let gaussians = thousands(report.metrics.gaussians as u64);
     format!("{gaussians} Gaussians, {labels}, {views}, preset {preset}.")
 }

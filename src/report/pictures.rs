@@ -2,6 +2,7 @@
 
 use crate::data::{Classes, LabelMap, class_color};
 use crate::error::{Error, Result, invalid};
+use crate::files::atomic;
 use font8x8::legacy::BASIC_LEGACY;
 use image::{Rgb, RgbImage};
 use std::io::Cursor;
@@ -62,17 +63,9 @@ pub fn label_error(labels: &LabelMap, truth: &LabelMap, ignore: u16) -> RgbImage
 
 /// Share of labelled pixels with the right label; `None` when the truth has no labelled pixel.
 pub fn accuracy(labels: &LabelMap, truth: &LabelMap, ignore: u16) -> Option<f64> {
-    let mut right = 0_usize;
-    let mut all = 0_usize;
-    for (id, t) in labels
-        .ids
-        .iter()
-        .zip(&truth.ids)
-        .filter(|(_, t)| **t != ignore)
-    {
-        all += 1;
-        right += usize::from(id == t);
-    }
+    let pairs = || labels.ids.iter().zip(&truth.ids);
+    let all = pairs().filter(|(_, t)| **t != ignore).count();
+    let right = pairs().filter(|(id, t)| id == t && **t != ignore).count();
     (all > 0).then(|| right as f64 / all as f64)
 }
 
@@ -129,11 +122,8 @@ pub fn with_legend(picture: &RgbImage, labels: &LabelMap, classes: &Classes) -> 
     let gap = 4 * scale;
     let line = 15 * scale;
     let cell = |text: &str| swatch + gap + GLYPH * scale * text.chars().count() + 3 * gap;
-    let widest = entries
-        .iter()
-        .map(|(_, text)| cell(text))
-        .max()
-        .unwrap_or(0);
+    let widest = entries.iter().map(|(_, text)| cell(text)).max();
+    let widest = widest.unwrap_or(0);
     let columns = (picture.width() as usize / widest.max(1)).max(1);
     let rows = entries.len().div_ceil(columns);
     let strip = if rows == 0 { 0 } else { rows * line + 2 * gap };
@@ -178,6 +168,14 @@ pub(super) fn draw_text(image: &mut RgbImage, (x, y): (usize, usize), scale: usi
             }
         }
     }
+}
+
+/// Writes an RGB image as PNG, atomically.
+///
+/// # Errors
+/// [`Error::Io`] naming `path`.
+pub fn write(path: &Path, image: &RgbImage) -> Result<()> {
+    atomic::write_bytes(path, &png(image, path)?)
 }
 
 /// An RGB image as PNG bytes.

@@ -16,11 +16,8 @@ const CAPTION: usize = GLYPH + 5;
 /// classes at the end. Where raw labels are segments, each has a colour of its own.
 pub fn contact_sheet(tiles: &[Thumbnail], classes: &Classes) -> RgbImage {
     let side = |of: fn(&RgbImage) -> u32| {
-        tiles
-            .iter()
-            .map(|tile| of(&tile.photo) as usize)
-            .max()
-            .unwrap_or(1)
+        let sides = tiles.iter().map(|tile| of(&tile.photo) as usize);
+        sides.max().unwrap_or(1)
     };
     let (width, height) = (side(RgbImage::width), side(RgbImage::height));
     let has = |of: fn(&Thumbnail) -> &Option<LabelMap>| tiles.iter().any(|tile| of(tile).is_some());
@@ -32,46 +29,30 @@ pub fn contact_sheet(tiles: &[Thumbnail], classes: &Classes) -> RgbImage {
     let size = [columns * cell[0] + GAP, rows * cell[1] + GAP].map(|v| v as u32);
     let mut sheet = RgbImage::from_pixel(size[0], size[1], Rgb([250, 250, 248]));
     for (i, tile) in tiles.iter().enumerate() {
-        let split = if tile.split == Split::Test {
-            "test "
-        } else {
-            ""
+        let name = match tile.split {
+            Split::Train => tile.name.clone(),
+            Split::Test => format!("test {}", tile.name),
         };
         let raw = tile.raw.as_ref().map(|raw| {
             if tile.are_segments {
-                colored_segments(raw)
+                ("segments", colored_segments(raw))
             } else {
-                colored(raw, classes)
+                ("raw labels", colored(raw, classes))
             }
         });
-        let truth = tile.truth.as_ref().map(|truth| colored(truth, classes));
-        let pictures = [
-            (
-                true,
-                Some(tile.photo.clone()),
-                format!("{split}{}", tile.name),
-            ),
-            (
-                has_raw,
-                raw,
-                if tile.are_segments {
-                    "segments"
-                } else {
-                    "raw labels"
-                }
-                .to_owned(),
-            ),
-            (has_truth, truth, "true labels".to_owned()),
-        ];
-        let mut x = GAP + i % columns * cell[0];
+        let truth = tile.truth.as_ref();
+        let truth = truth.map(|truth| ("true labels", colored(truth, classes)));
+        let photo = Some((&*name, tile.photo.clone()));
+        let parts = [(true, photo), (has_raw, raw), (has_truth, truth)];
+        let shown = parts.into_iter().filter(|(shown, _)| *shown);
         let y = GAP + i / columns * cell[1];
-        for (_, picture, caption) in pictures.into_iter().filter(|(shown, ..)| *shown) {
-            if let Some(picture) = picture {
+        for (part, (_, picture)) in shown.enumerate() {
+            let x = GAP + i % columns * cell[0] + part * width;
+            if let Some((caption, picture)) = picture {
                 replace(&mut sheet, &picture, x as i64, y as i64);
                 let caption: String = caption.chars().take(width / GLYPH).collect();
                 draw_text(&mut sheet, (x, y + height + 3), 1, &caption);
             }
-            x += width;
         }
     }
     with_legend(&sheet, &shown(tiles), classes)

@@ -1,6 +1,7 @@
 //! The contract of a segmenter: how a photo becomes its input, and what its output says about the photo.
 
 use crate::data::ScoreGrid;
+use crate::data::labels::classes::plain;
 use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files;
 use image::RgbImage;
@@ -329,11 +330,6 @@ impl Contract {
             offset: [0, 1].map(offset),
         }
     }
-}
-
-/// A name for comparison.
-pub(super) fn plain(name: &str) -> String {
-    name.trim().to_lowercase().replace(['-', '_'], " ")
 }
 
 /// `names`, those nearest to `name` first.

@@ -4,7 +4,7 @@ use super::contract::{Contract, nearest_first};
 use crate::error::{Error, Result, bail, ensure, invalid};
 use std::collections::HashSet;
 use std::path::Path;
-use tract_onnx::pb::{GraphProto, ModelProto, TensorProto, ValueInfoProto};
+use tract_onnx::pb::{GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto};
 use tract_onnx::pb::{tensor_proto, tensor_shape_proto, type_proto};
 use tract_onnx::prelude::Framework;
 
@@ -36,14 +36,11 @@ pub(super) fn read(
     tensor: Option<&str>,
 ) -> Result<(ModelProto, String)> {
     let mut proto = decode(file, bytes)?;
-    let graph = proto
-        .graph
-        .as_mut()
-        .ok_or_else(|| not_onnx(file, "a file without a graph"))?;
-    graph
-        .initializer
-        .iter()
-        .try_for_each(|weights| check_weights(file, weights))?;
+    let graph = proto.graph.as_mut();
+    let graph = graph.ok_or_else(|| not_onnx(file, "a file without a graph"))?;
+    for weights in &graph.initializer {
+        check_weights(file, weights)?;
+    }
     check_operators(file, graph)?;
     check_input(file, graph, contract)?;
     tensor.map_or(Ok(()), |tensor| expose(file, graph, tensor))?;
@@ -58,11 +55,9 @@ fn decode(file: &Path, bytes: &[u8]) -> Result<ModelProto> {
     }
     let proto = tract_onnx::onnx().proto_model_for_read(&mut &*bytes);
     proto.map_err(|e| {
-        let found = format!(
-            "{} bytes that are damaged or cut off ({})",
-            bytes.len(),
-            one_line(&format!("{e:#}"))
-        );
+        let count = bytes.len();
+        let cause = one_line(&format!("{e:#}"));
+        let found = format!("{count} bytes that are damaged or cut off ({cause})");
         not_onnx(file, &found)
     })
 }
@@ -115,42 +110,25 @@ fn value_bytes(kind: i32) -> Option<u128> {
 
 fn check_operators(file: &Path, graph: &GraphProto) -> Result<()> {
     let known = tract_onnx::onnx().op_register.0;
-    let unknown = graph
-        .node
-        .iter()
-        .find(|node| !known.contains_key(&node.op_type));
-    unknown.map_or(Ok(()), |node| {
-        Err(
-            invalid!(file, "operator {:?}", node.name; found "{:?}", node.op_type; expected "an operator that tract implements";
-            help "export the network with other operators or another opset"),
-        )
-    })
+    let is_unknown = |node: &&NodeProto| !known.contains_key(&node.op_type);
+    if let Some(node) = graph.node.iter().find(is_unknown) {
+        bail!(file, "operator {:?}", node.name; found "{:?}", node.op_type; expected "an operator that tract implements";
+            help "export the network with other operators or another opset");
+    }
+    Ok(())
 }
 
 /// Refuses a network whose inputs are not the one of the contract.
 fn check_input(file: &Path, graph: &GraphProto, contract: &Contract) -> Result<()> {
-    let weights: HashSet<&str> = graph
-        .initializer
-        .iter()
-        .map(|weights| weights.name.as_str())
-        .collect();
-    let inputs: Vec<&ValueInfoProto> = graph
-        .input
-        .iter()
-        .filter(|input| !weights.contains(input.name.as_str()))
-        .collect();
-    let named = |input: &ValueInfoProto| {
-        contract
-            .input
-            .tensor
-            .as_ref()
-            .is_none_or(|name| *name == input.name)
-    };
+    let weights = graph.initializer.iter();
+    let weights: HashSet<&str> = weights.map(|weights| &*weights.name).collect();
+    let is_input = |input: &&ValueInfoProto| !weights.contains(&*input.name);
+    let inputs: Vec<&ValueInfoProto> = graph.input.iter().filter(is_input).collect();
     let [input] = inputs[..] else {
         bail!(file, "inputs"; found "{}", described(&inputs); expected "one input"; help "{UNFIT_HELP}");
     };
-    if !named(input) {
-        let expected = contract.input.tensor.as_deref().unwrap_or_default();
+    let named = contract.input.tensor.as_ref();
+    if let Some(expected) = named.filter(|name| **name != input.name) {
         bail!(file, "inputs"; found "{}", described(&inputs);
             expected "{expected:?}, as {} says", contract.file.display(); help "{UNFIT_HELP}");
     }
@@ -193,15 +171,13 @@ fn choose_output(file: &Path, graph: &mut GraphProto, name: Option<&str>) -> Res
 
 /// Names and shapes of inputs or outputs.
 fn described(all: &[&ValueInfoProto]) -> String {
+    if all.is_empty() {
+        return "none".to_owned();
+    }
     let each = all
         .iter()
         .map(|one| format!("{} {}", one.name, shape_text(shape(one).as_deref())));
-    let text = each.collect::<Vec<_>>().join(", ");
-    if text.is_empty() {
-        "none".to_owned()
-    } else {
-        text
-    }
+    each.collect::<Vec<_>>().join(", ")
 }
 
 /// The declared dimensions; `None` for those that are open.
@@ -217,21 +193,15 @@ fn shape(value: &ValueInfoProto) -> Option<Vec<Option<i64>>> {
 fn shape_text(shape: Option<&[Option<i64>]>) -> String {
     let side = |side: &Option<i64>| side.map_or("?".to_owned(), |side| side.to_string());
     shape.map_or("of open shape".to_owned(), |shape| {
-        format!(
-            "[{}]",
-            shape.iter().map(side).collect::<Vec<_>>().join(", ")
-        )
+        let sides: Vec<String> = shape.iter().map(side).collect();
+        format!("[{}]", sides.join(", "))
     })
 }
 
 /// Makes a tensor within the graph one of its outputs.
 fn expose(file: &Path, graph: &mut GraphProto, tensor: &str) -> Result<()> {
-    let made: Vec<&str> = graph
-        .node
-        .iter()
-        .flat_map(|node| &node.output)
-        .map(String::as_str)
-        .collect();
+    let made = graph.node.iter().flat_map(|node| &node.output);
+    let made: Vec<&str> = made.map(String::as_str).collect();
     if !made.contains(&tensor) {
         let nearest = nearest_first(tensor, made.into_iter());
         let nearest = nearest[..nearest.len().min(MAX_LISTED)].join(", ");

@@ -1,7 +1,7 @@
 //! `label.json` in a folder of labels: which files `coseg label` wrote there, and what from.
 
 use crate::data::atomic;
-use crate::error::{Result, bail, invalid};
+use crate::error::{Result, bail};
 use crate::files;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -64,20 +64,15 @@ impl Index {
 
     /// Notes what the labels are made from.
     pub fn made_from(&mut self, parts: &[(&str, String)]) {
-        let parts = parts
-            .iter()
-            .map(|(name, text)| ((*name).to_owned(), text.clone()));
-        self.content.made_from = parts.collect();
+        let owned = |(name, text): &(&str, String)| ((*name).to_owned(), text.clone());
+        self.content.made_from = parts.iter().map(owned).collect();
     }
 
     /// Whether the labels of a photo are there and follow from what has the digest `key`.
     pub fn is_current(&self, view: &str, key: &str, names: &[String]) -> bool {
-        let is_same = self
-            .content
-            .photos
-            .get(view)
-            .is_some_and(|entry| entry.key == key);
-        is_same && names.iter().all(|name| self.is_ours(name).unwrap_or(false))
+        let entry = self.content.photos.get(view);
+        entry.is_some_and(|entry| entry.key == key)
+            && names.iter().all(|name| self.is_ours(name).unwrap_or(false))
     }
 
     /// Whether the file is there as it was written; `None` where it is not there.
@@ -96,10 +91,8 @@ impl Index {
         } else {
             "a file of somebody else"
         };
-        Err(
-            invalid!(self.folder.join(name), "content"; found "{found}"; expected "a file as `coseg label` wrote it";
-            help "move it away, or name another folder"),
-        )
+        bail!(self.folder.join(name), "content"; found "{found}"; expected "a file as `coseg label` wrote it";
+            help "move it away, or name another folder");
     }
 
     /// Writes files with `bytes`, after an index that names them: a run that is cut off knows its own files.

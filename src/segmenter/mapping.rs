@@ -1,7 +1,8 @@
 //! From the network's classes to those of the labels.
 
-use super::contract::{Contract, nearest_first, plain};
+use super::contract::{Contract, nearest_first};
 use crate::data::Classes;
+use crate::data::labels::classes::plain;
 use crate::error::{Result, bail, ensure, invalid};
 use crate::files;
 use serde::Deserialize;
@@ -109,14 +110,8 @@ impl Mapping {
                 help "list names of the network's classes");
         }
         mapping.classes = if scene.is_empty() {
-            Classes::from_names(
-                UNLABELLED,
-                mapping
-                    .ids
-                    .iter()
-                    .copied()
-                    .zip(user.classes.keys().cloned()),
-            )
+            let ids = mapping.ids.iter().copied();
+            Classes::from_names(UNLABELLED, ids.zip(user.classes.keys().cloned()))
         } else {
             let mut classes = scene.clone();
             classes
@@ -135,11 +130,7 @@ impl Mapping {
 
 /// The id of the class `name` of the scene.
 fn scene_class(user: &ClassFile, name: &str, scene: &Classes) -> Result<u16> {
-    let class = scene
-        .entries
-        .iter()
-        .find(|class| plain(&class.name) == plain(name));
-    class.map(|class| class.id).ok_or_else(|| {
+    scene.id_of(name).ok_or_else(|| {
         let names = scene.entries.iter().map(|class| class.name.as_str());
         invalid!(&user.file, "classes"; found "{name:?}";
             expected "on the left a class of the scene: {}", nearest_first(name, names).join(", ");

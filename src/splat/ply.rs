@@ -5,7 +5,7 @@
 //! and `splat-transform` can filter on it.
 
 use super::Gaussians;
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail, invalid};
 use crate::files::ply::{self, PlyFile};
 use crate::files::{Limits, atomic};
 use glam::DVec3;
@@ -103,7 +103,7 @@ pub fn write(
 ///
 /// # Errors
 /// [`crate::Error::Input`] naming file, row and column: missing columns, cut-off files, non-finite values, labels that are not
-/// u16; [`crate::Error::Io`].
+/// u16; naming the origin where positions relative to it are not finite in f32; [`crate::Error::Io`].
 pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
     let file = PlyFile::open(path, "vertex", limits)?;
     expect_gaussians(&file)?;
@@ -163,10 +163,16 @@ pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
     })?;
     scene.gaussians.sh_degree = sh_degree;
     scene.origin = recorded.unwrap_or_else(|| origin_of(&positions));
-    scene.gaussians.means = positions
-        .iter()
-        .map(|&p| (p - scene.origin).as_vec3().to_array())
-        .collect();
+    for &position in &positions {
+        let mean = (position - scene.origin).as_vec3();
+        if !mean.is_finite() {
+            let field = recorded.map_or("columns x y z", |_| "comment coseg origin");
+            bail!(path, "{field}"; found "a position {position} about the origin {}", scene.origin;
+                expected "positions that are finite numbers (f32) relative to the origin";
+                help "export the scene again, or remove Gaussians that lie far from all others");
+        }
+        scene.gaussians.means.push(mean.to_array());
+    }
     Ok(scene)
 }
 

@@ -146,6 +146,7 @@ impl Viewer<'_> {
             }
         }
         let columns = packing::columns(self.gaussians, &places);
+        let parts: String = columns.chunks(PART_BYTES).map(part).collect();
         let header = json(&self.header(&all[0], &objects, columns.len()))?;
         let shaders = json(&serde_json::json!({
             "splatVertex": include_str!("page/splat.vert"),
@@ -158,10 +159,7 @@ impl Viewer<'_> {
             ("style", include_str!("page/viewer.css")),
             ("header", &header),
             ("shaders", &shaders),
-            (
-                "columns",
-                &columns.chunks(PART_BYTES).map(part).collect::<String>(),
-            ),
+            ("columns", &parts),
             ("script", &SCRIPT.concat()),
         ]))
     }
@@ -179,11 +177,8 @@ impl Viewer<'_> {
             low: object.low,
             high: object.high,
         };
-        let cameras: Vec<Camera> = self
-            .cameras
-            .iter()
-            .map(|named| named.camera.moved(-self.origin))
-            .collect();
+        let moved = |named: &NamedCamera| named.camera.moved(-self.origin);
+        let cameras: Vec<Camera> = self.cameras.iter().map(moved).collect();
         let up = match self.up.and_then(DVec3::try_normalize) {
             Some(up) => up,
             None if cameras.is_empty() => DVec3::NEG_Y,
@@ -216,14 +211,8 @@ impl Viewer<'_> {
     fn without_cameras(&self, all: &Object, up: DVec3) -> Camera {
         let longest = |scales: &[f32; 3]| scales.iter().copied().fold(f32::MIN, f32::max).exp();
         // One Gaussian has no box.
-        let least = 8.0
-            * self
-                .gaussians
-                .log_scales
-                .iter()
-                .map(longest)
-                .fold(0.0, f32::max)
-                .min(1.0);
+        let scales = self.gaussians.log_scales.iter().map(longest);
+        let least = 8.0 * scales.fold(0.0, f32::max).min(1.0);
         let distance = (1.2 * all.low.distance(all.high)).max(f64::from(least));
         // Along z, as COLMAP's first cameras look, but level.
         let ahead = DVec3::Z
@@ -237,12 +226,7 @@ impl Viewer<'_> {
         Camera {
             rotation,
             center,
-            fx: 480.0,
-            fy: 480.0,
-            cx: 320.0,
-            cy: 240.0,
-            width: 640,
-            height: 480,
+            ..Camera::centred([480.0; 2], [640, 480])
         }
     }
 }
@@ -286,12 +270,8 @@ fn filled(parts: &[(&str, &str)]) -> String {
     out.push_str(pieces.next().unwrap_or_default());
     for piece in pieces {
         let (name, after) = piece.split_once("}}").unwrap_or((piece, ""));
-        out.push_str(
-            parts
-                .iter()
-                .find(|(part, _)| *part == name)
-                .map_or("", |(_, text)| text),
-        );
+        let part = parts.iter().find(|(part, _)| *part == name);
+        out.push_str(part.map_or("", |(_, text)| text));
         out.push_str(after);
     }
     out

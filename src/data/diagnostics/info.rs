@@ -1,6 +1,7 @@
 //! The contents of a scene folder as figures and thumbnails. Only a few images are in memory at once.
 
 use super::notices;
+use crate::config::Layout;
 use crate::data::formats::frame::Frame;
 use crate::data::formats::frame_labels::FrameLabels;
 use crate::data::formats::listing::{Listing, Problems, in_order, scene_name};
@@ -23,7 +24,7 @@ pub struct Info {
     /// Name of the folder.
     pub name: String,
     /// How it is laid out.
-    pub layout: &'static str,
+    pub layout: Layout,
     /// Training views.
     pub train: usize,
     /// Held-out views.
@@ -122,7 +123,7 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
     let count = |of: fn(&&Frame) -> bool| listing.frames.iter().filter(of).count();
     Ok(Info {
         name: scene_name(dir),
-        layout: listing.layout.name(),
+        layout: listing.layout,
         train: count(|frame| frame.split == Split::Train),
         test: count(|frame| frame.split == Split::Test),
         sizes,
@@ -144,12 +145,9 @@ fn class_shares(listing: &Listing, frames: &[FrameInfo]) -> Vec<ClassShare> {
     let sum = |of: fn(&FrameInfo) -> &BTreeMap<u16, u64>, id: u16| -> u64 {
         frames.iter().filter_map(|frame| of(frame).get(&id)).sum()
     };
-    let total = |of: fn(&FrameInfo) -> &BTreeMap<u16, u64>| -> f64 {
-        frames
-            .iter()
-            .flat_map(|frame| of(frame).values())
-            .sum::<u64>()
-            .max(1) as f64
+    let total = |of: fn(&FrameInfo) -> &BTreeMap<u16, u64>| {
+        let pixels = frames.iter().flat_map(|frame| of(frame).values());
+        pixels.sum::<u64>().max(1) as f64
     };
     let (all_truth, all_raw) = (total(|frame| &frame.truth), total(|frame| &frame.raw));
     let share = |id: u16, name: &str| ClassShare {
@@ -191,11 +189,7 @@ impl FrameInfo {
             distorted: !frame.lens.is_pinhole(),
             pixels: camera.width * camera.height,
             left_out: labels.mask.as_ref().map_or(0, |mask| mask.left_out()),
-            truth: labels
-                .truth()?
-                .as_ref()
-                .map(pixels_by_id)
-                .unwrap_or_default(),
+            truth: pixels_by_id(&labels.truth()?.unwrap_or_default()),
             ..Self::default()
         };
         let Some(RawMap { map, segments }) = labels.raw()? else {
@@ -206,9 +200,8 @@ impl FrameInfo {
             info.segments = info.raw.keys().filter(|id| **id != 0).count();
             for (id, pixels) in std::mem::take(&mut info.raw) {
                 let segment = segments.iter().find(|segment| segment.id == id);
-                let class = segment
-                    .and_then(|segment| segment.class)
-                    .unwrap_or(listing.classes.ignore);
+                let class = segment.and_then(|segment| segment.class);
+                let class = class.unwrap_or(listing.classes.ignore);
                 *info.raw.entry(class).or_default() += pixels;
             }
         }

@@ -78,11 +78,8 @@ fn large_photos(listing: &Listing, most: usize) -> Option<String> {
 
 /// Photos without a mask where others have one, or where `folder` holds masks.
 fn without_mask(listing: &Listing, folder: Option<&str>) -> Option<String> {
-    let without: Vec<&Frame> = listing
-        .frames
-        .iter()
-        .filter(|frame| frame.mask.is_none())
-        .collect();
+    let is_whole = |frame: &&Frame| frame.mask.is_none();
+    let without: Vec<&Frame> = listing.frames.iter().filter(is_whole).collect();
     let count = without.len();
     let all = listing.frames.len();
     if count == 0 {
@@ -101,14 +98,10 @@ fn without_mask(listing: &Listing, folder: Option<&str>) -> Option<String> {
 
 /// Masks that leave out most of their views. `masked` has, for each view with a mask, its pixels and the pixels left out.
 pub(crate) fn inverted_masks(masked: impl Iterator<Item = [usize; 2]>) -> Option<String> {
-    let mut views = 0;
-    let mut all = 0;
-    let mut left_out = 0;
-    for [pixels, out] in masked {
-        views += 1;
-        all += pixels;
-        left_out += out;
-    }
+    let masked: Vec<_> = masked.collect();
+    let views = masked.len();
+    let all: usize = masked.iter().map(|[pixels, _]| pixels).sum();
+    let left_out: usize = masked.iter().map(|[_, out]| out).sum();
     let percent = 100.0 * left_out as f64 / all as f64;
     (2 * left_out > all).then(|| {
         format!(
@@ -149,16 +142,10 @@ pub(crate) fn cameras(listing: &Listing) -> Vec<String> {
                 format!("{name}, {axis}")
             }
         };
-        notices.extend(outside_center(
-            &posed,
-            side,
-            &field(center, "principal point"),
-        ));
-        notices.extend(unusual_field_of_view(
-            &posed,
-            side,
-            &field(focal, "focal length"),
-        ));
+        let center = field(center, "principal point");
+        notices.extend(outside_center(&posed, side, &center));
+        let focal = field(focal, "focal length");
+        notices.extend(unusual_field_of_view(&posed, side, &focal));
     }
     let file = listing.file.display();
     notices
@@ -213,11 +200,8 @@ fn unusual_field_of_view(posed: &[&Frame], side: Side, field: &str) -> Option<St
         2.0 * (0.5 * length / focal).atan().to_degrees()
     };
     let [low, high] = USUAL_FIELDS_OF_VIEW;
-    let unusual: Vec<&Frame> = posed
-        .iter()
-        .filter(|frame| !(low..=high).contains(&angle(frame)))
-        .copied()
-        .collect();
+    let is_unusual = |frame: &&&Frame| !(low..=high).contains(&angle(frame));
+    let unusual: Vec<&Frame> = posed.iter().filter(is_unusual).copied().collect();
     let first = unusual.first()?;
     let [focal, ..] = side(&first.camera);
     Some(format!(
@@ -265,11 +249,8 @@ fn held_out_drawn_labels(listing: &Listing) -> Option<String> {
 /// is the case.
 pub(crate) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Option<String> {
     let train: Vec<_> = train.collect();
-    let void: Vec<&str> = train
-        .iter()
-        .filter(|(_, void)| *void)
-        .map(|(name, _)| *name)
-        .collect();
+    let void = train.iter().filter(|(_, void)| *void);
+    let void: Vec<&str> = void.map(|(name, _)| *name).collect();
     let count = void.len();
     let all = train.len();
     (count > 0).then(|| {
@@ -288,10 +269,8 @@ pub(crate) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Opti
 
 /// Photos whose labels may belong to a turned copy, which sizes alone do not show. Each frame comes with that answer.
 pub(crate) fn turned<'a>(frames: impl Iterator<Item = (&'a Frame, bool)>) -> Option<String> {
-    let turned: Vec<&Frame> = frames
-        .filter(|(_, turned)| *turned)
-        .map(|(frame, _)| frame)
-        .collect();
+    let turned = frames.filter(|(_, turned)| *turned);
+    let turned: Vec<&Frame> = turned.map(|(frame, _)| frame).collect();
     (!turned.is_empty()).then(|| {
         format!(
             "{} photos have an EXIF orientation, by which other programs turn or mirror them; coseg does not. No size shows \

@@ -92,11 +92,7 @@ pub(crate) fn of_listing(listing: &Listing, points: &Points, limits: &Limits) ->
     if posed.is_empty() || (depth.is_none() && points.len() < MIN_POINTS) {
         return None;
     }
-    let most = if depth.is_some() {
-        MAX_PHOTOS
-    } else {
-        MAX_CAMERAS
-    };
+    let most = depth.map_or(MAX_CAMERAS, |_| MAX_PHOTOS);
     let chosen = evenly(posed.len(), most);
     let views = checked_views(chosen.len(), |index, with_photo| {
         let frame = posed[chosen[index]];
@@ -115,12 +111,8 @@ pub(crate) fn of_listing(listing: &Listing, points: &Points, limits: &Limits) ->
         })
     });
     let Some(depth) = depth else {
-        return verdict(
-            listing.layout,
-            &listing.file,
-            &views,
-            &checked_points(points, listing.origin()),
-        );
+        let points = checked_points(points, listing.origin());
+        return verdict(listing.layout, &listing.file, &views, &points);
     };
     let files: Vec<_> = listing
         .frames
@@ -159,12 +151,8 @@ pub(crate) fn of_scene(layout: Layout, file: &Path, scene: &Scene) -> Option<Ver
         let photo = with_photo.then(|| view.image.pixels().ok()).flatten();
         CheckedView { camera, photo }
     });
-    verdict(
-        layout,
-        file,
-        &views,
-        &checked_points(&scene.points, scene.origin),
-    )
+    let points = checked_points(&scene.points, scene.origin);
+    verdict(layout, file, &views, &points)
 }
 
 /// `count` views by their index, some of them with photos.
@@ -185,10 +173,8 @@ fn checked_points(points: &Points, origin: DVec3) -> Vec<CheckedPoint> {
         color: points.colors[i],
         source: None,
     };
-    evenly(points.len(), MAX_POINTS)
-        .into_iter()
-        .map(point)
-        .collect()
+    let chosen = evenly(points.len(), MAX_POINTS).into_iter();
+    chosen.map(point).collect()
 }
 
 fn verdict(
@@ -228,12 +214,9 @@ fn verdict(
     {
         return None;
     }
-    let by_seen = best(|fit| {
-        if fit.seen_share > MIN_RIGHT_SEEN {
-            1.0 + fit.median_share
-        } else {
-            fit.seen_share
-        }
+    let by_seen = best(|fit| match fit.seen_share {
+        share if share > MIN_RIGHT_SEEN => 1.0 + fit.median_share,
+        share => share,
     })?;
     let is_better =
         by_seen.seen_share > MIN_RIGHT_SEEN && by_seen.median_share > 2.0 * as_read.median_share;
@@ -263,10 +246,8 @@ fn misread(layout: Layout, file: &Path, found: &str, meant: Convention) -> Verdi
         Layout::Colmap => "QW QX QY QZ TX TY TZ of the images",
         Layout::Replica => "rows",
         Layout::Scannet => {
-            path = file
-                .ancestors()
-                .nth(2)
-                .map_or(PathBuf::new(), |dir| dir.join("pose"));
+            let scene = file.ancestors().nth(2);
+            path = scene.map_or(PathBuf::new(), |dir| dir.join("pose"));
             "matrices"
         }
     };
@@ -364,10 +345,8 @@ impl ViewFit {
                 let x = (*u as u32).min(photo.width() - 1);
                 let y = (*v as u32).min(photo.height() - 1);
                 let pixel = photo.get_pixel(x, y).0.map(|c| f64::from(c) / 255.0);
-                (
-                    DVec3::from(points[*k].color.map(f64::from)),
-                    DVec3::from(pixel),
-                )
+                let point = points[*k].color.map(f64::from);
+                (DVec3::from(point), DVec3::from(pixel))
             });
             moments(&pairs.collect::<Vec<_>>())
         });

@@ -65,11 +65,7 @@ impl Depth {
         let (image, geometry) = frame.open(file, limits)?;
         let photo = geometry.photo(&image)?;
         let mask = frame.read_mask(&geometry, limits)?;
-        let LabelMap {
-            width,
-            height,
-            ids: depth,
-        } = LabelMap::read(depth, limits)?;
+        let LabelMap { width, height, ids } = LabelMap::read(depth, limits)?;
         let camera = &geometry.camera;
         // As many columns and rows as keep the proportions of the image.
         let across = ((most * width) as f64 / height as f64)
@@ -82,7 +78,7 @@ impl Depth {
         for i in 0..columns * rows {
             let column = (i % columns * 2 + 1) * width / (2 * columns);
             let row = (i / columns * 2 + 1) * height / (2 * rows);
-            let value = depth[row * width + column];
+            let value = ids[row * width + column];
             let u = (column as f64 + 0.5) * camera.width as f64 / width as f64;
             let v = (row as f64 + 0.5) * camera.height as f64 / height as f64;
             let pixel = v as usize * camera.width + u as usize;

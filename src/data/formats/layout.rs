@@ -1,29 +1,17 @@
 //! Which layout a scene folder has.
 
-use super::listing::{Listing, Problems};
+use super::listing::{Folder, Listing, Problems};
 use super::{colmap, replica, scannet, transforms};
 use crate::config::Layout;
 use crate::data::LoadOptions;
 use crate::data::labels::map_geometry::MapGeometries;
+use crate::data::photos::is_photo;
 use crate::error::{Error, Result, ensure, invalid};
 use crate::files::names;
 use std::path::Path;
 
 /// Largest number of inner folders that are searched for a layout.
 const MAX_FOLDERS: usize = 256;
-
-impl Layout {
-    /// The name that settings have for it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Auto => "auto",
-            Self::Transforms => "transforms",
-            Self::Colmap => "colmap",
-            Self::Replica => "replica",
-            Self::Scannet => "scannet",
-        }
-    }
-}
 
 /// The layout of the scene folder `dir`: the options name it, or its files show it. Cheap: a run asks before it begins.
 ///
@@ -65,11 +53,11 @@ fn detect(dir: &Path, options: &LoadOptions) -> Result<Layout> {
         [(first, _), ..] => {
             let all: Vec<_> = found
                 .iter()
-                .map(|(l, file)| format!("{file} ({})", l.name()))
+                .map(|(l, file)| format!("{file} ({l})"))
                 .collect();
             Err(
                 invalid!(dir, "layout"; found "{}", all.join(" and "); expected "the files of one layout";
-                help "choose one with --set data.layout={}", first.name()),
+                help "choose one with --set data.layout={first}"),
             )
         }
     }
@@ -97,9 +85,8 @@ fn markers(dir: &Path, options: &LoadOptions) -> Vec<(Layout, String)> {
 fn unread_transforms(dir: &Path, options: &LoadOptions, layout: Layout) -> Option<String> {
     let other = options.layout == Layout::Auto && layout != Layout::Transforms;
     let file = transforms::marker(dir, options).filter(|_| other)?;
-    let name = layout.name();
     Some(format!(
-        "{file} is not read: the folder is of layout {name}; data.layout=transforms reads it instead"
+        "{file} is not read: the folder is of layout {layout}; data.layout=transforms reads it instead"
     ))
 }
 
@@ -115,7 +102,7 @@ fn nothing(dir: &Path, options: &LoadOptions) -> Error {
             let (layout, _) = markers(&dir.join(&name), &LoadOptions::default())
                 .into_iter()
                 .next()?;
-            Some((name, layout.name()))
+            Some((name, layout))
         });
     if let Some(first) = others.first() {
         found = format!("no such file, but {}", others.join(", "));
@@ -124,15 +111,9 @@ fn nothing(dir: &Path, options: &LoadOptions) -> Error {
         found += &format!(", but a folder {folder} of layout {layout}");
         help = format!("give {}", dir.join(folder).display());
     }
-    let is_photo = |name: &str, _: &Path| {
-        let name = name.to_lowercase();
-        [".jpg", ".jpeg", ".png"]
-            .iter()
-            .any(|ending| name.ends_with(ending))
-    };
     let photos = [dir.to_owned(), dir.join("images")]
         .iter()
-        .map(|folder| names(folder, is_photo).len())
+        .map(|folder| names(folder, |_, path| is_photo(path)).len())
         .max();
     if let Some(photos) = photos.filter(|photos| *photos > 1 && help == "give another folder") {
         found = format!("no such file, but {photos} photos without poses");
@@ -149,11 +130,16 @@ fn nothing(dir: &Path, options: &LoadOptions) -> Error {
 
 /// Lists the frames of a folder of any layout. Faults of single frames go to `problems`.
 pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
-    let listing = match locate(dir, options)? {
-        Layout::Auto | Layout::Transforms => transforms::list(dir, options, problems),
-        Layout::Colmap => colmap::list(dir, options, problems),
-        Layout::Replica => replica::list(dir, options, problems),
-        Layout::Scannet => scannet::list(dir, options, problems),
+    let folder = Folder {
+        dir,
+        options,
+        layout: locate(dir, options)?,
+    };
+    let listing = match folder.layout {
+        Layout::Auto | Layout::Transforms => transforms::list(folder, problems),
+        Layout::Colmap => colmap::list(folder, problems),
+        Layout::Replica => replica::list(folder, problems),
+        Layout::Scannet => scannet::list(folder, problems),
     }?;
     let mut listing = listing.with_raw_labels(dir, options, problems);
     let maps = listing

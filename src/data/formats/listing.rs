@@ -12,6 +12,7 @@ use crate::data::{
     Classes, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, Split, View,
 };
 use crate::error::{Error, Result, ensure, invalid};
+use crate::files::file_name;
 use crate::splat::camera::{Camera, level_up, spread};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -109,11 +110,7 @@ impl Listing {
         dataset: Option<Classes>,
         problems: &mut Problems,
     ) -> Self {
-        let Folder {
-            dir,
-            options,
-            layout,
-        } = folder;
+        let Folder { dir, options, .. } = folder;
         choose_raw_files(dir, options, &mut frames);
         let labelled = if frames.iter().any(|frame| frame.truth.is_some()) {
             Some("")
@@ -125,7 +122,7 @@ impl Listing {
         let occurring_classes = dataset.is_some();
         let classes = dataset.map_or_else(|| read_classes(dir, labelled), Ok);
         Self {
-            layout,
+            layout: folder.layout,
             file,
             frames,
             classes: problems.ok(classes).unwrap_or_default(),
@@ -315,10 +312,10 @@ fn raw_files(frames: &[Frame]) -> Vec<RawFile<'_>> {
     files.collect()
 }
 
-pub(crate) fn scene_name(dir: &Path) -> String {
+/// The name of the scene in the folder `dir`: that of the folder.
+pub fn scene_name(dir: &Path) -> String {
     let full = dir.canonicalize().unwrap_or_else(|_| dir.to_owned());
-    full.file_name()
-        .map_or_else(|| "scene".into(), |n| n.to_string_lossy().into_owned())
+    file_name(&full).unwrap_or_else(|| "scene".into())
 }
 
 /// All results, or the first error in frame order, whichever thread met one first.

@@ -25,18 +25,14 @@ pub(crate) enum Masks {
 
 /// The folder of masks, where it exists: the user's, or the usual folder of the layout if it holds neither photos nor raw labels.
 pub(crate) fn folder_name<'a>(folder: Folder<'a>) -> Option<&'a str> {
-    let Folder {
-        dir,
-        options,
-        layout,
-    } = folder;
+    let Folder { dir, options, .. } = folder;
     let mut taken = [Some(&options.images), options.raw_labels.as_ref()]
         .into_iter()
         .flatten();
     let name = match options.masks.as_deref() {
         Some(NO_MASKS) => None,
         Some(name) => Some(name),
-        None if layout != Layout::Colmap
+        None if folder.layout != Layout::Colmap
             || taken.any(|name| is_folder(dir, name, COLMAP_MASKS)) =>
         {
             None

@@ -10,8 +10,6 @@ use super::frame::Frame;
 use super::label_folder::SideFolders;
 use super::listing::{Folder, Listing, Problems};
 use super::sequence::{self, MILLIMETRES};
-use crate::config::Layout;
-use crate::data::options::LoadOptions;
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, Limits};
@@ -53,7 +51,8 @@ fn checked_version(dir: &Path) -> Result<[&'static str; 3]> {
 }
 
 /// Lists the frames of the folder.
-pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
+pub(crate) fn list(scene: Folder<'_>, problems: &mut Problems) -> Result<Listing> {
+    let Folder { dir, options, .. } = scene;
     let version = checked_version(dir)?;
     let is_nice_slam = version == NICE_SLAM;
     let [trajectory, folder, prefix] = version;
@@ -94,12 +93,6 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     };
     let truth = sequence::numbered_maps(dir, truth_folders, "semantic_class_")?;
     let instances = sequence::numbered_maps(dir, &["semantic_instance"], "semantic_instance_")?;
-    let layout = Layout::Replica;
-    let scene = Folder {
-        dir,
-        options,
-        layout,
-    };
     let folders = SideFolders::new(scene, problems);
     let mut frames = Vec::with_capacity(kept.len());
     for (i, split) in kept {

@@ -8,7 +8,7 @@ use super::frame::Frame;
 use super::label_folder::SideFolders;
 use super::listing::{Folder, Listing, Problems, UNMAPPED};
 use super::sequence::{self, MILLIMETRES, Pose};
-use crate::config::{Layout, ScannetClasses};
+use crate::config::ScannetClasses;
 use crate::data::options::LoadOptions;
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
@@ -43,7 +43,8 @@ pub(crate) fn expect(dir: &Path) -> Result<()> {
 }
 
 /// Lists the frames of the folder.
-pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
+pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listing> {
+    let Folder { dir, options, .. } = folder;
     let photos = files::numbered(&dir.join("color"), "", &EXTENSIONS)?;
     let pose_file = |image: &Path| {
         let name = image.with_extension("txt");
@@ -75,12 +76,6 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let intrinsics = read_intrinsics(dir, posed[first].1, &options.limits)?;
     let truth = sequence::numbered_maps(dir, &["label-filt", "label"], "")?;
     let instances = sequence::numbered_maps(dir, &["instance-filt", "instance"], "")?;
-    let layout = Layout::Scannet;
-    let folder = Folder {
-        dir,
-        options,
-        layout,
-    };
     let folders = SideFolders::new(folder, problems);
     let mut frames = Vec::with_capacity(kept.len());
     for (i, split) in kept {

@@ -60,6 +60,13 @@ impl Classes {
         self.index(id).map_or("void", |i| &self.entries[i].name)
     }
 
+    /// The id of the class that is called `name`, but for case, blanks at the ends, and `-` or `_` for blanks.
+    pub(crate) fn id_of(&self, name: &str) -> Option<u16> {
+        let wanted = plain(name);
+        let class = self.entries.iter().find(|c| plain(&c.name) == wanted);
+        class.map(|class| class.id)
+    }
+
     /// Reads `classes.json`, in either form:
     /// `{"0": "void", "1": "wall", ...}`, where id 0 must be absent or mean 'unlabelled' and is ignored;
     /// `{"ignore": 0, "classes": [{"id": 1, "name": "wall", "color": [r, g, b]}, ...]}` as [`Classes::write`] makes it
@@ -113,6 +120,11 @@ impl Classes {
         // Plain data always has a JSON form.
         serde_json::to_string_pretty(&file).unwrap_or_default()
     }
+}
+
+/// A name of a class as it is compared.
+pub(crate) fn plain(name: &str) -> String {
+    name.trim().to_lowercase().replace(['-', '_'], " ")
 }
 
 /// Whether a name means 'unlabelled'.

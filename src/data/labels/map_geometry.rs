@@ -40,11 +40,7 @@ impl MapGeometry {
 
     /// The content of the file.
     pub(crate) fn text(self) -> String {
-        let maps = match self {
-            Self::Undistorted => "undistorted",
-            Self::Photos => "photos",
-        };
-        format!("{{\"maps\":\"{maps}\"}}\n")
+        format!("{}\n", serde_json::json!({ "maps": self }))
     }
 
     fn read(path: &Path) -> Result<Self> {

@@ -5,6 +5,7 @@ pub(crate) mod lens;
 pub(crate) mod photo;
 pub(crate) mod photo_cache;
 
+use crate::files::extension;
 use std::path::Path;
 
 /// Extensions of photos, in small letters.
@@ -12,10 +13,5 @@ pub(crate) const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 
 /// Whether a path has one of [`EXTENSIONS`].
 pub(crate) fn is_photo(path: &Path) -> bool {
-    let extension = path
-        .extension()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .to_lowercase();
-    EXTENSIONS.contains(&&*extension)
+    EXTENSIONS.contains(&&*extension(path))
 }

@@ -6,11 +6,12 @@
 use super::position::PositionEmbedding;
 use super::{Block, HEAD, QUERIES, Vit};
 use crate::backend::device::upload;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::weights::WeightFile;
 use burn::module::Param;
 use burn::nn::{LayerNorm, LayerNormConfig, Linear};
 use burn::tensor::{Device, Tensor};
+use std::fmt::Display;
 use std::path::Path;
 
 /// Epsilon of the layer normalisations.
@@ -92,13 +93,18 @@ struct Weights<'a> {
 }
 
 impl Weights<'_> {
+    /// The error for the tensor or block `name`.
+    fn problem(&self, name: &str, found: impl Display, expected: impl Display) -> Error {
+        self.file.problem(name, found, expected)
+    }
+
     /// Refuses relatives that compute something else: DINOv2 scales its layers and may have registers, iBOT masks.
     fn check_kind(&self) -> Result<()> {
         for name in self.file.tensors.keys() {
             let Some(rest) = name.strip_prefix("blocks.") else {
                 if name == "register_tokens" {
                     let expected = "none of this name: DINOv2's registers are not read";
-                    return Err(self.file.problem(name, "this tensor", expected));
+                    return Err(self.problem(name, "this tensor", expected));
                 }
                 continue;
             };
@@ -107,11 +113,9 @@ impl Weights<'_> {
                 .rsplit_once('.')
                 .is_some_and(|(p, w)| PARTS.contains(&p) && ["weight", "bias"].contains(&w));
             if !known {
-                let expected = format!(
-                    "weight and bias of {} in each block, nothing else",
-                    PARTS.join(", ")
-                );
-                return Err(self.file.problem(name, "this tensor", expected));
+                let parts = PARTS.join(", ");
+                let expected = format!("weight and bias of {parts} in each block, nothing else");
+                return Err(self.problem(name, "this tensor", expected));
             }
         }
         Ok(())
@@ -128,9 +132,7 @@ impl Weights<'_> {
             }
             ref other => {
                 let expected = format!("[width, 3, patch, patch], width a multiple of {HEAD}");
-                Err(self
-                    .file
-                    .problem(name, format!("shape {other:?}"), expected))
+                Err(self.problem(name, format!("shape {other:?}"), expected))
             }
         }
     }
@@ -147,9 +149,7 @@ impl Weights<'_> {
             ref other => {
                 let expected =
                     format!("[1, 1 + side x side, {width}], a class token and a square grid");
-                Err(self
-                    .file
-                    .problem("pos_embed", format!("shape {other:?}"), expected))
+                Err(self.problem("pos_embed", format!("shape {other:?}"), expected))
             }
         }
     }
@@ -164,16 +164,12 @@ impl Weights<'_> {
                 Ok(n) if n < self.file.tensors.len() => depth = depth.max(n + 1),
                 _ => {
                     let name = format!("blocks.{number}");
-                    return Err(self
-                        .file
-                        .problem(&name, "this block", "blocks.0, blocks.1, ..."));
+                    return Err(self.problem(&name, "this block", "blocks.0, blocks.1, ..."));
                 }
             }
         }
         match depth {
-            0 => Err(self
-                .file
-                .problem("blocks.0", "no such block", "one or more")),
+            0 => Err(self.problem("blocks.0", "no such block", "one or more")),
             depth => Ok(depth),
         }
     }
@@ -185,9 +181,7 @@ impl Weights<'_> {
             [hidden, found] if found == width && hidden > 0 => hidden,
             ref other => {
                 let expected = format!("[hidden, {width}]");
-                return Err(self
-                    .file
-                    .problem(&fc1, format!("shape {other:?}"), expected));
+                return Err(self.problem(&fc1, format!("shape {other:?}"), expected));
             }
         };
         Ok(Block {

@@ -87,30 +87,20 @@ pub fn adam_step<const D: usize>(
     grad: Tensor<D>,
     step: &Arc<AdamStep>,
 ) -> AdamTensors<D> {
-    let AdamTensors {
-        param,
-        first,
-        second,
-    } = state;
     assert!(!step.rates.is_empty(), "adam_step: no learning rate");
     assert_eq!(
-        [param.dims(), first.dims(), second.dims()],
+        [state.param.dims(), state.first.dims(), state.second.dims()],
         [grad.dims(); 3],
         "adam_step: parameter and moments against gradient"
     );
     if CustomOp::Adam.is_replaced() {
-        let state = AdamTensors {
-            param,
-            first,
-            second,
-        };
         return adam_step_plain(state, grad, step);
     }
     let (param, first, second) = Dispatch::adam_step(
-        param.into_dispatch(),
+        state.param.into_dispatch(),
         grad.into_dispatch(),
-        first.into_dispatch(),
-        second.into_dispatch(),
+        state.first.into_dispatch(),
+        state.second.into_dispatch(),
         step.clone(),
     );
     AdamTensors {

@@ -81,35 +81,29 @@ impl Lists {
     /// Colours `[N, 3]` of the Gaussians with these means, from coefficients `[N, K, 3]` of degree `degree`.
     pub fn colours(&self, means: CubeTensor, sh: CubeTensor, degree: usize) -> CubeTensor {
         let gpu = Gpu::of(&means);
-        let Prepared {
-            view, projected, ..
-        } = &self.prepared;
-        let harmonics = Harmonics::new(sh, self.prepared.order.len, degree);
-        sh::colours(&gpu, &means, &harmonics, &projected.radii, view)
+        let prepared = &self.prepared;
+        let radii = &prepared.projected.radii;
+        let harmonics = Harmonics::new(sh, prepared.order.len, degree);
+        sh::colours(&gpu, &means, &harmonics, radii, &prepared.view)
     }
 
     /// Disc pixels of every Gaussian, `[N]`.
     pub fn counts(&self) -> CubeTensor {
-        let Prepared {
-            view,
-            projected,
-            order,
-            size,
-            ..
-        } = &self.prepared;
+        let prepared = &self.prepared;
+        let len = prepared.order.len;
         let count = || {
-            let gpu = Gpu::of(view);
-            let counts = gpu.floats([order.len]);
+            let gpu = Gpu::of(&prepared.view);
+            let counts = gpu.floats([len]);
             count_pixels::launch(
                 &gpu.client,
-                gpu.cubes_for(order.len),
+                gpu.cubes_for(len),
                 gpu.dim(),
-                arg(&projected.splats),
-                arg(&projected.radii),
+                arg(&prepared.projected.splats),
+                arg(&prepared.projected.radii),
                 arg(&counts),
-                order.len as u32,
-                size[0] as f32,
-                size[1] as f32,
+                len as u32,
+                prepared.size[0] as f32,
+                prepared.size[1] as f32,
             );
             counts
         };

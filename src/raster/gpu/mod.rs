@@ -31,8 +31,8 @@ mod view;
 
 pub(crate) use self::frozen::Lists;
 pub(crate) use self::inputs::Inputs;
+pub(crate) use self::passes::Forward;
 pub(super) use self::passes::forward;
-pub(crate) use self::passes::{Forward, Gradients};
 pub(crate) use self::prepare::Scenery;
 
 use crate::backend::gpu::missing_capability;

@@ -3,7 +3,7 @@
 use super::backward::ABSOLUTE_MOMENTS;
 use super::ewa::{Unit, ewa, offset_from_camera, rows_cross, to_camera};
 use super::inputs::Inputs;
-use super::project::SPLAT;
+use super::project::{ProjectedScene, SPLAT};
 use super::vec3::{Vec3, add_scaled, cross, dot, read3, scaled, vec3, write3};
 use super::view::{AXES, FOCAL, LOW_PASS, SIZE};
 use crate::backend::gpu::{Gpu, arg};
@@ -140,7 +140,7 @@ fn parameters_backward(
 }
 
 /// Gradients of the geometry.
-pub(super) struct GeometryGradients {
+pub(crate) struct GeometryGradients {
     pub means: CubeTensor,
     pub log_scales: CubeTensor,
     pub rotations: CubeTensor,
@@ -154,8 +154,7 @@ pub(super) fn backward(
     gpu: &Gpu,
     inputs: &Inputs,
     view: &CubeTensor,
-    splats: &CubeTensor,
-    radii: &CubeTensor,
+    scene: &ProjectedScene,
     moments: &CubeTensor,
 ) -> GeometryGradients {
     let n = inputs.len();
@@ -176,8 +175,8 @@ pub(super) fn backward(
         arg(&inputs.rotations),
         arg(&inputs.logits),
         arg(view),
-        arg(splats),
-        arg(radii),
+        arg(&scene.splats),
+        arg(&scene.radii),
         arg(moments),
         arg(&out.means),
         arg(&out.log_scales),

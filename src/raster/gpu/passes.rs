@@ -2,7 +2,7 @@
 
 use super::blend;
 use super::inputs::Inputs;
-use super::parameters;
+use super::parameters::{self, GeometryGradients};
 use super::pixel_sums::{PixelGradients, pixel_sums, row_bytes};
 use super::prepare::{Prepared, Scenery, check_size, prepare};
 use super::sh;
@@ -22,16 +22,11 @@ pub(crate) struct Forward {
     pub transmittance: CubeTensor,
 }
 
-/// Gradients in the order of the inputs.
+/// Gradients of the inputs.
 pub(crate) struct Gradients {
-    pub means: CubeTensor,
-    pub log_scales: CubeTensor,
-    pub rotations: CubeTensor,
-    pub logits: CubeTensor,
+    pub geometry: GeometryGradients,
     pub sh: Option<CubeTensor>,
     pub features: Option<CubeTensor>,
-    /// `[N, 2]`, or `[N, 4]` with sums of absolute values.
-    pub screen: CubeTensor,
 }
 
 /// Renders `inputs`, at least one Gaussian and one channel: the image `[H, W, C]`, or `None` when an input holds a NaN or an
@@ -65,10 +60,9 @@ pub(in crate::raster) fn forward(
     let Some(prepared) = prepare(&gpu, inputs, scenery)? else {
         return Ok(None);
     };
-    let Prepared {
-        view, projected, ..
-    } = &prepared;
-    let colours = harmonics.map(|h| sh::colours(&gpu, &inputs.means, &h, &projected.radii, view));
+    let radii = &prepared.projected.radii;
+    let colours = |h| sh::colours(&gpu, &inputs.means, &h, radii, &prepared.view);
+    let colours = harmonics.map(colours);
     let values = inputs.values(colours);
     let (image, transmittance) = blend::blend(&gpu, &prepared, &values, channels);
     Ok(Some((
@@ -98,9 +92,8 @@ impl Forward {
         absolute: bool,
     ) -> Gradients {
         let gpu = Gpu::of(&inputs.means);
-        let Prepared {
-            view, projected, ..
-        } = &self.prepared;
+        let view = &self.prepared.view;
+        let projected = &self.prepared.projected;
         let pixels = PixelGradients {
             image,
             d_image,
@@ -110,14 +103,7 @@ impl Forward {
         };
         let values = Some(&self.values);
         let sums = pixel_sums(&gpu, &self.prepared, values, &pixels, row_bytes(&gpu));
-        let d = parameters::backward(
-            &gpu,
-            inputs,
-            view,
-            &projected.splats,
-            &projected.radii,
-            &sums.moments,
-        );
+        let geometry = parameters::backward(&gpu, inputs, view, projected, &sums.moments);
         let harmonics = inputs.harmonics();
         let features = inputs.features.as_ref().map(|_| match &harmonics {
             None => sums.values.clone(),
@@ -132,16 +118,19 @@ impl Forward {
                 d_values: &sums.values,
                 radii: &projected.radii,
             };
-            sh::backward(&gpu, &inputs.means, &harmonics, &from, view, &d.means)
+            sh::backward(
+                &gpu,
+                &inputs.means,
+                &harmonics,
+                &from,
+                view,
+                &geometry.means,
+            )
         });
         Gradients {
-            means: d.means,
-            log_scales: d.log_scales,
-            rotations: d.rotations,
-            logits: d.logits,
+            geometry,
             sh,
             features,
-            screen: d.screen,
         }
     }
 }

@@ -61,15 +61,10 @@ pub(super) fn pixel_sums(
     pixels: &PixelGradients<'_>,
     row_bytes: usize,
 ) -> PixelSums {
-    let Prepared {
-        view,
-        order,
-        entries,
-        size,
-        ..
-    } = prepared;
-    let [w, h] = *size;
-    let tile_count: usize = tile_counts(*size).iter().product();
+    let order = &prepared.order;
+    let entries = &prepared.entries;
+    let [w, h] = prepared.size;
+    let tile_count: usize = tile_counts(prepared.size).iter().product();
     let channels = pixels.d_image.meta.num_elements() / (w * h);
     let moments = match values {
         None => 0,
@@ -96,7 +91,7 @@ pub(super) fn pixel_sums(
                 arg(&entries.entries),
                 arg(&prepared.projected.splats),
                 arg(values.unwrap_or(pixels.d_image)),
-                arg(view),
+                arg(&prepared.view),
                 arg(pixels.image),
                 arg(pixels.d_image),
                 arg(pixels.transmittance),

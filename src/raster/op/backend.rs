@@ -17,14 +17,8 @@ custom_op! {
     pub(crate) trait RasterBackend {
         /// Image, transmittance and radii.
         fn raster_forward(#[extension_type] tensors: RasterTensors<Self>, call: Arc<RasterCall>) -> RasterPass<Self>;
-        /// Projection and tile lists of frozen geometry: `[N, 3]`, `[N, 3]`, `[N, 4]`, `[N]`.
-        fn project_view(
-            means: FloatTensor<Self>,
-            log_scales: FloatTensor<Self>,
-            rotations: FloatTensor<Self>,
-            opacity_logits: FloatTensor<Self>,
-            call: Arc<ViewCall>,
-        ) -> Result<ProjectedView>;
+        /// Projection and tile lists of frozen geometry.
+        fn project_view(#[extension_type] tensors: RasterTensors<Self>, call: Arc<ViewCall>) -> Result<ProjectedView>;
         /// Colours `[N, 3]` of the means `[N, 3]` and coefficients `[N, K, 3]`.
         fn view_colours(
             means: FloatTensor<Self>,
@@ -116,15 +110,11 @@ mod autodiff {
     }
 
     pub(super) fn project_view<B: RasterBackend, C: CheckpointStrategy>(
-        means: AutodiffTensor<B, C>,
-        log_scales: AutodiffTensor<B, C>,
-        rotations: AutodiffTensor<B, C>,
-        opacity_logits: AutodiffTensor<B, C>,
+        tensors: RasterTensors<Autodiff<B, C>>,
         call: Arc<ViewCall>,
     ) -> Result<ProjectedView> {
-        let [means, log_scales, rotations, opacity_logits] =
-            [means, log_scales, rotations, opacity_logits].map(Autodiff::<B, C>::inner);
-        B::project_view(means, log_scales, rotations, opacity_logits, call)
+        let plain = tensors.into_array().map(Autodiff::<B, C>::inner);
+        B::project_view(RasterTensors::from_array(plain), call)
     }
 
     pub(super) fn view_colours<B: RasterBackend, C: CheckpointStrategy>(

@@ -1,13 +1,11 @@
 //! The operations by the CPU's kernels: slices from tensors, tensors from slices.
 
-use super::tensors::ViewCall;
 use super::tensors::{
     Colours, Forward, INPUTS, OfHost, PixelTensors, ProjectedView, RasterCall, RasterPass,
-    RasterTensors, SavedForward, TensorPair,
+    RasterTensors, SavedForward, TensorPair, ViewCall,
 };
 use crate::backend::{HostBackend, HostValues, Real, device_of, real_kernel};
 use crate::error::{Error, Result, invalid};
-use crate::raster::cpu::SplatGradients;
 use crate::raster::cpu::pixel_gradients::PixelGradients;
 use crate::raster::cpu::projected::{Blended, Projected};
 use crate::raster::cpu::sh::{ShBackward, visible_colours};
@@ -71,22 +69,12 @@ pub(super) fn raster_backward<B: HostBackend>(
 }
 
 pub(super) fn project_view<B: HostBackend>(
-    means: FloatTensor<B>,
-    log_scales: FloatTensor<B>,
-    rotations: FloatTensor<B>,
-    opacity_logits: FloatTensor<B>,
+    tensors: RasterTensors<B>,
     call: Arc<ViewCall>,
 ) -> Result<ProjectedView> {
-    real_kernel!(means, E => {
-        let [means, log_scales, rotations, opacity_logits] =
-            [means, log_scales, rotations, opacity_logits].map(B::values::<E>);
-        let splats = Splats {
-            means: &means,
-            log_scales: &log_scales,
-            rotations: &rotations,
-            opacity_logits: &opacity_logits,
-        };
-        Ok(Projected::new(&splats, &call.camera, &call.settings)?.into())
+    real_kernel!(tensors.means, E => {
+        let inputs = Inputs::<E>::read::<B>(tensors);
+        Ok(Projected::new(&inputs.splats(), &call.camera, &call.settings)?.into())
     })
 }
 
@@ -258,15 +246,7 @@ impl<E: Real> Inputs<E> {
         let colours = call.colours();
         let channels = colours + self.features_per_row();
         let values = forward.values.as_deref().unwrap_or(&self.features);
-        let SplatGradients {
-            mut means,
-            log_scales,
-            rotations,
-            opacity_logits,
-            values: d_values,
-            screen,
-            screen_absolute,
-        } = projected.backward_slices(
+        let mut d = projected.backward_slices(
             &self.splats(),
             values,
             channels,
@@ -281,38 +261,38 @@ impl<E: Real> Inputs<E> {
                 active_degree: call.active_sh_degree,
                 center: call.camera.center.to_array(),
                 colours: values,
-                gradient: &d_values,
+                gradient: &d.values,
                 stride: channels,
                 wanted: projected.radii(),
             }
-            .run(&mut means)
+            .run(&mut d.means)
         } else {
             Vec::new()
         };
         let d_features = if !call.has_features || channels == colours {
             Vec::new()
         } else if colours == 0 {
-            d_values
+            d.values
         } else {
-            d_values
+            d.values
                 .chunks_exact(channels)
                 .flat_map(|row| &row[colours..])
                 .copied()
                 .collect()
         };
         let d_screen = if call.absolute_screen {
-            let sums = screen_absolute.as_chunks::<2>().0;
-            let rows = screen.as_chunks::<2>().0.iter().zip(sums);
+            let sums = d.screen_absolute.as_chunks::<2>().0;
+            let rows = d.screen.as_chunks::<2>().0.iter().zip(sums);
             rows.flat_map(|(&[u, v], &[sum_u, sum_v])| [u, v, sum_u, sum_v])
                 .collect()
         } else {
-            screen
+            d.screen
         };
         [
-            means,
-            log_scales,
-            rotations,
-            opacity_logits,
+            d.means,
+            d.log_scales,
+            d.rotations,
+            d.opacity_logits,
             d_sh,
             d_features,
             d_screen,

@@ -1,14 +1,13 @@
 //! The operations by the GPU's kernels, or by the CPU's where the GPU's do not reach.
 
 use super::cpu;
-use super::tensors::ViewCall;
 use super::tensors::{
     Colours, PixelTensors, ProjectedView, RasterCall, RasterPass, RasterTensors, SavedForward,
-    TensorPair,
+    TensorPair, ViewCall,
 };
 use crate::backend::HostBackend;
 use crate::error::{Error, Result};
-use crate::raster::gpu::{self, Gradients, Inputs, Lists, Scenery};
+use crate::raster::gpu::{self, Inputs, Lists, Scenery};
 use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::kernel::{cast, into_contiguous};
@@ -24,16 +23,15 @@ fn on_device(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> bool {
     something && absolute && gpu::covers(&tensors.means)
 }
 
-fn inputs(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> Inputs {
+/// The tensors with SH up to `sh_degree`; without a degree, without SH.
+fn inputs(tensors: &RasterTensors<CubeBackend>, sh_degree: Option<usize>) -> Inputs {
     let whole = |t: &CubeTensor| into_contiguous(t.clone());
     Inputs {
         means: whole(&tensors.means),
         log_scales: whole(&tensors.log_scales),
         rotations: whole(&tensors.rotations),
         logits: whole(&tensors.opacity_logits),
-        sh: call
-            .has_sh
-            .then(|| (whole(&tensors.sh), call.active_sh_degree)),
+        sh: sh_degree.map(|degree| (whole(&tensors.sh), degree)),
         features: (tensors.features.meta.num_elements() > 0).then(|| whole(&tensors.features)),
     }
 }
@@ -50,7 +48,7 @@ pub(super) fn raster_forward(
         settings: &call.settings,
         background: call.background,
     };
-    match gpu::forward(&inputs(&tensors, &call), scenery) {
+    match gpu::forward(&inputs(&tensors, call.shown_degree()), scenery) {
         Ok(Some((image, forward))) => RasterPass::Done {
             image,
             transmittance: forward.transmittance.clone(),
@@ -75,31 +73,24 @@ pub(super) fn raster_backward(
     let SavedForward::Gpu(forward) = &saved else {
         return cpu::raster_backward(tensors, pixels, saved, call);
     };
-    let Gradients {
-        means,
-        log_scales,
-        rotations,
-        logits,
-        sh,
-        features,
-        screen,
-    } = forward.backward(
-        &inputs(&tensors, &call),
+    let gradients = forward.backward(
+        &inputs(&tensors, call.shown_degree()),
         &into_contiguous(pixels.image),
         &into_contiguous(pixels.d_image),
         Some(&into_contiguous(pixels.d_transmittance)),
         call.absolute_screen,
     );
+    let geometry = gradients.geometry;
     RasterTensors {
-        means,
-        log_scales,
-        rotations,
-        opacity_logits: logits,
+        means: geometry.means,
+        log_scales: geometry.log_scales,
+        rotations: geometry.rotations,
+        opacity_logits: geometry.logits,
         // An absent input is empty, and so is its gradient.
-        sh: sh.unwrap_or(tensors.sh),
-        features: features.unwrap_or(tensors.features),
+        sh: gradients.sh.unwrap_or(tensors.sh),
+        features: gradients.features.unwrap_or(tensors.features),
         screen: if tensors.screen.meta.num_elements() > 0 {
-            screen
+            geometry.screen
         } else {
             tensors.screen
         },
@@ -107,40 +98,21 @@ pub(super) fn raster_backward(
 }
 
 pub(super) fn project_view(
-    means: CubeTensor,
-    log_scales: CubeTensor,
-    rotations: CubeTensor,
-    opacity_logits: CubeTensor,
+    tensors: RasterTensors<CubeBackend>,
     call: Arc<ViewCall>,
 ) -> Result<ProjectedView> {
-    if opacity_logits.meta.num_elements() == 0 || !gpu::covers(&means) {
-        return cpu::project_view::<CubeBackend>(
-            means,
-            log_scales,
-            rotations,
-            opacity_logits,
-            call,
-        );
+    if tensors.opacity_logits.meta.num_elements() == 0 || !gpu::covers(&tensors.means) {
+        return cpu::project_view(tensors, call);
     }
-    let inputs = Inputs {
-        means: into_contiguous(means.clone()),
-        log_scales: into_contiguous(log_scales.clone()),
-        rotations: into_contiguous(rotations.clone()),
-        logits: into_contiguous(opacity_logits.clone()),
-        sh: None,
-        features: None,
-    };
     let scenery = Scenery {
         camera: &call.camera,
         settings: &call.settings,
         background: [0.0; 3],
     };
-    match Lists::new(&inputs, scenery)? {
+    match Lists::new(&inputs(&tensors, None), scenery)? {
         Some(lists) => Ok(ProjectedView::Gpu(Arc::new(lists))),
         // The CPU's own check names tensor and row.
-        None => {
-            cpu::project_view::<CubeBackend>(means, log_scales, rotations, opacity_logits, call)
-        }
+        None => cpu::project_view(tensors, call),
     }
 }
 

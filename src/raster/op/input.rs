@@ -1,5 +1,6 @@
 //! What the rasterizer takes and returns.
 
+use super::splats::SplatTensors;
 use crate::error::{Result, bail, ensure, invalid};
 use burn::tensor::{DType, Tensor};
 
@@ -25,6 +26,18 @@ pub struct RasterInput {
     pub screen: Option<Tensor<2>>,
 }
 
+impl RasterInput {
+    /// The geometry.
+    pub(super) fn splats(&self) -> SplatTensors {
+        SplatTensors {
+            means: self.means.clone(),
+            log_scales: self.log_scales.clone(),
+            rotations: self.rotations.clone(),
+            opacity_logits: self.opacity_logits.clone(),
+        }
+    }
+}
+
 /// What [`crate::raster::rasterize`] returns.
 #[derive(Clone, Debug)]
 pub struct RasterOutput {
@@ -38,7 +51,6 @@ pub struct RasterOutput {
 
 /// Sizes of a valid [`RasterInput`].
 pub(super) struct Sizes {
-    pub gaussians: usize,
     /// SH terms, 1 without SH.
     pub sh_terms: usize,
     /// Whether the screen-space gradient has the columns of AbsGS.
@@ -74,7 +86,6 @@ pub(super) fn sizes(input: &RasterInput) -> Result<Sizes> {
     }
     float_types(input)?;
     Ok(Sizes {
-        gaussians: n,
         sh_terms,
         absolute_screen,
     })

@@ -3,7 +3,7 @@
 use super::backend::RasterBackend;
 use super::input::{RasterInput, RasterOutput, sizes};
 use super::reference;
-use super::tensors::{RasterCall, RasterPass, RasterTensors};
+use super::tensors::{RasterCall, RasterPass};
 use crate::error::Result;
 use crate::ops::CustomOp;
 use crate::raster::settings::Settings;
@@ -41,17 +41,8 @@ pub fn rasterize(
         active_sh_degree: input.active_sh_degree,
         absolute_screen: sizes.absolute_screen,
     };
-    let place = (&input.means.device(), input.means.dtype());
-    let absent = || Tensor::<2>::zeros([sizes.gaussians, 0], place).into_dispatch();
-    let tensors = RasterTensors {
-        means: input.means.into_dispatch(),
-        log_scales: input.log_scales.into_dispatch(),
-        rotations: input.rotations.into_dispatch(),
-        opacity_logits: input.opacity_logits.into_dispatch(),
-        sh: input.sh.map_or_else(absent, Tensor::into_dispatch),
-        features: input.features.map_or_else(absent, Tensor::into_dispatch),
-        screen: input.screen.map_or_else(absent, Tensor::into_dispatch),
-    };
+    let splats = input.splats();
+    let tensors = splats.with_values(input.sh, input.features, input.screen);
     match Dispatch::raster_forward(tensors, Arc::new(call)) {
         RasterPass::Done {
             image,

@@ -51,26 +51,12 @@ pub(super) fn rasterize(
 ) -> Result<RasterOutput> {
     settings.check()?;
     camera.check()?;
-    let RasterInput {
-        means,
-        log_scales,
-        rotations,
-        opacity_logits,
-        sh,
-        active_sh_degree,
-        features,
-        screen,
-    } = input;
-    let colours = sh.map(|sh| colours(&means, sh, active_sh_degree, camera));
+    let splats = input.splats();
+    let of_sh = |sh| colours(&splats.means, sh, input.active_sh_degree, camera);
+    let colours = input.sh.map(of_sh);
     let with_colours = colours.is_some();
-    let values: Vec<Tensor<2>> = colours.into_iter().chain(features).collect();
-    let splats = SplatTensors {
-        means,
-        log_scales,
-        rotations,
-        opacity_logits,
-    };
-    let view = ReferenceView::new(&splats, screen, camera, settings);
+    let values: Vec<Tensor<2>> = colours.into_iter().chain(input.features).collect();
+    let view = ReferenceView::new(&splats, input.screen, camera, settings);
     let (mut image, transmittance) = view.blend(Tensor::cat(values, 1));
     if with_colours {
         let [height, width, channels] = image.dims();

@@ -1,8 +1,10 @@
 //! The geometry of Gaussians as tensors.
 
+use super::tensors::RasterTensors;
 use crate::backend::device::{in_host_memory, largest_allocation, upload};
 use crate::error::{Result, invalid};
 use crate::splat::Gaussians;
+use burn::backend::Dispatch;
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 
 /// Geometry of N Gaussians on a device, frozen: no gradient goes there.
@@ -40,6 +42,26 @@ impl SplatTensors {
             log_scales: self.log_scales.inner(),
             rotations: self.rotations.inner(),
             opacity_logits: self.opacity_logits.inner(),
+        }
+    }
+
+    /// The tensors of a call with this geometry; absent ones are empty.
+    pub(super) fn with_values(
+        self,
+        sh: Option<Tensor<3>>,
+        features: Option<Tensor<2>>,
+        screen: Option<Tensor<2>>,
+    ) -> RasterTensors<Dispatch> {
+        let place = (&self.device(), self.means.dtype());
+        let absent = || Tensor::<2>::zeros([self.len(), 0], place).into_dispatch();
+        RasterTensors {
+            sh: sh.map_or_else(absent, Tensor::into_dispatch),
+            features: features.map_or_else(absent, Tensor::into_dispatch),
+            screen: screen.map_or_else(absent, Tensor::into_dispatch),
+            means: self.means.into_dispatch(),
+            log_scales: self.log_scales.into_dispatch(),
+            rotations: self.rotations.into_dispatch(),
+            opacity_logits: self.opacity_logits.into_dispatch(),
         }
     }
 
@@ -89,20 +111,11 @@ impl SplatTensors {
     /// Whether shapes and float types agree, the latter with `dtype`.
     pub(super) fn check(&self, dtype: DType) -> Result<()> {
         let n = self.len();
-        let Self {
-            means,
-            log_scales,
-            rotations,
-            opacity_logits,
-        } = self;
-        let shapes = [means.dims(), log_scales.dims(), rotations.dims()];
+        let matrices = [&self.means, &self.log_scales, &self.rotations];
+        let shapes = matrices.map(Tensor::dims);
         let expected = [[n, 3], [n, 3], [n, 4]];
-        let types = [
-            means.dtype(),
-            log_scales.dtype(),
-            rotations.dtype(),
-            opacity_logits.dtype(),
-        ];
+        let [means, log_scales, rotations] = matrices.map(Tensor::dtype);
+        let types = [means, log_scales, rotations, self.opacity_logits.dtype()];
         if shapes == expected && types == [dtype; 4] {
             return Ok(());
         }

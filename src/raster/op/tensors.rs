@@ -89,6 +89,12 @@ impl RasterCall {
         [self.camera.width, self.camera.height]
     }
 
+    /// The SH degree in use, where there are SH.
+    #[cfg(feature = "cube")]
+    pub(super) fn shown_degree(&self) -> Option<usize> {
+        self.has_sh.then_some(self.active_sh_degree)
+    }
+
     /// Number of colour channels.
     pub(super) fn colours(&self) -> usize {
         if self.has_sh { 3 } else { 0 }

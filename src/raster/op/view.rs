@@ -62,10 +62,9 @@ impl SplatView {
     /// # Panics
     /// If a row is not below N.
     pub(crate) fn of_gaussians(&self, rows: &[u32]) -> Self {
-        let ViewCall {
-            camera, settings, ..
-        } = &*self.call;
-        self.splats.select(rows).seen_by(camera, settings)
+        let call = &self.call;
+        let splats = self.splats.select(rows);
+        splats.seen_by(&call.camera, &call.settings)
     }
 
     /// The Gaussians.
@@ -243,19 +242,8 @@ impl SplatView {
         if let Some(projected) = self.projected.get() {
             return Ok(projected.clone());
         }
-        let SplatTensors {
-            means,
-            log_scales,
-            rotations,
-            opacity_logits,
-        } = self.splats.clone();
-        let projected = Dispatch::project_view(
-            means.into_dispatch(),
-            log_scales.into_dispatch(),
-            rotations.into_dispatch(),
-            opacity_logits.into_dispatch(),
-            self.call.clone(),
-        )?;
+        let tensors = self.splats.clone().with_values(None, None, None);
+        let projected = Dispatch::project_view(tensors, self.call.clone())?;
         Ok(self.projected.get_or_init(|| projected).clone())
     }
 }

@@ -51,7 +51,7 @@ impl SharedMlp {
         self.norm.forward(self.linear.forward(x))
     }
 
-    /// [`SharedMlp::linear`] and LeakyReLU.
+    /// `linear` and LeakyReLU.
     pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
         leaky_relu(self.linear(x))
     }

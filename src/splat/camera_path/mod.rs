@@ -16,19 +16,11 @@ fn check(cameras: &[Camera]) -> Result<()> {
     ensure!(!cameras.is_empty(), argument "cameras"; found "none"; expected "one or more";
         help "pass the cameras that the path is made from");
     for (i, camera) in cameras.iter().enumerate() {
-        camera.check().map_err(|error| match error {
-            Error::Argument {
-                name,
-                found,
-                expected,
-                help,
-            } => Error::Argument {
-                name: format!("cameras[{i}]: {name}"),
-                found,
-                expected,
-                help,
-            },
-            other => other,
+        camera.check().map_err(|mut error| {
+            if let Error::Argument { name, .. } = &mut error {
+                name.insert_str(0, &format!("cameras[{i}]: "));
+            }
+            error
         })?;
         let rotation = camera.rotation;
         let off = (rotation.transpose() * rotation - glam::DMat3::IDENTITY).to_cols_array();

@@ -46,14 +46,9 @@ impl Orbit {
     pub fn of_box(cameras: &[Camera], low: DVec3, high: DVec3) -> Result<Self> {
         check(cameras)?;
         let orbit = Self::about(cameras, 0.5 * (low + high))?;
-        let Camera {
-            fx,
-            fy,
-            width,
-            height,
-            ..
-        } = cameras[0];
-        let half_angle = (0.5 * (width as f64 / fx).min(height as f64 / fy)).atan();
+        let lens = &cameras[0];
+        let sides = (lens.width as f64 / lens.fx).min(lens.height as f64 / lens.fy);
+        let half_angle = (0.5 * sides).atan();
         let far = orbit.radius.hypot(orbit.height);
         let distance = (0.5 * low.distance(high) / half_angle.sin()).clamp(MIN_DISTANCE * far, far);
         let elevation = orbit

@@ -1,5 +1,6 @@
 //! Gaussian scenes as PLY: the layout, and files that are refused.
 
+use coseg::Error;
 use coseg::data::{Limits, Points};
 use coseg::splat::Gaussians;
 use coseg::splat::ply::{PlyScene, read, write};
@@ -207,6 +208,45 @@ fn columns_may_come_in_any_order_and_with_others_between() {
     assert_eq!(scene.gaussians.rotations, [[3.5, 2.5, 1.5, 0.5]]);
     // splat-transform writes every column as float.
     assert_eq!(scene.labels, Some(vec![12]));
+}
+
+#[test]
+fn an_origin_from_which_no_position_is_finite_is_refused() {
+    let dir = tempfile::tempdir().expect("folder");
+    let path = dir.path().join("scene.ply");
+    ascii(&path, |_| {});
+    let text = fs::read_to_string(&path).expect("read");
+    for (origin, is_usable) in [
+        ("1e38 0 0", true),
+        ("1e99 0 0", false),
+        ("0 -1e39 0", false),
+    ] {
+        let comment = format!("coseg origin {origin}");
+        fs::write(&path, text.replace("made by hand", &comment)).expect("write");
+        match read(&path, &Limits::default()) {
+            Ok(scene) => assert!(
+                is_usable
+                    && scene
+                        .gaussians
+                        .means
+                        .as_flattened()
+                        .iter()
+                        .all(|v| v.is_finite()),
+                "{origin}: {:?}",
+                scene.gaussians.means
+            ),
+            Err(error) => {
+                assert!(
+                    !is_usable && matches!(error, Error::Input { .. }),
+                    "{error}"
+                );
+                let message = error.to_string();
+                for part in ["scene.ply", "comment coseg origin", "finite"] {
+                    assert!(message.contains(part), "{part:?} is not in: {message}");
+                }
+            }
+        }
+    }
 }
 
 #[test]

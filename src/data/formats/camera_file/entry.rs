@@ -51,12 +51,8 @@ impl<'a> Entry<'a> {
                 found.truncate(end);
                 found += "...";
             }
-            self.error(
-                field,
-                &found,
-                expected,
-                "correct the field, or export the cameras again",
-            )
+            let help = "correct the field, or export the cameras again";
+            self.error(field, &found, expected, help)
         })
     }
 

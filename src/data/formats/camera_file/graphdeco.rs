@@ -19,12 +19,8 @@ pub(super) fn cameras(path: &Path, list: &[Value]) -> Result<Vec<NamedCamera>> {
         if let Some(first) = first.insert(name.clone(), i) {
             let found = format!("{name:?}, which cameras[{first}] has too");
             let expected = "names that differ: outputs are named by them";
-            return Err(entry.error(
-                "img_name",
-                &found,
-                expected,
-                "rename one of the cameras or drop it",
-            ));
+            let help = "rename one of the cameras or drop it";
+            return Err(entry.error("img_name", &found, expected, help));
         }
         let size = entry.size(["width", "height"])?;
         let focal = |field| entry.check_focal(field, entry.number(field)?);
@@ -54,12 +50,8 @@ fn name(entry: &Entry<'_>) -> Result<String> {
         _ => &given,
     };
     if stem.is_empty() {
-        return Err(entry.error(
-            "img_name",
-            "no name",
-            "the name of an image",
-            "name the camera",
-        ));
+        let expected = "the name of an image";
+        return Err(entry.error("img_name", "no name", expected, "name the camera"));
     }
     Ok(stem.replace(['/', '\\'], "_"))
 }

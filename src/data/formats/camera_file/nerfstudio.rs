@@ -33,12 +33,8 @@ fn camera(path: &Path, i: usize, value: &Value, size: [usize; 2]) -> Result<Name
     let fov = entry.number("fov")?;
     if !(fov > 0.0 && fov < 180.0) {
         let expected = "vertical degrees above 0, below 180";
-        return Err(entry.error(
-            "fov",
-            &format!("{fov:?}"),
-            expected,
-            "correct the field of view",
-        ));
+        let help = "correct the field of view";
+        return Err(entry.error("fov", &format!("{fov:?}"), expected, help));
     }
     let focal = 0.5 * size[1] as f64 / (0.5 * fov.to_radians()).tan();
     let focal = entry.check_focal("fov", focal)?;

@@ -11,7 +11,6 @@ mod reader;
 use super::frame::Frame;
 use super::label_folder::SideFolders;
 use super::listing::{Cloud, Folder, Listing, Problems};
-use crate::config::Layout;
 use crate::data::options::LoadOptions;
 use crate::data::{Limits, Points};
 use crate::error::{Result, bail, invalid};
@@ -47,7 +46,8 @@ pub(crate) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
 }
 
 /// Lists the frames of the folder.
-pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
+pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listing> {
+    let Folder { dir, options, .. } = folder;
     let model = SparseModel::find(dir, &options.limits)?;
     let cameras = cameras::read(&model.cameras)?;
     let cameras: BTreeMap<_, _> = cameras
@@ -56,13 +56,6 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         .collect();
     let mut images = images::read(&model.images, &options.limits)?;
     images.sort_by(|a, b| a.name.cmp(&b.name));
-
-    let layout = Layout::Colmap;
-    let folder = Folder {
-        dir,
-        options,
-        layout,
-    };
     let folders = SideFolders::new(folder, problems);
     let mut first = HashMap::new();
     let mut frames = Vec::new();

@@ -23,7 +23,7 @@ use crate::data::photos::image_file::ImageFile;
 use crate::data::photos::lens::Lens;
 use crate::data::{Limits, Scene, Split};
 use crate::error::{Error, Result, ensure, invalid};
-use crate::files::names;
+use crate::files::{file_name, names};
 use crate::splat::camera::Camera;
 use named_folder::NamedFolder;
 use rayon::prelude::*;
@@ -80,17 +80,12 @@ pub(crate) fn alternatives(dir: &Path) -> Vec<String> {
 }
 
 /// Lists the frames of the folder.
-pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
+pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listing> {
+    let Folder { dir, options, .. } = folder;
     let limits = &options.limits;
     let sources = Sources::read(dir, options, problems)?;
     let kept = sources.pick(options, problems);
     limits.check_views(&sources.file, kept.len())?;
-    let layout = Layout::Transforms;
-    let folder = Folder {
-        dir,
-        options,
-        layout,
-    };
     let files = LabelFiles::new(folder, &sources, problems);
     let mut photos = Vec::new();
     let look = |kept: &Kept| photo(dir, &sources.files[kept.source], kept.index, limits);
@@ -115,11 +110,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         .find_map(|source| source.transforms.ply_file_path.as_ref());
     let unnamed = CLOUDS.into_iter().find(|name| dir.join(name).is_file());
     if let (None, Some(cloud)) = (named_cloud, unnamed) {
-        let file = files[0]
-            .path
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy();
+        let file = file_name(&files[0].path).unwrap_or_default();
         notices.push(format!(
             "{cloud} is not read: {file} does not name it; add \"ply_file_path\": \"{cloud}\" if it is the initial cloud"
         ));

@@ -3,9 +3,9 @@
 //! Format: <https://github.com/wkentaro/labelme>, version 4 and later. Points and lines have no area and label nothing.
 
 use super::drawing::{self, Drawing, Point, Region};
-use super::{RawFile, Vocabulary, plain};
+use super::{RawFile, Vocabulary};
 use crate::data::Classes;
-use crate::data::labels::classes::is_void;
+use crate::data::labels::classes::{is_void, plain};
 use crate::error::{Error, Result, ensure, invalid};
 use serde::Deserialize;
 use std::collections::{BTreeMap, HashMap};

@@ -89,14 +89,7 @@ impl Vocabulary {
                 notice: None,
             });
         }
-        let find = |(_, name): &(u16, &str)| {
-            let class = classes
-                .entries
-                .iter()
-                .find(|class| plain(&class.name) == plain(name));
-            class.map(|class| class.id)
-        };
-        let ids: Vec<Option<u16>> = names.iter().map(find).collect();
+        let ids: Vec<Option<u16>> = names.iter().map(|(_, name)| classes.id_of(name)).collect();
         let found = ids.iter().flatten().count();
         let all = names.len();
         if found == 0 {
@@ -118,11 +111,6 @@ impl Vocabulary {
             notice: (found < all).then_some(notice),
         })
     }
-}
-
-/// A name of a class as it is compared.
-fn plain(name: &str) -> String {
-    name.trim().to_lowercase().replace(['-', '_'], " ")
 }
 
 /// Whether the raw labels `files` need a class table: all but those that bring their own or have none. The answer is what to add

@@ -79,23 +79,16 @@ impl TensorSums {
                 Resolution::Feature => None,
             };
             let lifted = lifted(projected, map, reading, &self.splats.means.device())?;
-            let ProjectedPixels {
-                weights,
-                counts,
-                pixels,
-                ..
-            } = projected;
+            let weights = projected.weights.clone();
             let scale = &mut self.scales[number];
             scale.sums = Some(match scale.sums.take() {
-                Some([buffer, sum]) => [buffer + lifted, sum + weights.clone()],
-                None => [lifted, weights.clone()],
+                Some([buffer, sum]) => [buffer + lifted, sum + weights],
+                None => [lifted, weights],
             });
-            scale
-                .counts
-                .iter_mut()
-                .zip(counts)
-                .for_each(|(sum, count)| *sum += *count);
-            scale.pixels += *pixels;
+            for (sum, count) in scale.counts.iter_mut().zip(&projected.counts) {
+                *sum += count;
+            }
+            scale.pixels += projected.pixels;
         }
         Ok(())
     }
@@ -108,9 +101,8 @@ impl TensorSums {
         mask: Option<&Mask>,
         settings: &Settings,
     ) -> Result<(Vec<u64>, u64)> {
-        let ProjectedPixels { counts, pixels, .. } =
-            self.project(splats, camera, mask, settings)?;
-        Ok((counts, pixels))
+        let projected = self.project(splats, camera, mask, settings)?;
+        Ok((projected.counts, projected.pixels))
     }
 
     /// The view of `camera`, of the pixels that `mask` uses.
@@ -125,27 +117,20 @@ impl TensorSums {
         let pixels = camera.height * camera.width;
         let device = self.splats.means.device();
         let used = mask.map(|mask| {
-            let values: Vec<f32> = (0..pixels)
-                .map(|pixel| f32::from(u8::from(mask.uses(pixel))))
-                .collect();
-            upload(values, [pixels, 1], &device)
+            let value = |pixel| f32::from(u8::from(mask.uses(pixel)));
+            upload((0..pixels).map(value).collect(), [pixels, 1], &device)
         });
-        let all = used
-            .clone()
-            .unwrap_or_else(|| Tensor::ones([pixels, 1], &device));
+        let all = used.clone();
+        let all = all.unwrap_or_else(|| Tensor::ones([pixels, 1], &device));
         let Lifted { sums, counts } =
             view.blend_adjoint(all.reshape([camera.height, camera.width, 1]))?;
         // The GPU counts all pixels. With a mask the CPU counts, and projects the view once more.
-        let counts: Vec<u64> = match mask {
-            Some(_) => Projected::new(splats, camera, settings)?
-                .used_counts(mask)
-                .into_iter()
-                .map(u64::from)
-                .collect(),
-            None => read("counts", counts)?
-                .into_iter()
-                .map(|count| count as u64)
-                .collect(),
+        let counts: Vec<u64> = if mask.is_some() {
+            let counts = Projected::new(splats, camera, settings)?.used_counts(mask);
+            counts.into_iter().map(u64::from).collect()
+        } else {
+            let counts = read("counts", counts)?.into_iter();
+            counts.map(|count| count as u64).collect()
         };
         Ok(ProjectedPixels {
             view,
@@ -162,11 +147,8 @@ impl TensorSums {
         if lattice.is_of_pixels(size[0], size[1]) {
             return None;
         }
-        if let Some((.., reading)) = self
-            .bilinear_reads
-            .iter()
-            .find(|(of, at, _)| (*of, *at) == (lattice, size))
-        {
+        let mut known = self.bilinear_reads.iter();
+        if let Some((.., reading)) = known.find(|(of, at, _)| (*of, *at) == (lattice, size)) {
             return Some(reading.clone());
         }
         let reading = Arc::new(bilinear(&lattice, size));
@@ -181,25 +163,19 @@ impl TensorSums {
     pub fn into_sums(self) -> Result<Sums<f32>> {
         let n = self.splats.len();
         let mut out = Sums::default();
-        for Scale {
-            channels,
-            sums,
-            counts,
-            pixels,
-        } in self.scales
-        {
-            let [buffer, weights] = match sums {
+        for scale in self.scales {
+            let [buffer, weights] = match scale.sums {
                 Some([buffer, weights]) => [
                     read("unprojected features", buffer)?,
                     read("weights", weights)?,
                 ],
-                None => [vec![0.0; n * channels], vec![0.0; n]],
+                None => [vec![0.0; n * scale.channels], vec![0.0; n]],
             };
             out.buffers.push(buffer);
-            out.channels.push(channels);
+            out.channels.push(scale.channels);
             out.weights.push(weights);
-            out.counts.push(counts);
-            out.pixels.push(pixels);
+            out.counts.push(scale.counts);
+            out.pixels.push(scale.pixels);
         }
         Ok(out)
     }
