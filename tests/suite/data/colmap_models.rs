@@ -71,7 +71,9 @@ fn a_model_that_is_not_called_0_is_found_and_damage_is_told_of() {
     let dir = dir.path();
     fs::rename(dir.join("sparse/0"), dir.join("sparse/1")).expect("rename");
     assert_eq!(
-        locate(dir, &LoadOptions::default()).expect("layout").to_string(),
+        locate(dir, &LoadOptions::default())
+            .expect("layout")
+            .to_string(),
         "colmap"
     );
     assert!(notices(dir).iter().all(|n| !n.contains("could not join")));
