@@ -16,7 +16,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Version of the layout; files of another one are refused.
-const VERSION: u64 = 2;
+const VERSION: u64 = 3;
 /// Key of the JSON object within `__metadata__`.
 const KEY: &str = "coseg";
 /// Numbers stored of each point of a curve.

@@ -119,8 +119,8 @@ pub enum Prior {
     None,
     /// The votes of each Gaussian's raw labels as log-shares: the decoder learns a correction.
     Votes,
-    /// The votes, refined, pooled over superpoints and calibrated. The decoder learns from what they say about the labelled pixels, instead
-    /// of from the raw labels. Objects that association found take [`Prior::Votes`] instead.
+    /// The votes, refined, pooled over superpoints and calibrated. The decoder learns from what they say about the labelled pixels,
+    /// instead of from the raw labels. Objects that association found take [`Prior::Votes`] instead.
     Pooled,
 }
 
@@ -151,8 +151,8 @@ pub struct SegmentationConfig {
     pub prior: Prior,
     /// Exponent of the class frequencies that pooled votes are divided by, 0 to 1. Absent: it follows from the votes.
     pub prior_exponent: Option<f64>,
-    /// Share of the vote in the identities that decoders learned, 0 to 1. Absent: raw labels that the vote has not seen decide. It is 0
-    /// where they name frequent classes too often.
+    /// Share of the vote in the identities that decoders learned, 0 to 1. Absent: raw labels that the vote has not seen decide; it is
+    /// 0 where raw labels name frequent classes too often, and without a prior.
     pub vote_share: Option<f64>,
     /// Loss of the variant `ours`.
     #[serde(deserialize_with = "super::by_name")]

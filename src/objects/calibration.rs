@@ -14,10 +14,10 @@ use super::largest::first_largest;
 
 /// Exponent e of class frequencies, unless settings give another.
 const EXPONENT: f64 = 0.5;
-/// Preferences between which the correction rises from nothing to all of it. Simulated labels of three rooms had 0.15 to 0.38,
+/// Preferences between which the exponent rises from 0 to all of it. Simulated labels of three rooms had 0.15 to 0.38,
 /// those of a network 0.48 to 0.84.
 const PREFERENCES: [f64; 2] = [0.39, 0.47];
-/// Shares of errors between which it rises likewise. True labels of these rooms had 0.015 to 0.018, those of the network 0.07 to 0.12.
+/// Shares of errors between which pooling rises likewise. True labels of these rooms had 0.015 to 0.018, those of the network 0.07 to 0.12.
 const ERROR_SHARES: [f64; 2] = [0.03, 0.06];
 /// Share of both fluxes of a pair that is added to each, which keeps their ratio finite.
 const FLUX_FLOOR: f64 = 0.02;
@@ -225,7 +225,11 @@ impl LabelErrors {
         let total: f64 = won.iter().sum();
         let right: f64 = (0..classes).map(|c| flux.at(c, c)).sum();
         Self {
-            share: 1.0 - right / total.max(f64::MIN_POSITIVE),
+            share: if total > 0.0 {
+                1.0 - right / total
+            } else {
+                0.0
+            },
             preference: if square > 0.0 {
                 1.0 - product / square
             } else {
@@ -299,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_that_prefer_no_class_are_left_alone() {
+    fn errors_that_prefer_no_class_are_pooled_without_frequencies() {
         // Each class loses a quarter, to all others alike.
         let (votes, truth) = votes(|_, _| 0.06);
         let errors = LabelErrors::of(votes.rows().map(|row| row.0), COUNTS.len());
@@ -315,6 +319,8 @@ mod tests {
         let errors = LabelErrors::of(votes.rows().map(|row| row.0), COUNTS.len());
         assert!(errors.share < 0.02 && errors.preference > 0.5, "{errors:?}");
         assert_eq!(errors.pooling(), 0.0);
+        let nothing = LabelErrors::of(std::iter::empty(), COUNTS.len());
+        assert_eq!((nothing.pooling(), nothing.exponent()), (0.0, 0.0));
         assert_eq!(right(&votes.shares, &truth), truth.len());
     }
 

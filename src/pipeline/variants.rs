@@ -223,7 +223,7 @@ impl<'a> StageTwo<'a> {
         let plan = plan(variant, inputs)?;
         let input = self.encodings(variant)?.decoder_input(variant, inputs)?;
         let prior = self.prior()?;
-        match self.prior_kind()? {
+        match self.prior_kind() {
             Prior::Pooled => {
                 let pooled = self.pooled()?.identities.clone();
                 self.views.use_labels_of(&pooled, inputs.device);
@@ -277,28 +277,26 @@ impl<'a> StageTwo<'a> {
     /// Whether raw labels decide on the share of the vote. They cannot where they name frequent classes too often: the vote agrees
     /// with that.
     fn votes_are_compared(&self) -> Result<bool> {
-        Ok(match self.prior_kind()? {
+        Ok(match self.prior_kind() {
             Prior::None => false,
             Prior::Votes => true,
             Prior::Pooled => self.pooled()?.exponent == 0.0,
         })
     }
 
-    /// What decoders start from. Votes are not pooled where that would correct nothing, nor those of objects of association: two of
-    /// them may share a superpoint.
-    fn prior_kind(&self) -> Result<Prior> {
+    /// What decoders start from. Votes for objects of association are not pooled: two of them may share a superpoint.
+    fn prior_kind(&self) -> Prior {
         let config = self.inputs.config;
-        let prior = config.segmentation.prior;
-        if prior != Prior::Pooled {
-            return Ok(prior);
-        }
         let objects = config.data.association == Association::Gaussians;
-        if objects { Ok(Prior::Votes) } else { Ok(prior) }
+        match config.segmentation.prior {
+            Prior::Pooled if objects => Prior::Votes,
+            prior => prior,
+        }
     }
 
     /// The scores that a decoder starts from, `[N, C]`.
     fn prior(&self) -> Result<Option<Vec<f32>>> {
-        match self.prior_kind()? {
+        match self.prior_kind() {
             Prior::None => Ok(None),
             Prior::Votes => Ok(Some(self.votes()?.log_shares(VOTE_FLOOR))),
             Prior::Pooled => {

@@ -34,7 +34,8 @@ pub struct Codes {
 ///
 /// The linear map commutes with blending, so Gaussians are classified and their logits blended. The bias then counts by the coverage
 /// 1 - T of a pixel; training pixels are normalised to a coverage of 1. Differences from the original: labels are classes instead of
-/// tracked masks; the 3D loss is taken in every iteration instead of every fifth; codes and classifier have one learning rate.
+/// tracked masks; the 3D loss is taken in every iteration instead of every fifth; codes and classifier have one learning rate. Where
+/// a segmenter's scores lie beside the labels, cross-entropy is to their distribution.
 pub struct Grouping {
     module: Codes,
     /// The nearest others of each Gaussian, `[N, 5]`.

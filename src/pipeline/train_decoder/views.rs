@@ -195,7 +195,9 @@ impl<'a> TrainingViews<'a> {
         numbers: Arc<Vec<u32>>,
     ) -> Result<ViewSample> {
         let view = self.views[index];
-        if let (None, Some(_), Some(file)) = (&self.replaced, &self.lookup, &view.scores) {
+        if let (None, Some(_), Some(file)) = (&self.replaced, &self.lookup, &view.scores)
+            && !numbers.is_empty()
+        {
             let scores = match self.scores[index].take() {
                 Some(scores) => scores,
                 None => file.read(&self.classes)?,

@@ -7,6 +7,8 @@ use burn::tensor::{Tensor, TensorData};
 
 /// Keeps the logarithm of a blended probability finite.
 pub(super) const LEAST_PROBABILITY: f64 = 1e-8;
+/// Keeps the logarithm finite of a mixture of two distributions that both lack a class. What it is multiplied by is 0 then.
+const LEAST_MIXTURE: f64 = 1e-30;
 /// Logarithm of a label's zeros in [`LabelLoss::NceRce`] (Ma et al. 2020).
 const LOG_ZERO: f64 = -4.0;
 /// Weight of the raw label in [`LabelLoss::Gjs`] of the settings.
@@ -77,13 +79,17 @@ impl LabelLoss {
             }
             Self::Mae => (log_p.exp() - y).abs().sum_dim(1) * 0.5,
             Self::NceRce => {
-                let normalised = (log_p.clone() * y.clone()).sum_dim(1) / log_p.clone().sum_dim(1);
-                let log_y = y.clamp_min(LOG_ZERO.exp()).log();
-                normalised - (log_p.exp() * log_y).sum_dim(1)
+                let log_y = y.clone().clamp_min(LOG_ZERO.exp()).log();
+                let reverse = (log_p.clone().exp() * log_y).sum_dim(1).neg();
+                if log_p.dims()[1] == 1 {
+                    return reverse;
+                }
+                (log_p.clone() * y).sum_dim(1) / log_p.sum_dim(1) + reverse
             }
             Self::Js { pi } | Self::Gjs { pi } => {
                 let p = log_p.clone().exp();
-                let log_m = (p.clone() * (1.0 - pi) + y.clone() * pi).log();
+                let m = p.clone() * (1.0 - pi) + y.clone() * pi;
+                let log_m = m.clamp_min(LEAST_MIXTURE).log();
                 let log_y = (y.clone() + LEAST_PROBABILITY).log();
                 let label = (y * (log_y - log_m.clone())).sum_dim(1);
                 let prediction = (p * (log_p - log_m)).sum_dim(1);
@@ -111,7 +117,7 @@ impl LabelLoss {
     }
 }
 
-/// (1 - p^q) / q for exponents `q`, `[P, 1]` or `[1, 1]`. Near p = 1 the difference 1 - exp(x) would lose its digits: there it
+/// (1 - p^q) / q for exponents `q`, `[P, 1]`, `[1, C]` or `[1, 1]`. Near p = 1 the difference 1 - exp(x) would lose its digits: there it
 /// is 2 t / (1 + t) with t = tanh(-x / 2), by the continued fraction of tanh, which is plain arithmetic on every device.
 pub(super) fn generalised_cross_entropy(log_p: Tensor<2>, q: Tensor<2>) -> Tensor<2> {
     let x = log_p * q.clone();
@@ -210,7 +216,7 @@ impl OwnClass {
     }
 }
 
-/// The exponents of [`LabelLoss::Gce`] for `classes`, see [`CoSegLoss::robustness`].
+/// The exponents of [`LabelLoss::Gce`] for `classes`, see [`CoSegLoss::robustness`](super::CoSegLoss::robustness).
 pub(super) fn exponents(
     q: f64,
     robustness: &[f64],

@@ -59,7 +59,7 @@ pub struct CoSegLoss {
     /// Weights of the label loss and of the 3D regularisation.
     pub lambda: [f64; 2],
     /// Shares of the exponent of [`LabelLoss::Gce`] that pixels of each class keep, in 0..1: at 0 they learn by
-    /// cross-entropy. Classes beyond the end keep all of it.
+    /// cross-entropy. Classes beyond the end keep all of it. A pixel with a distribution has the exponent of each of its classes.
     pub robustness: Vec<f64>,
 }
 

@@ -453,3 +453,26 @@ fn a_distribution_on_one_class_is_its_label() {
         }
     }
 }
+
+#[test]
+fn distributions_and_certain_logits_stay_finite() {
+    let device = plain_device().autodiff();
+    // Class 0 is certain, and the label lacks classes 1 to 3.
+    let logits: Vec<f64> = [[300.0, -300.0, 0.0, 1.0, 2.0]; 12].concat();
+    let y: Vec<f64> = [[0.0, 0.0, 0.0, 0.0, 1.0]; 12].concat();
+    for kind in KINDS {
+        let x = matrix(&logits, 5, &device).cast(DType::F32).require_grad();
+        let pixels = pixels_with(&y, &plain_device());
+        let pixels = LabelledPixels {
+            distributions: pixels.distributions.map(|y| y.cast(DType::F32)),
+            ..pixels
+        };
+        let scores = Scores::Pixels(x.clone());
+        let loss = CoSegLoss::from(kind).forward(scores, &pixels, None);
+        let loss = loss.expect("a loss");
+        let gradient = x.grad(&loss.backward()).expect("tracked");
+        let gradient: Vec<f32> = gradient.into_data().into_vec().expect("f32");
+        assert!(loss.into_scalar::<f32>().is_finite(), "{kind:?}");
+        assert!(gradient.iter().all(|g| g.is_finite()), "{kind:?}");
+    }
+}

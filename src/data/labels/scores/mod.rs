@@ -146,6 +146,9 @@ impl LabelProbabilities {
                 continue;
             };
             let share = weight * f32::from(self.map.probabilities[n * cells + cell]) / 255.0;
+            if share == 0.0 {
+                continue; // Ids of probability 0 mean nothing.
+            }
             match found.iter_mut().find(|(other, _)| *other == class) {
                 Some((_, sum)) => *sum += share,
                 None => found.push((class, share)),
