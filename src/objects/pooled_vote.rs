@@ -208,18 +208,16 @@ mod tests {
         let mut table = Vec::new();
         for i in 0..gaussians.means.len() {
             let class = usize::from(i % 40 >= 20);
-            // Three in ten are wrong; one in ten sees nothing.
-            let voted = if rng.random_bool(0.3) {
-                1 - class
-            } else {
-                class
-            };
-            let mut row = [0.0; 3];
-            row[voted] = if rng.random_bool(0.1) {
+            // Three in ten have most of their votes for the other class; one in ten sees nothing.
+            let right = if rng.random_bool(0.3) { 0.35 } else { 1.0 };
+            let votes = if rng.random_bool(0.1) {
                 0.0
             } else {
                 rng.random_range(1.0..9.0)
             };
+            let mut row = [0.0; 3];
+            row[class] = votes * right;
+            row[1 - class] = votes * (1.0 - right);
             table.extend(row);
         }
         let votes = Votes { table, classes: 3 };

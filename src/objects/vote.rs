@@ -62,7 +62,7 @@ pub fn weighted_vote<'a>(
     collect(gaussians, views, classes.len(), cast, settings, device)
 }
 
-/// The [`weighted_vote`] after [`REFINEMENTS`] steps of expectation maximisation (Dempster et al. 1977), which undo the blur of
+/// The [`weighted_vote`] after `REFINEMENTS` steps of expectation maximisation (Dempster et al. 1977), which undo the blur of
 /// blending. The label of a pixel is taken as drawn from the blended class shares `sum_j w_j p_jc` of its Gaussians. Its vote for
 /// class c counts `w_i p_ic / sum_j w_j p_jc` on Gaussian i, where the shares p are those of the votes before. From equal shares, a
 /// step gives the votes without refinement, divided by the coverage of their pixels.
