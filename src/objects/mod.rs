@@ -12,7 +12,6 @@ mod renderer;
 mod semantics;
 mod separate;
 mod superpoints;
-mod view_votes;
 mod vote;
 
 pub use self::association::{Association, Group, associate};

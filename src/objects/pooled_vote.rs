@@ -14,8 +14,7 @@ use rayon::prelude::*;
 const NEIGHBOURS: usize = 12;
 /// Scales of the superpoints. The calibration is fitted on those of [`FITTED`].
 const SCALES: [f64; 3] = [0.1, 0.3, 1.0];
-/// Weight of a Gaussian's own votes beside those of the superpoints of each scale: as much as all of them. With a weight of 1,
-/// house_kitchen and house_living lost 1.0 and 1.1 points on `labels_raw`, 0.8 and 1.0 on `labels_raw_corr`.
+/// Weight of a Gaussian's own votes beside those of the superpoints of each scale: as much as all of them.
 const OWN: f64 = 3.0;
 /// Index of the scale in the middle.
 const FITTED: usize = 1;

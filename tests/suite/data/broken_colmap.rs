@@ -1,6 +1,7 @@
 //! COLMAP models that are refused: of another camera, broken, cut off and damaged.
 
 use crate::support::colmap::{Calibrated, binary, name, photo, pinhole, scene, text};
+use crate::support::damage::Damage;
 use coseg::data::{Limits, LoadOptions, load};
 use std::fs;
 use std::path::Path;
@@ -213,7 +214,7 @@ fn claims_that_the_file_cannot_hold_are_refused() {
 
 #[test]
 fn damaged_colmap_files_never_panic() {
-    let mut state = 1_u64;
+    let mut damage = Damage::new(2);
     for (write, ending) in [(binary as fn(&Path, &Calibrated), "bin"), (text, "txt")] {
         let dir = scene(
             write,
@@ -223,14 +224,7 @@ fn damaged_colmap_files_never_panic() {
             let path = dir.path().join("sparse/0").join(format!("{file}.{ending}"));
             let whole = fs::read(&path).expect("read");
             for _ in 0..200 {
-                let mut damaged = whole.clone();
-                for _ in 0..2 {
-                    state = state
-                        .wrapping_mul(6_364_136_223_846_793_005)
-                        .wrapping_add(1_442_695_040_888_963_407);
-                    let at = (state >> 33) as usize % damaged.len();
-                    damaged[at] = (state >> 25) as u8;
-                }
+                let damaged = damage.of(&whole);
                 fs::write(&path, &damaged).expect("write");
                 if let Ok(scene) = load(dir.path(), &LoadOptions::default()) {
                     assert!(

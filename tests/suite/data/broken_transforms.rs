@@ -1,5 +1,6 @@
 //! `transforms.json` scenes in many broken forms, cut off and damaged.
 
+use crate::support::damage::Damage;
 use crate::support::small_scene::{edit, expect_error, manifest, scene};
 use coseg::data::formats::transforms::{LoadOptions, load};
 use coseg::data::{LabelMap, Limits};
@@ -340,7 +341,7 @@ fn any_truncated_file_is_an_error() {
 fn damaged_files_never_panic() {
     let dir = scene();
     let options = LoadOptions::default();
-    let mut state = 1_u64;
+    let mut damage = Damage::new(3);
     for file in [
         "transforms.json",
         "classes.json",
@@ -351,14 +352,7 @@ fn damaged_files_never_panic() {
         let path = dir.path().join(file);
         let whole = fs::read(&path).expect("read");
         for _ in 0..300 {
-            let mut damaged = whole.clone();
-            for _ in 0..3 {
-                state = state
-                    .wrapping_mul(6_364_136_223_846_793_005)
-                    .wrapping_add(1_442_695_040_888_963_407);
-                let at = (state >> 33) as usize % damaged.len();
-                damaged[at] = (state >> 25) as u8;
-            }
+            let damaged = damage.of(&whole);
             fs::write(&path, &damaged).expect("write");
             if let Ok(scene) = load(dir.path(), &options) {
                 assert!(

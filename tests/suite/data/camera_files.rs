@@ -1,5 +1,6 @@
 //! Files of cameras that other tools write: read as they mean, and refused by name where they are broken.
 
+use crate::support::damage::Damage;
 use coseg::data::{NamedCamera, Split, read_cameras};
 use coseg::splat::camera::Camera;
 use glam::{DMat3, DQuat, DVec3};
@@ -346,13 +347,9 @@ fn what_holds_no_cameras_says_what_it_is() {
         for length in 0..whole.len() {
             refused(&whole.as_bytes()[..length], &["cameras.json"]);
         }
-        let mut state = 1_u64;
+        let mut damage = Damage::new(1);
         for _ in 0..500 {
-            let mut damaged = whole.clone().into_bytes();
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            damaged[(state >> 33) as usize % whole.len()] = (state >> 25) as u8;
+            let damaged = damage.of(whole.as_bytes());
             fs::write(&path, &damaged).expect("write");
             for named in read_cameras(&path, None).unwrap_or_default() {
                 assert!(

@@ -1,7 +1,8 @@
 //! Compactness: how disagreement of neighbours is counted, and where a run reports it.
 
+use crate::support::plate_runs::short;
 use coseg::Error;
-use coseg::config::{BuildingConfig, Config, SegmentationConfig, Variant};
+use coseg::config::Variant;
 use coseg::objects::{Identities, NeighbourGraph};
 use coseg::pipeline::run;
 use coseg::progress::Silent;
@@ -50,25 +51,13 @@ fn hard_cases_and_bad_input() {
 fn a_run_reports_compactness_and_agreement() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::support::plates::scene(folder.path());
-    let mut config = Config {
-        building: BuildingConfig {
-            iterations: 40,
-            random_points: 400,
-            ..BuildingConfig::default()
-        },
-        segmentation: SegmentationConfig {
-            iterations: 30,
-            rows: Some(vec![
-                Variant::Raw,
-                Variant::Vote,
-                Variant::PerGaussian,
-                Variant::Ours,
-            ]),
-            ..SegmentationConfig::default()
-        },
-        ..Config::default()
-    };
-    config.data.dir = Some(folder.path().to_owned());
+    let rows = [
+        Variant::Raw,
+        Variant::Vote,
+        Variant::PerGaussian,
+        Variant::Ours,
+    ];
+    let config = short(folder.path(), 30, &rows);
     let out = folder.path().join("run");
     let plain = run(&config, &out, &crate::support::device(), &mut Silent).expect("a run");
     assert!(

@@ -1,8 +1,9 @@
 //! Stage two on a GPU against the same on ndarray: pixels and Gaussians that take part, blending, trained identities.
 
 use crate::support::gpu;
+use crate::support::plate_runs::short;
 use burn::tensor::{Device, Tensor, TensorData};
-use coseg::config::{Blend, BuildingConfig, Config, SegmentationConfig, Variant};
+use coseg::config::{Blend, SegmentationConfig, Variant};
 use coseg::data::{LoadOptions, Split, load};
 use coseg::pipeline::train_decoder::{TrainingViews, ViewSample};
 use coseg::pipeline::{Outcome, run};
@@ -126,20 +127,8 @@ fn blended(drawn: &ViewSample, count: usize, device: &Device) -> [Vec<f32>; 2] {
 }
 
 fn trained(scene: &Path, out: &Path, device: &Device) -> Outcome {
-    let mut config = Config {
-        building: BuildingConfig {
-            iterations: 40,
-            random_points: 400,
-            ..BuildingConfig::default()
-        },
-        segmentation: SegmentationConfig {
-            iterations: 60,
-            rows: Some(vec![Variant::Vote, Variant::PerGaussian, Variant::Ours]),
-            ..SegmentationConfig::default()
-        },
-        ..Config::default()
-    };
-    config.data.dir = Some(scene.to_owned());
+    let rows = [Variant::Vote, Variant::PerGaussian, Variant::Ours];
+    let config = short(scene, 60, &rows);
     run(&config, out, device, &mut Silent).expect("a run")
 }
 

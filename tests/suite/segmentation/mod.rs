@@ -8,6 +8,7 @@ pub mod decoder_chunks;
 #[cfg(feature = "wgpu")]
 pub mod device_unprojection;
 pub mod loss;
+pub mod loss_of_distributions;
 pub mod masked_unprojection;
 pub mod neighbours;
 pub mod pretrain;

@@ -6,6 +6,7 @@ pub mod browser;
 pub mod capture;
 pub mod colmap;
 pub mod comparison;
+pub mod damage;
 #[cfg(feature = "wgpu")]
 pub mod device_tensors;
 pub mod dino_reference;
@@ -13,6 +14,7 @@ pub mod dino_weights;
 pub mod feature_maps;
 pub mod finite_differences;
 pub mod hard_labels;
+pub mod label_losses;
 pub mod lifting;
 pub mod linear_probe;
 pub mod made_up_report;

@@ -5,8 +5,8 @@ use coseg::pipeline::{Outcome, run};
 use coseg::progress::{CurvePoint, Event, Progress, Silent};
 use std::path::Path;
 
-/// Both stages on the plates, a second or two.
-pub fn config(data: &Path) -> Config {
+/// Both stages on the plates in `data`, a second or two: `iterations` of stage two for each of `rows`.
+pub fn short(data: &Path, iterations: usize, rows: &[Variant]) -> Config {
     let mut config = Config {
         building: BuildingConfig {
             iterations: 40,
@@ -14,22 +14,32 @@ pub fn config(data: &Path) -> Config {
             ..BuildingConfig::default()
         },
         segmentation: SegmentationConfig {
-            iterations: 30,
-            rows: Some(vec![Variant::Vote, Variant::PerGaussian, Variant::Ours]),
-            pixel_share: 0.5,
-            eval_every: 10,
-            checkpoint_every: 7,
-            // Every loss depends on earlier measurements.
-            loss: LabelLoss::Gce {
-                exponent: 0.7,
-                least_recall: 1.0,
-            },
+            iterations,
+            rows: Some(rows.to_vec()),
             ..SegmentationConfig::default()
         },
-        seed: 5,
         ..Config::default()
     };
     config.data.dir = Some(data.to_owned());
+    config
+}
+
+/// A short run with several evaluations and checkpoints.
+pub fn config(data: &Path) -> Config {
+    let rows = [Variant::Vote, Variant::PerGaussian, Variant::Ours];
+    let mut config = short(data, 30, &rows);
+    config.seed = 5;
+    config.segmentation = SegmentationConfig {
+        pixel_share: 0.5,
+        eval_every: 10,
+        checkpoint_every: 7,
+        // Every loss depends on earlier measurements.
+        loss: LabelLoss::Gce {
+            exponent: 0.7,
+            least_recall: 1.0,
+        },
+        ..config.segmentation
+    };
     config
 }
 
@@ -110,21 +120,8 @@ pub fn same(a: &Outcome, b: &Outcome) {
 pub fn trained(edit: impl Fn(&mut SegmentationConfig)) -> Outcome {
     let folder = tempfile::tempdir().expect("a folder");
     crate::support::plates::scene(folder.path());
-    let mut config = Config {
-        building: BuildingConfig {
-            iterations: 40,
-            random_points: 400,
-            ..BuildingConfig::default()
-        },
-        segmentation: SegmentationConfig {
-            iterations: 20,
-            rows: Some(vec![Variant::Ours]),
-            ..SegmentationConfig::default()
-        },
-        ..Config::default()
-    };
+    let mut config = short(folder.path(), 20, &[Variant::Ours]);
     edit(&mut config.segmentation);
-    config.data.dir = Some(folder.path().to_owned());
     run(
         &config,
         &folder.path().join("run"),

@@ -1,142 +1,17 @@
-//! The vote: each Gaussian takes the class with the largest summed alpha' T over the raw labels of the training views.
-//!
-//! This is the closed-form baseline that a trained decoder has to beat (FlashSplat solves the same table as a linear
-//! programme). The table itself also says how contested a Gaussian is. Labels are lifted by the adjoint of blending, one channel
-//! a class.
+//! Votes on a device until all views are in.
 
-use super::Identities;
-use super::largest::first_largest;
+use super::Votes;
 use super::view_votes::ViewVotes;
-use crate::backend::device::{read, upload};
-use crate::data::{Classes, View};
+use crate::backend::device::read;
 use crate::error::Result;
-use crate::metrics::Agreement;
-use crate::raster::{Settings, SplatTensors, SplatView};
-use crate::splat::Gaussians;
-use burn::tensor::{Device, IndexingUpdateOp, Int, Tensor, TensorData};
+use crate::raster::{SplatTensors, SplatView};
+use burn::tensor::{IndexingUpdateOp, Int, Tensor, TensorData};
 
-/// Steps of expectation maximisation in [`refined_vote`]. More of them fit errors: without pooling, the second one already costs
-/// accuracy where errors last over neighbouring views.
-const REFINEMENTS: usize = 2;
 /// Least blended share of a class that a vote is divided by.
 const LEAST_SHARE: f32 = 1e-4;
 
-/// Summed weights of each class on each Gaussian.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Votes {
-    /// `[N, C]` row-major: sum over labelled training pixels of alpha' T where the label is class c.
-    pub table: Vec<f32>,
-    /// C.
-    pub classes: usize,
-}
-
-/// Collects the votes of all `views` that have raw labels, on `device`: one vote of each labelled pixel for its class.
-///
-/// # Errors
-/// Those of [`SplatView::blend_adjoint`].
-pub fn vote<'a>(
-    gaussians: &Gaussians,
-    views: impl Iterator<Item = &'a View>,
-    classes: &Classes,
-    settings: &Settings,
-    device: &Device,
-) -> Result<Votes> {
-    let cast = |view: &View| Ok(ViewVotes::of_labels(view, classes));
-    collect(gaussians, views, classes.len(), cast, settings, device)
-}
-
-/// Votes for labels with errors: as [`vote`], but labelled pixels of views with scores divide their vote among classes as the
-/// segmenter does, and the votes of a view on a Gaussian are multiplied by its distance from the camera. Near views have the most
-/// pixels of a Gaussian, but a network sees too little of an object in them.
-///
-/// # Errors
-/// Those of [`vote`] and of [`ViewScores::read`](crate::data::ViewScores::read).
-pub fn weighted_vote<'a>(
-    gaussians: &Gaussians,
-    views: impl Iterator<Item = &'a View>,
-    classes: &Classes,
-    settings: &Settings,
-    device: &Device,
-) -> Result<Votes> {
-    let cast = |view: &View| ViewVotes::weighted(view, classes, gaussians, device);
-    collect(gaussians, views, classes.len(), cast, settings, device)
-}
-
-/// The [`weighted_vote`] after `REFINEMENTS` steps of expectation maximisation (Dempster et al. 1977), which undo the blur of
-/// blending. The label of a pixel is taken as drawn from the blended class shares `sum_j w_j p_jc` of its Gaussians. Its vote for
-/// class c counts `w_i p_ic / sum_j w_j p_jc` on Gaussian i, where the shares p are those of the votes before. From equal shares, a
-/// step gives the votes without refinement, divided by the coverage of their pixels.
-///
-/// # Errors
-/// Those of [`weighted_vote`].
-pub fn refined_vote<'a>(
-    gaussians: &Gaussians,
-    views: impl Iterator<Item = &'a View>,
-    classes: &Classes,
-    settings: &Settings,
-    device: &Device,
-) -> Result<Votes> {
-    let views: Vec<&View> = views.collect();
-    let views = || views.iter().copied();
-    let mut votes = weighted_vote(gaussians, views(), classes, settings, device)?;
-    for _ in 0..REFINEMENTS {
-        let cast = |view: &View| ViewVotes::weighted(view, classes, gaussians, device);
-        votes = refine(votes, gaussians, views(), cast, settings, device)?;
-    }
-    Ok(votes)
-}
-
-/// Sums what the views with raw labels `cast`.
-fn collect<'a>(
-    gaussians: &Gaussians,
-    views: impl Iterator<Item = &'a View>,
-    classes: usize,
-    cast: impl Fn(&View) -> Result<ViewVotes>,
-    settings: &Settings,
-    device: &Device,
-) -> Result<Votes> {
-    if gaussians.is_empty() || classes == 0 {
-        return Ok(Votes {
-            table: Vec::new(),
-            classes,
-        });
-    }
-    let splats = SplatTensors::new(gaussians, device);
-    let mut tables = VoteTables::new(&splats, classes);
-    for view in views.filter(|view| view.raw.is_some()) {
-        let seen = splats.seen_by(&view.camera, settings);
-        tables.add(&seen, &cast(view)?, None)?;
-    }
-    tables.read()
-}
-
-/// One step of expectation maximisation from the shares of `votes`, over what the views `cast`.
-fn refine<'a>(
-    mut votes: Votes,
-    gaussians: &Gaussians,
-    views: impl Iterator<Item = &'a View>,
-    cast: impl Fn(&View) -> Result<ViewVotes>,
-    settings: &Settings,
-    device: &Device,
-) -> Result<Votes> {
-    if votes.table.is_empty() {
-        return Ok(votes);
-    }
-    for row in votes.table.chunks_exact_mut(votes.classes) {
-        let total = row.iter().sum::<f32>().max(f32::MIN_POSITIVE);
-        row.iter_mut().for_each(|vote| *vote /= total);
-    }
-    let splats = SplatTensors::new(gaussians, device);
-    let mut tables = VoteTables::new(&splats, votes.classes);
-    for view in views.filter(|view| view.raw.is_some()) {
-        let seen = splats.seen_by(&view.camera, settings);
-        tables.add(&seen, &cast(view)?, Some(&votes))?;
-    }
-    tables.read()
-}
-
 /// Votes on a device until all views are in.
-struct VoteTables {
+pub(super) struct VoteTables {
     gaussians: usize,
     classes: usize,
     /// Classes of a table; the last one may have fewer.
@@ -147,7 +22,7 @@ struct VoteTables {
 
 impl VoteTables {
     /// No votes yet of `classes` for `splats`; there are some of both.
-    fn new(splats: &SplatTensors, classes: usize) -> Self {
+    pub fn new(splats: &SplatTensors, classes: usize) -> Self {
         let width = splats.channels_within(usize::MAX).clamp(1, classes);
         Self::of_width(splats, classes, width)
     }
@@ -164,7 +39,12 @@ impl VoteTables {
     }
 
     /// Adds the votes that `view` casts. Where there are `shares`, they count in the Gaussians of a pixel by these.
-    fn add(&mut self, view: &SplatView, cast: &ViewVotes, shares: Option<&Votes>) -> Result<()> {
+    pub fn add(
+        &mut self,
+        view: &SplatView,
+        cast: &ViewVotes,
+        shares: Option<&Votes>,
+    ) -> Result<()> {
         let device = view.device();
         let table_of = |class: u16| usize::from(class) / self.width;
         // Only the classes that the view shows, so that neither time nor memory grows with those of the whole scene.
@@ -196,7 +76,7 @@ impl VoteTables {
     }
 
     /// All votes, on the host.
-    fn read(mut self) -> Result<Votes> {
+    pub fn read(mut self) -> Result<Votes> {
         let classes = self.classes;
         if self.tables.len() == 1 {
             let table = read("votes", self.tables.remove(0))?;
@@ -236,96 +116,14 @@ fn lifted(
     Ok(view.blend_adjoint(ratio)?.sums * own)
 }
 
-impl Votes {
-    /// The columns of the classes `part`, `[N, len]`.
-    fn of_classes(&self, part: &[u16], device: &Device) -> Tensor<2> {
-        let values = self
-            .rows()
-            .flat_map(|row| part.iter().map(|&class| row[usize::from(class)]));
-        let values: Vec<f32> = values.collect();
-        let rows = values.len() / part.len();
-        upload(values, [rows, part.len()], device)
-    }
-
-    /// The votes of each Gaussian.
-    pub fn rows(&self) -> std::slice::ChunksExact<'_, f32> {
-        self.table.chunks_exact(self.classes.max(1))
-    }
-
-    /// Class index of each Gaussian's largest vote; `None` where nothing was voted. Ties go to the lower index.
-    pub fn winners(&self) -> Vec<Option<u16>> {
-        self.rows()
-            .map(|row| first_largest(row).filter(|&c| row[c] > 0.0))
-            .map(|best| best.map(|c| c as u16))
-            .collect()
-    }
-
-    /// One-hot identities of the winners; zero where nothing was voted.
-    pub fn identities(&self) -> Identities {
-        let mut scores = vec![0.0; self.table.len()];
-        for (row, winner) in scores
-            .chunks_exact_mut(self.classes.max(1))
-            .zip(self.winners())
-        {
-            if let Some(c) = winner {
-                row[usize::from(c)] = 1.0;
-            }
-        }
-        Identities {
-            scores,
-            classes: self.classes,
-        }
-    }
-
-    /// Logarithms of the shares of each Gaussian's votes, `[N, C]`, every share raised by `floor`: the votes as logits of a
-    /// softmax. Equal in all classes where nothing was voted.
-    pub fn log_shares(&self, floor: f32) -> Vec<f32> {
-        let shares = self.rows().flat_map(|row| {
-            let total = row.iter().sum::<f32>().max(f32::MIN_POSITIVE);
-            row.iter().map(move |v| (v / total + floor).ln())
-        });
-        shares.collect()
-    }
-
-    /// How far the views agree, over all Gaussians with votes; zeros when there are none.
-    pub fn agreement(&self) -> Agreement {
-        let (mut voted, mut entropy, mut contested) = (0_u64, 0.0, 0_u64);
-        for (row, of_row) in self.rows().zip(self.entropy()) {
-            let (sum, most) = row
-                .iter()
-                .fold((0.0, 0.0_f32), |(sum, most), &v| (sum + v, most.max(v)));
-            if sum > 0.0 {
-                voted += 1;
-                entropy += f64::from(of_row);
-                contested += u64::from(3.0 * most < 2.0 * sum);
-            }
-        }
-        let count = voted.max(1) as f64;
-        Agreement {
-            entropy: entropy / count,
-            contested: contested as f64 / count,
-        }
-    }
-
-    /// Shannon entropy (nats) of each Gaussian's votes: 0 where all views agree or nothing was voted.
-    pub fn entropy(&self) -> Vec<f32> {
-        self.rows()
-            .map(|row| {
-                let sum: f32 = row.iter().sum();
-                row.iter()
-                    .filter(|v| **v > 0.0)
-                    .map(|v| -(v / sum) * (v / sum).ln())
-                    .sum()
-            })
-            .collect()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::backend::device::{BackendName, device_of_tests};
+    use crate::raster::Settings;
+    use crate::splat::Gaussians;
     use crate::splat::camera::Camera;
+    use burn::tensor::Device;
     use glam::{DMat3, DVec3};
 
     /// Six rows of ten overlapping Gaussians.
@@ -434,12 +232,7 @@ mod tests {
             let step = |shares: Option<&Votes>| {
                 let mut votes = VoteTables::new(&splats, 2);
                 votes.add(&view, &labels, shares).expect("votes");
-                let mut votes = votes.read().expect("readable");
-                for row in votes.table.chunks_exact_mut(2) {
-                    let total: f32 = row.iter().sum();
-                    row.iter_mut().for_each(|vote| *vote /= total);
-                }
-                votes
+                votes.read().expect("readable").shares()
             };
             // Mean logarithm of the blended share of each label.
             let likelihood = |votes: &Votes| {

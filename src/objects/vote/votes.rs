@@ -1,0 +1,111 @@
+//! Votes of each Gaussian for each class, and what they say.
+
+use crate::backend::device::upload;
+use crate::metrics::Agreement;
+use crate::objects::{Identities, first_largest};
+use burn::tensor::{Device, Tensor};
+
+/// Summed weights of each class on each Gaussian.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Votes {
+    /// `[N, C]` row-major: sum over labelled training pixels of alpha' T where the label is class c.
+    pub table: Vec<f32>,
+    /// C.
+    pub classes: usize,
+}
+
+impl Votes {
+    /// The votes of each Gaussian.
+    pub fn rows(&self) -> std::slice::ChunksExact<'_, f32> {
+        self.table.chunks_exact(self.classes.max(1))
+    }
+
+    /// The votes of each Gaussian, divided by their sum; zeros where nothing was voted.
+    #[must_use]
+    pub fn shares(&self) -> Self {
+        let mut shares = self.clone();
+        for row in shares.table.chunks_exact_mut(self.classes.max(1)) {
+            let total = row.iter().sum::<f32>().max(f32::MIN_POSITIVE);
+            row.iter_mut().for_each(|vote| *vote /= total);
+        }
+        shares
+    }
+
+    /// The columns of the classes `part`, `[N, len]`.
+    pub(super) fn of_classes(&self, part: &[u16], device: &Device) -> Tensor<2> {
+        let values = self
+            .rows()
+            .flat_map(|row| part.iter().map(|&class| row[usize::from(class)]));
+        let values: Vec<f32> = values.collect();
+        let rows = values.len() / part.len();
+        upload(values, [rows, part.len()], device)
+    }
+
+    /// Class index of each Gaussian's largest vote; `None` where nothing was voted. Ties go to the lower index.
+    pub fn winners(&self) -> Vec<Option<u16>> {
+        self.rows()
+            .map(|row| first_largest(row).filter(|&c| row[c] > 0.0))
+            .map(|best| best.map(|c| c as u16))
+            .collect()
+    }
+
+    /// One-hot identities of the winners; zero where nothing was voted.
+    pub fn identities(&self) -> Identities {
+        let mut scores = vec![0.0; self.table.len()];
+        for (row, winner) in scores
+            .chunks_exact_mut(self.classes.max(1))
+            .zip(self.winners())
+        {
+            if let Some(c) = winner {
+                row[usize::from(c)] = 1.0;
+            }
+        }
+        Identities {
+            scores,
+            classes: self.classes,
+        }
+    }
+
+    /// Logarithms of the shares of each Gaussian's votes, `[N, C]`, every share raised by `floor`: the votes as logits of a
+    /// softmax. Equal in all classes where nothing was voted.
+    pub fn log_shares(&self, floor: f32) -> Vec<f32> {
+        let shares = self.rows().flat_map(|row| {
+            let total = row.iter().sum::<f32>().max(f32::MIN_POSITIVE);
+            row.iter().map(move |v| (v / total + floor).ln())
+        });
+        shares.collect()
+    }
+
+    /// How far the views agree, over all Gaussians with votes; zeros when there are none.
+    pub fn agreement(&self) -> Agreement {
+        let (mut voted, mut entropy, mut contested) = (0_u64, 0.0, 0_u64);
+        for (row, of_row) in self.rows().zip(self.entropy()) {
+            let (sum, most) = row
+                .iter()
+                .fold((0.0, 0.0_f32), |(sum, most), &v| (sum + v, most.max(v)));
+            if sum > 0.0 {
+                voted += 1;
+                entropy += f64::from(of_row);
+                contested += u64::from(3.0 * most < 2.0 * sum);
+            }
+        }
+        let count = voted.max(1) as f64;
+        Agreement {
+            entropy: entropy / count,
+            contested: contested as f64 / count,
+        }
+    }
+
+    /// Shannon entropy (nats) of each Gaussian's votes: 0 where all views agree or nothing was voted.
+    pub fn entropy(&self) -> Vec<f32> {
+        self.rows()
+            .map(|row| {
+                let sum: f32 = row.iter().sum();
+                row.iter()
+                    .filter(|v| **v > 0.0)
+                    .map(|v| -(v / sum) * (v / sum).ln())
+                    .sum()
+            })
+            .collect()
+    }
+}
