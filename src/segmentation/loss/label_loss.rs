@@ -161,9 +161,10 @@ fn jensen_shannon(own: OwnClass, pi: f64) -> Tensor<2> {
     let divisor = p.clone().max_pair(excess.clone());
     let log_m_over_p = (log_m.clone() - log_p)
         .mask_where(excess.clone().lower(p.clone()), log1p(excess / divisor));
-    let prediction = rest * -log_rest_weight - p * log_m_over_p;
     let z = -(1.0 - pi) * log_rest_weight;
-    log_m * (-pi / z) + prediction * ((1.0 - pi) / z)
+    // The weight of 1 - p_y is (1 - pi) / Z times -ln(1 - pi), which is 1. GPUs round the smallest numbers to 0, so each term
+    // is divided by Z before they are added.
+    log_m * (-pi / z) + rest - p * log_m_over_p * ((1.0 - pi) / z)
 }
 
 /// What the losses read of a pixel's class probabilities, `[P, 1]` each.
