@@ -11,8 +11,8 @@ mod sum;
 pub use self::adam::{AdamStep, AdamTensors, adam_step, adam_step_plain};
 pub use self::finite::FiniteCheck;
 pub use self::photometric::{PhotometricTarget, photometric_loss, photometric_loss_plain};
-pub(crate) use self::sparse::select;
 pub use self::sparse::{SparseBackend, SparseMatrix, sparse_apply, sparse_apply_plain};
+pub(crate) use self::sparse::{select, selected};
 pub use self::sum::sum_all;
 
 use std::cell::Cell;

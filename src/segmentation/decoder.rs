@@ -2,6 +2,7 @@
 //!
 //! Only its parameters are learned. Linear maps are applied before upsampling, on a quarter of the rows.
 
+use super::linear::{add_bias, product};
 use super::pixels::constant;
 use super::pyramid::{Level, Pyramid};
 use super::randla::{leaky_relu, parameter};
@@ -106,20 +107,22 @@ impl FusionLayer {
     /// `[N_n, width]` from the frozen features of `level` and `below` `[N_(n+1), width below]`. The linear map of a
     /// concatenation is the sum of the maps of its parts, and US(y) W = US(y W).
     fn forward(&self, level: &Level, below: Tensor<2>) -> Tensor<2> {
-        let bias = self.bias.val().unsqueeze::<2>();
+        let bias = self.bias.val();
         let device = bias.device();
         let upsampled = self.below.as_ref().map(|weight| {
-            let below = constant(below, &device).matmul(weight.val());
+            let below = product(constant(below, &device), weight.val());
             sparse_apply(below, level.upsample.clone())
         });
         let own = self.features.as_ref().map(|weight| {
             let features = constant(level.features.clone(), &device);
-            features.matmul(weight.val())
+            product(features, weight.val())
         });
         let sum = match (own, upsampled) {
-            (Some(own), Some(upsampled)) => own + upsampled + bias,
-            (Some(sum), None) | (None, Some(sum)) => sum + bias,
-            (None, None) => bias.expand([level.points.len(), self.bias.dims()[0]]),
+            (Some(own), Some(upsampled)) => add_bias(own + upsampled, bias),
+            (Some(sum), None) | (None, Some(sum)) => add_bias(sum, bias),
+            (None, None) => bias
+                .unsqueeze::<2>()
+                .expand([level.points.len(), self.bias.dims()[0]]),
         };
         let sum = match &self.norm {
             Some(norm) => norm.forward(sum),
@@ -184,7 +187,11 @@ impl Decoder {
     /// The FC commutes with blending: of hidden features blended with weights that sum to 1 - T, the blended logits are
     /// `blended W + (1 - T) b`. Divided by 1 - T, as the label loss wants them, they are `classify(blended / (1 - T))`.
     pub fn classify(&self, hidden: Tensor<2>) -> Tensor<2> {
-        self.last.forward(hidden)
+        let logits = product(hidden, self.last.weight.val());
+        match &self.last.bias {
+            Some(bias) => add_bias(logits, bias.val()),
+            None => logits,
+        }
     }
 
     /// The decoder with its last layer at zero: all scores are 0 until it has learned.

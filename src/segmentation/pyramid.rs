@@ -1,9 +1,10 @@
 //! The multi-scale input of the decoder: point sets from fine to coarse with frozen features, and the maps between them.
 
 use super::encoder::Encoding;
+use super::linear::fill_blocks;
 use crate::backend::device::upload;
 use crate::error::{Result, bail};
-use crate::ops::{SparseMatrix, select};
+use crate::ops::{SparseMatrix, selected};
 use burn::tensor::Tensor;
 use std::sync::Arc;
 
@@ -107,14 +108,14 @@ impl Pyramid {
     #[must_use]
     pub fn part(&self, rows: &Dependencies) -> Self {
         let levels = self.levels.iter().zip(&rows.levels);
-        let levels = levels.map(|(level, (rows, upsample))| Level {
-            points: Arc::new(rows.iter().map(|&r| level.points[r as usize]).collect()),
-            features: select(&level.features, rows),
-            upsample: upsample.clone(),
+        let levels = levels.map(|(level, part)| Level {
+            points: part.points.clone(),
+            features: selected(&level.features, &part.selection),
+            upsample: part.upsample.clone(),
         });
         Self {
             levels: levels.collect(),
-            top: select(&self.top, &rows.top),
+            top: selected(&self.top, &rows.top),
         }
     }
 
@@ -144,13 +145,22 @@ impl Pyramid {
     }
 }
 
-/// The rows of a [`Pyramid`] that some of its points depend on.
+/// The rows of a [`Pyramid`] that some of its points depend on. The last row of a level may be repeated, see [`fill_blocks`].
 #[derive(Clone, Debug)]
 pub struct Dependencies {
-    /// For each level its rows, and the interpolation onto them from the rows of the next coarser set.
-    levels: Vec<(Vec<u32>, Arc<SparseMatrix>)>,
-    /// Rows of the set below the last level.
-    top: Vec<u32>,
+    levels: Vec<LevelPart>,
+    /// Selects rows of the set below the last level.
+    top: Arc<SparseMatrix>,
+}
+
+/// Some rows of a [`Level`].
+#[derive(Clone, Debug)]
+struct LevelPart {
+    selection: Arc<SparseMatrix>,
+    /// Scene index of each.
+    points: Arc<Vec<u32>>,
+    /// Interpolation onto them from the rows of the next coarser set.
+    upsample: Arc<SparseMatrix>,
 }
 
 impl Dependencies {
@@ -170,6 +180,7 @@ impl Dependencies {
     pub fn of_levels(pyramid: &Pyramid, wanted: impl IntoIterator<Item = Vec<u32>>) -> Self {
         let mut wanted = wanted.into_iter();
         let mut rows = wanted.next().unwrap_or_default();
+        fill_blocks(&mut rows);
         let mut levels = Vec::with_capacity(pyramid.levels.len());
         for level in &pyramid.levels {
             let used = level.upsample.select_rows(&rows);
@@ -177,22 +188,33 @@ impl Dependencies {
             below.extend_from_slice(used.entries().0);
             below.sort_unstable();
             below.dedup();
-            levels.push((rows, Arc::new(used.over_columns(&below))));
+            fill_blocks(&mut below);
+            let points = rows.iter().map(|&r| level.points[r as usize]).collect();
+            levels.push(LevelPart {
+                points: Arc::new(points),
+                selection: Arc::new(SparseMatrix::selection(rows, level.points.len())),
+                upsample: Arc::new(used.over_columns(&below)),
+            });
             rows = below;
         }
-        Self { levels, top: rows }
+        let top = SparseMatrix::selection(rows, pyramid.top.dims()[0]);
+        Self {
+            levels,
+            top: Arc::new(top),
+        }
     }
 
     /// Rows of level `scale` (0 is the finest).
     pub fn rows(&self, scale: usize) -> &[u32] {
-        &self.levels[scale].0
+        self.levels[scale].selection.entries().0
     }
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        let levels = self.levels.iter();
-        let levels = levels.map(|(rows, upsample)| 4 * rows.len() + upsample.bytes());
-        levels.sum::<usize>() + 4 * self.top.len()
+        let of_level = |level: &LevelPart| {
+            level.selection.bytes() + 4 * level.points.len() + level.upsample.bytes()
+        };
+        self.levels.iter().map(of_level).sum::<usize>() + self.top.bytes()
     }
 }
 

@@ -183,7 +183,7 @@ impl SparseMatrix {
         columns.map(|(column, _)| column).collect()
     }
 
-    /// The matrix over `columns` (ascending, below [`SparseMatrix::columns`]) alone.
+    /// The matrix over `columns` (ascending, below [`SparseMatrix::columns`]) alone. Of equal ones it reads the last.
     ///
     /// # Panics
     /// If an entry lies in another column.

@@ -89,11 +89,15 @@ pub fn sparse_apply_plain(x: Tensor<2>, matrix: &SparseMatrix) -> Tensor<2> {
 
 /// The rows `rows` of `features`, with gradient to them.
 pub(crate) fn select(features: &Tensor<2>, rows: &[u32]) -> Tensor<2> {
-    let [count, channels] = features.dims();
-    if channels == 0 || rows.is_empty() {
+    let rows = SparseMatrix::selection(rows.to_vec(), features.dims()[0]);
+    selected(features, &Arc::new(rows))
+}
+
+/// The rows of `features` that `selection` reads, with gradient to them.
+pub(crate) fn selected(features: &Tensor<2>, selection: &Arc<SparseMatrix>) -> Tensor<2> {
+    if features.dims()[1] == 0 || selection.rows() == 0 {
         // Some backends refuse tensors without values.
-        return Tensor::zeros([rows.len(), 0], &features.device());
+        return Tensor::zeros([selection.rows(), 0], &features.device());
     }
-    let rows = SparseMatrix::selection(rows.to_vec(), count);
-    sparse_apply(features.clone(), Arc::new(rows))
+    sparse_apply(features.clone(), selection.clone())
 }

@@ -14,7 +14,7 @@ use super::{DecodedScores, IdentityModel};
 use crate::config::{Blend, SegmentationConfig};
 use crate::error::Result;
 use crate::objects::Identities;
-use crate::ops::select;
+use crate::ops::{SparseMatrix, selected};
 use crate::random::{Purpose, stream};
 use crate::segmentation::decoder::Decoder;
 use crate::segmentation::pixels::constant;
@@ -127,12 +127,17 @@ impl<'a> DecoderModel<'a> {
         self
     }
 
-    /// Scores `[rows, C]` of hidden features of the scene's Gaussians `points`.
-    fn scores(&self, decoder: &Decoder, hidden: Tensor<2>, points: &[u32]) -> Tensor<2> {
-        let scores = decoder.classify(hidden);
+    /// Scores `[rows, C]` of the `gaussians` of the scene that have the first of these `hidden` features.
+    fn scores(
+        &self,
+        decoder: &Decoder,
+        hidden: Tensor<2>,
+        gaussians: &Arc<SparseMatrix>,
+    ) -> Tensor<2> {
+        let scores = first_rows(decoder.classify(hidden), gaussians.rows());
         match &self.prior {
             Some(prior) => {
-                let prior = constant(select(prior, points), &scores.device());
+                let prior = constant(selected(prior, gaussians), &scores.device());
                 scores + prior
             }
             None => scores,
@@ -167,11 +172,12 @@ impl<'a> DecoderModel<'a> {
         let mut scores = Vec::with_capacity(count * self.plan.size[1]);
         for first in (0..count).step_by(CHUNK) {
             let rows = first..(first + CHUNK).min(count);
-            let points = &encoded.points[rows.clone()];
+            let gaussians = encoded.points[rows.clone()].to_vec();
+            let gaussians = Arc::new(SparseMatrix::selection(gaussians, self.plan.size[0]));
             let finest = rows.map(|row| row as u32).collect();
             let part = Dependencies::new(&encoded.pyramid, finest);
             let decoded = decoder.forward(&encoded.pyramid.part(&part));
-            let part = self.scores(decoder, decoded.hidden, points);
+            let part = self.scores(decoder, decoded.hidden, &gaussians);
             scores.extend(values(stored_scores(part, self.plan.config.blend)));
         }
         scores
@@ -215,6 +221,14 @@ fn part_of(pyramid: &Pyramid, part: &Part, factors: &ChannelFactors) -> Pyramid 
     pyramid.part(&part.rows).scaled(factors)
 }
 
+/// `scores` without the rows that only fill a block.
+fn first_rows(scores: Tensor<2>, count: usize) -> Tensor<2> {
+    if scores.dims()[0] == count {
+        return scores;
+    }
+    scores.narrow(0, 0, count)
+}
+
 impl IdentityModel for DecoderModel<'_> {
     type Module = Decoder;
 
@@ -234,7 +248,7 @@ impl IdentityModel for DecoderModel<'_> {
             [part] => {
                 let decoded = factors.iter().map(|factors| {
                     let decoded = self.decoder.forward(&part_of(pyramid, part, factors));
-                    let scores = self.scores(&self.decoder, decoded.hidden, visible);
+                    let scores = self.scores(&self.decoder, decoded.hidden, &part.gaussians);
                     (scores, decoded.fused)
                 });
                 let (scores, fused): (Vec<_>, Vec<_>) = decoded.unzip();
@@ -249,7 +263,7 @@ impl IdentityModel for DecoderModel<'_> {
                 let scores = factors.iter().map(|factors| {
                     let scores = parts.iter().map(|part| {
                         let decoded = frozen.forward(&part_of(pyramid, part, factors));
-                        self.scores(&frozen, decoded.hidden, &visible[part.places.clone()])
+                        self.scores(&frozen, decoded.hidden, &part.gaussians)
                     });
                     Tensor::from_inner(Tensor::cat(scores.collect(), 0)).require_grad()
                 });
@@ -287,7 +301,8 @@ impl IdentityModel for DecoderModel<'_> {
             for part in &input.parts {
                 let seed = Tensor::from_inner(gradient.clone().slice([part.places.clone()]));
                 let hidden = decoder.forward(&part_of(pyramid, part, factors)).hidden;
-                let mut of_part = (decoder.classify(hidden) * seed).sum().backward();
+                let scores = first_rows(decoder.classify(hidden), part.places.len());
+                let mut of_part = (scores * seed).sum().backward();
                 sum = sum + parameter_gradients(decoder, &mut of_part);
             }
         }

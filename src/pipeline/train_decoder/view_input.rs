@@ -2,12 +2,14 @@
 
 use super::DecoderPlan;
 use crate::error::Result;
+use crate::ops::SparseMatrix;
 use crate::random::{Purpose, stream};
 use crate::segmentation::loss::{NeighbourPairs, neighbour_divergence};
 use crate::segmentation::neighbours::without_self;
 use crate::segmentation::pyramid::{Dependencies, Pyramid};
 use burn::tensor::Tensor;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Scales of the 3D regularisation (n = 3, 4), zero-based.
 pub(super) const REGULARISED: Range<usize> = 2..4;
@@ -68,6 +70,8 @@ pub(super) struct ViewInput {
 pub(super) struct Part {
     /// Their places among the visible Gaussians.
     pub places: Range<usize>,
+    /// Selects them from the scene.
+    pub gaussians: Arc<SparseMatrix>,
     /// The rows of the pyramid that they depend on.
     pub rows: Dependencies,
 }
@@ -104,8 +108,10 @@ impl ViewInput {
         let size = count.div_ceil(parts);
         let part = |first: usize| {
             let places = first..(first + size).min(rows.len());
+            let gaussians = visible[places.clone()].to_vec();
             Part {
                 rows: Dependencies::new(&encoded.pyramid, rows[places.clone()].to_vec()),
+                gaussians: Arc::new(SparseMatrix::selection(gaussians, means.len())),
                 places,
             }
         };
@@ -148,7 +154,8 @@ impl ViewInput {
     pub fn bytes(&self) -> usize {
         let clouds = self.clouds.iter();
         let clouds = clouds.map(|cloud| 4 * (cloud.rows.len() + cloud.neighbours.len()));
-        let parts = self.parts.iter().map(|part| part.rows.bytes());
+        let of_part = |part: &Part| part.rows.bytes() + part.gaussians.bytes();
+        let parts = self.parts.iter().map(of_part);
         parts.chain(clouds).sum()
     }
 }

@@ -14,7 +14,6 @@ use super::sampling::{Hierarchy, SampledLevel};
 use crate::backend::device::upload;
 use burn::module::{Module, Param};
 use burn::nn::{BatchNorm, Linear};
-use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -33,9 +32,10 @@ pub const RATIO: usize = 4;
 /// Values that [`RandlaEncoder::encode_levels`] holds per tensor in one chunk of points, when it may chunk.
 const CHUNK_VALUES: usize = 1 << 19;
 
-/// LeakyReLU with slope 0.2, as a sum: the backward pass of burn's own selects by masks, twice.
+/// LeakyReLU with slope 0.2. The slope is a constant, so that the backward pass is one product: burn's own selects by masks, twice.
 pub(crate) fn leaky_relu(x: Tensor<2>) -> Tensor<2> {
-    relu(x.clone()) * (1.0 - SLOPE) + x * SLOPE
+    let slope = x.clone().detach().sign() * (0.5 * (1.0 - SLOPE)) + 0.5 * (1.0 + SLOPE);
+    x * slope
 }
 
 /// A linear layer and batch normalisation.
