@@ -24,7 +24,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// Largest viewer.html that `coseg train` writes, bytes: 1.1 million Gaussians of SH degree 3.
-const LARGEST_PAGE: usize = 128_000_000;
+const MAX_PAGE_BYTES: usize = 128_000_000;
 
 const HELP: &str = "\
 Stage one builds Gaussians from the photos. Stage two learns from the raw label maps what each Gaussian belongs to.
@@ -218,7 +218,7 @@ fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<String> {
     let cameras = cameras_of(scene);
     transforms::write_cameras(&run.file(CAMERAS), &cameras)?;
     let page_bytes = Viewer::bytes(gaussians);
-    if page_bytes > LARGEST_PAGE {
+    if page_bytes > MAX_PAGE_BYTES {
         // The page of an earlier result.
         atomic::remove(run.file(VIEWER))?;
         let megabytes = page_bytes / 1_000_000;

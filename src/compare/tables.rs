@@ -184,18 +184,20 @@ impl<'a> Tables<'a> {
             for ((_, scenes, column), found) in columns.iter().zip(&found) {
                 let finished = self.finished(labels, &row.name, scenes);
                 let all = scenes.len() * self.plan.seeds as usize;
-                let mut shown = match &found[r] {
+                let shown = match &found[r] {
                     _ if finished == 0 => "empty".to_owned(),
                     None => "–".to_owned(),
-                    Some(statistic) => column.shown(statistic),
+                    Some(statistic) => {
+                        let shown = column.shown(statistic);
+                        if statistic.cells < all {
+                            format!("{shown} ({} of {all})", statistic.cells)
+                        } else if column.best(found, all) == Some(r) {
+                            format!("**{shown}**")
+                        } else {
+                            shown
+                        }
+                    }
                 };
-                // Cells of earlier programs have fewer figures.
-                let measured = found[r].map_or(finished, |statistic| statistic.cells);
-                if measured > 0 && measured < all {
-                    shown += &format!(" ({measured} of {all})");
-                } else if column.best(found, all) == Some(r) {
-                    shown = format!("**{shown}**");
-                }
                 text += &format!(" | {shown}");
             }
             text += " |\n";

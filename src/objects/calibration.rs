@@ -26,7 +26,7 @@ const SHRINKAGE: f64 = 0.03;
 /// Share of errors added to each row of the confusion matrix.
 const SMOOTHING: f64 = 0.1;
 /// Share below which a class counts as absent from a superpoint.
-const LEAST: f64 = 1e-6;
+const MIN_SHARE: f64 = 1e-6;
 
 /// What the votes of a scene say about its labels.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,7 +41,7 @@ impl Calibration {
     /// Fits the calibration to `votes`, with class frequencies to the power of `exponent`.
     pub fn fit(votes: &PooledVotes, exponent: f64) -> Self {
         let prior = prior(votes);
-        let factor = |prior: &f64| prior.max(LEAST).powf(-exponent);
+        let factor = |prior: &f64| prior.max(MIN_SHARE).powf(-exponent);
         let factors: Vec<f64> = prior.iter().map(factor).collect();
         let mut divided = votes.clone();
         for row in divided.shares.chunks_exact_mut(votes.classes.max(1)) {
@@ -60,7 +60,7 @@ impl Calibration {
         // Most shares are zero.
         let shown: Vec<(usize, f64)> = (0..)
             .zip(row.iter().copied())
-            .filter(|(_, share)| *share > LEAST)
+            .filter(|(_, share)| *share > MIN_SHARE)
             .collect();
         if shown.is_empty() || !self.log_confusion.iter().any(|l| l.is_finite()) {
             return;
@@ -154,10 +154,10 @@ impl Flux {
         let (classes, won) = (self.classes, self.won());
         let total: f64 = won.iter().sum();
         let right: f64 = (0..classes).map(|c| self.at(c, c)).sum();
-        let right = right / total.max(LEAST);
+        let right = right / total.max(MIN_SHARE);
         let wrong = |c: usize| {
             let named: f64 = (0..classes).map(|y| self.at(y, c)).sum();
-            (named - self.at(c, c) + LEAST * total) / (total - won[c]).max(LEAST * total)
+            (named - self.at(c, c) + MIN_SHARE * total) / (total - won[c]).max(MIN_SHARE * total)
         };
         let mut errors: Vec<f64> = (0..classes).map(wrong).collect();
         normalise(&mut errors);
@@ -168,7 +168,7 @@ impl Flux {
             let add = |(c, t): (usize, f64)| self.at(y, c) + SHRINKAGE * total * t;
             let mut row: Vec<f64> = typical.into_iter().enumerate().map(add).collect();
             normalise(&mut row);
-            let smooth = |(p, e): (&mut f64, &f64)| *p += SMOOTHING * e + LEAST;
+            let smooth = |(p, e): (&mut f64, &f64)| *p += SMOOTHING * e + MIN_SHARE;
             row.iter_mut().zip(&errors).for_each(smooth);
             normalise(&mut row);
             row.into_iter().map(f64::ln).collect::<Vec<_>>()

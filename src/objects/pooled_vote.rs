@@ -19,7 +19,7 @@ const OWN: f64 = 3.0;
 /// Index of the scale in the middle.
 const FITTED: usize = 1;
 /// Least number of Gaussians of a superpoint.
-const LEAST: usize = 5;
+const MIN_GAUSSIANS: usize = 5;
 
 /// Votes of superpoints.
 #[derive(Clone, Debug, PartialEq)]
@@ -105,7 +105,7 @@ pub fn pooled_vote(
     let errors = errors_inside(votes, &graph);
     let pooling = exponent.map_or_else(|| errors.pooling(), |_| 1.0);
     let exponent = exponent.unwrap_or_else(|| errors.exponent());
-    let superpoints = SCALES.map(|scale| graph.superpoints(scale, LEAST));
+    let superpoints = SCALES.map(|scale| graph.superpoints(scale, MIN_GAUSSIANS));
     let pooled = superpoints.each_ref().map(|s| PooledVotes::new(refined, s));
     let calibration = Calibration::fit(&pooled[FITTED], exponent);
     tracing::info!(

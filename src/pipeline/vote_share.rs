@@ -20,7 +20,7 @@ const RUNS: usize = 6;
 /// Views of a run whose raw labels are compared.
 const VIEWS: usize = 4;
 /// Keeps the logarithm of a probability finite.
-const LEAST_PROBABILITY: f32 = 1e-8;
+const MIN_PROBABILITY: f32 = 1e-8;
 
 /// `(1 - share) p + share votes` of the probabilities p of `trained`, where the votes of a Gaussian sum to 1. Gaussians without votes
 /// keep the trained probabilities. Identities of logits give logits.
@@ -49,7 +49,7 @@ pub(super) fn mixed(trained: &Identities, votes: &Votes, share: f32, blend: Blen
     }
     if blend == Blend::Logits {
         let logits = mixed.scores.iter_mut();
-        logits.for_each(|p| *p = (*p + LEAST_PROBABILITY).ln());
+        logits.for_each(|p| *p = (*p + MIN_PROBABILITY).ln());
     }
     mixed
 }

@@ -13,7 +13,7 @@ use std::sync::Arc;
 pub const UNLABELLED: u16 = u16::MAX;
 
 /// Blending weights of P pixels over the V Gaussians that they show. The weights of a pixel sum to 1, or to its coverage 1 - T
-/// where [`FrozenGaussians`] does not divide by that.
+/// where blended values are not divided by that.
 #[derive(Clone, Debug)]
 pub enum PixelWeights {
     /// Stored as a matrix `[P, V]`.

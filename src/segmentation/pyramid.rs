@@ -145,7 +145,8 @@ impl Pyramid {
     }
 }
 
-/// The rows of a [`Pyramid`] that some of its points depend on. The last row of a level may be repeated, see [`fill_blocks`].
+/// The rows of a [`Pyramid`] that some of its points depend on. The last row of a level may be repeated: products run
+/// in blocks of rows.
 #[derive(Clone, Debug)]
 pub struct Dependencies {
     levels: Vec<LevelPart>,

@@ -8,7 +8,7 @@ use crate::raster::{SplatTensors, SplatView};
 use burn::tensor::{IndexingUpdateOp, Int, Tensor, TensorData};
 
 /// Least blended share of a class that a vote is divided by.
-const LEAST_SHARE: f32 = 1e-4;
+const MIN_SHARE: f32 = 1e-4;
 
 /// Votes on a device until all views are in.
 pub(super) struct VoteTables {
@@ -112,7 +112,7 @@ fn lifted(
     };
     let own = shares.of_classes(part, &view.device());
     let (blended, _) = view.blend(own.clone())?;
-    let ratio = image / (blended + LEAST_SHARE);
+    let ratio = image / (blended + MIN_SHARE);
     Ok(view.blend_adjoint(ratio)?.sums * own)
 }
 

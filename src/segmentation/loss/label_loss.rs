@@ -6,9 +6,9 @@ use crate::segmentation::pixels::one_hot;
 use burn::tensor::{Tensor, TensorData};
 
 /// Keeps the logarithm of a blended probability finite.
-pub(super) const LEAST_PROBABILITY: f64 = 1e-8;
+pub(super) const MIN_PROBABILITY: f64 = 1e-8;
 /// Keeps the logarithm finite of a mixture of two distributions that both lack a class. What it is multiplied by is 0 then.
-const LEAST_MIXTURE: f64 = 1e-30;
+const MIN_MIXTURE: f64 = 1e-30;
 /// Logarithm of a label's zeros in [`LabelLoss::NceRce`] (Ma et al. 2020).
 const LOG_ZERO: f64 = -4.0;
 /// Weight of the raw label in [`LabelLoss::Gjs`] of the settings.
@@ -89,8 +89,8 @@ impl LabelLoss {
             Self::Js { pi } | Self::Gjs { pi } => {
                 let p = log_p.clone().exp();
                 let m = p.clone() * (1.0 - pi) + y.clone() * pi;
-                let log_m = m.clamp_min(LEAST_MIXTURE).log();
-                let log_y = (y.clone() + LEAST_PROBABILITY).log();
+                let log_m = m.clamp_min(MIN_MIXTURE).log();
+                let log_y = (y.clone() + MIN_PROBABILITY).log();
                 let label = (y * (log_y - log_m.clone())).sum_dim(1);
                 let prediction = (p * (log_p - log_m)).sum_dim(1);
                 let z = -(1.0 - pi) * (-pi).ln_1p();
@@ -206,8 +206,8 @@ impl OwnClass {
 
     /// From blended probabilities `[P, 1]` of the labelled classes.
     pub fn of_probabilities(p: Tensor<2>, classes: usize) -> Self {
-        let total = 1.0 + classes as f64 * LEAST_PROBABILITY;
-        let p = ((p + LEAST_PROBABILITY) * total.recip()).clamp_max(1.0);
+        let total = 1.0 + classes as f64 * MIN_PROBABILITY;
+        let p = ((p + MIN_PROBABILITY) * total.recip()).clamp_max(1.0);
         Self {
             log_p: p.clone().log(),
             rest: p.clone().neg() + 1.0,

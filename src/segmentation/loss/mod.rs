@@ -6,7 +6,7 @@ mod regularisation;
 pub use self::label_loss::LabelLoss;
 pub use self::regularisation::{NeighbourPairs, neighbour_divergence};
 
-use self::label_loss::{LEAST_PROBABILITY, OwnClass, exponents, generalised_cross_entropy};
+use self::label_loss::{MIN_PROBABILITY, OwnClass, exponents, generalised_cross_entropy};
 use super::pixels::{LabelledPixels, UNLABELLED, constant};
 use crate::error::Result;
 use crate::ops::select;
@@ -102,7 +102,7 @@ impl CoSegLoss {
             Scores::Gaussians(scores) if self.label == LabelLoss::NceRce => {
                 let blended = pixels.blend(softmax(scores, 1))?;
                 // softmax(ln q) = q / sum q: the loss reads the mixture itself.
-                self.of_logits((blended + LEAST_PROBABILITY).log(), &pixels.labels)
+                self.of_logits((blended + MIN_PROBABILITY).log(), &pixels.labels)
             }
             Scores::Gaussians(scores) => {
                 let (pixels, classes) = (pixels.labelled(), scores.dims()[1]);
@@ -124,7 +124,7 @@ impl CoSegLoss {
     /// The mean label loss `[1]` of pixels with distributions; 0 without any.
     fn of_distributions(&self, scores: Scores, pixels: &LabelledPixels) -> Result<Tensor<1>> {
         let y = pixels.distributions.clone().expect("distributions");
-        let log = |p: Tensor<2>| (p + LEAST_PROBABILITY).log();
+        let log = |p: Tensor<2>| (p + MIN_PROBABILITY).log();
         let mut disagreement = None;
         let log_p = match scores {
             Scores::Pixels(logits) => log_softmax(logits, 1),
@@ -180,7 +180,7 @@ impl CoSegLoss {
     /// As [`CoSegLoss::of_logits`].
     pub fn of_pair(&self, [a, b]: [Tensor<2>; 2], labels: &[u16]) -> Tensor<1> {
         let mean = (a.clone() + b.clone()) * 0.5;
-        let log_mean = (mean + LEAST_PROBABILITY).log();
+        let log_mean = (mean + MIN_PROBABILITY).log();
         let loss = self.of_logits(log_mean.clone(), labels);
         match self.disagreement([a, b], &log_mean) {
             Some(disagreement) if !labels.is_empty() => loss + disagreement,
@@ -195,7 +195,7 @@ impl CoSegLoss {
         };
         let pixels = a.dims()[0];
         let to_mean =
-            |p: Tensor<2>| (p.clone() * ((p + LEAST_PROBABILITY).log() - log_mean.clone())).sum();
+            |p: Tensor<2>| (p.clone() * ((p + MIN_PROBABILITY).log() - log_mean.clone())).sum();
         let weight = -0.5 / ((-pi).ln_1p() * pixels as f64);
         Some((to_mean(a) + to_mean(b)) * weight)
     }

@@ -6,7 +6,7 @@ use nalgebra::Matrix3;
 
 /// Mean squared sine of the cameras' roll (18 degrees) above which they were not held level, such as with portrait photos among
 /// landscape ones.
-const LARGEST_ROLL: f64 = 0.1;
+const MAX_ROLL: f64 = 0.1;
 /// Weight of the mean of the cameras' up directions relative to their levelness, for one camera and for very many: the variance
 /// of hand-held roll (3 degrees) over that of a common tilt (10 degrees).
 const MEAN: [f64; 2] = [0.1, 1e-3];
@@ -48,7 +48,7 @@ pub fn level_up(cameras: &[Camera]) -> DVec3 {
     let roll = Matrix3::from_column_slice(&spread.to_cols_array())
         .symmetric_eigenvalues()
         .min();
-    if roll.is_nan() || roll > LARGEST_ROLL {
+    if roll.is_nan() || roll > MAX_ROLL {
         return own;
     }
     let weight = (MEAN[0] / count.max(1.0)).max(MEAN[1]);
