@@ -5,6 +5,7 @@ use super::model::Network;
 use crate::data::bilinear::{among, beside};
 use crate::error::Result;
 use image::RgbImage;
+use sha2::{Digest, Sha256};
 use std::path::Path;
 
 /// A network of which a tensor within is read.
@@ -38,9 +39,11 @@ impl Tap {
         Ok(Self { network })
     }
 
-    /// SHA-256 of the network's file, in hexadecimal digits.
-    pub fn digest(&self) -> &str {
-        &self.network.digest
+    /// SHA-256 of the network's file and of what its contract says of input and output, in hexadecimal digits.
+    pub fn digest(&self) -> String {
+        let Contract { input, output, .. } = &self.network.contract;
+        let said = format!("{} {input:?} {output:?}", self.network.digest);
+        format!("{:x}", Sha256::digest(said))
     }
 
     /// The features of a photo, bilinear between the cells of the tensor. Cells beside the photo are left out.

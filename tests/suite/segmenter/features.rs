@@ -46,6 +46,15 @@ fn a_tensor_of_the_network_lies_over_the_photo() {
         (blue[3] - 40.0).abs() < 1e-3 && (blue[1] + 20.0).abs() < 1e-3,
         "{blue:?}"
     );
+    // Features of another contract are others: a cache must not mix them.
+    let digest = || Tap::load(&file, "logits").expect("tap").digest();
+    let before = digest();
+    assert_eq!(before, digest());
+    let contract = file.with_extension("toml");
+    let text = std::fs::read_to_string(&contract).expect("contract");
+    assert!(text.contains("mean = ["), "{text}");
+    std::fs::write(&contract, text.replace("mean = [", "mean = [1")).expect("written");
+    assert_ne!(before, digest());
     let error = Tap::load(&file, "logit").expect_err("no such tensor");
     assert_names(&error, &["net.onnx", "\"logit\"", "such as logits"]);
 }
