@@ -3,6 +3,9 @@
 //!
 //! `--export` writes the Gaussians and cameras for other renderers, see `scripts/bench_gsplat.py`.
 
+#[path = "../src/cli/allocator.rs"]
+mod allocator;
+
 use burn::tensor::{Device, Tensor, TensorData};
 use clap::Parser;
 use coseg::backend::device;
@@ -58,6 +61,7 @@ struct Arguments {
 }
 
 fn main() -> Result<()> {
+    allocator::keep_freed_memory();
     let mut arguments = Arguments::parse();
     let (backend, device) = device::choose(arguments.backend)?;
     let machine = Machine::here(device::described(backend));

@@ -36,9 +36,9 @@ export COSEG_REQUIRE_GPU
 # Kernels against the CPU's in f64, both stages against ndarray. A test that finds no such device fails.
 parity() {
   if [ -n "${SUITE:-}" ]; then
-    for binary in $SUITE; do "$binary" --nocapture gpu device room noise raster gsplat photo || return 1; done
+    for binary in $SUITE; do "$binary" --nocapture gpu device blocks room noise raster gsplat photo || return 1; done
   else
-    cargo test --release --features wgpu --lib --test suite -- --nocapture gpu device room noise raster gsplat photo || return 1
+    cargo test --release --features wgpu --lib --test suite -- --nocapture gpu device blocks room noise raster gsplat photo || return 1
   fi
 }
 step parity parity

@@ -23,7 +23,8 @@ use std::time::Instant;
 
 /// Learning rate of per-Gaussian identities.
 const LR_PER_GAUSSIAN: f64 = 5e-2;
-/// Learning rates of Gaussian Grouping and of the linear head of Feature 3DGS: the best of 0.01 to 0.2 on the built-in room.
+/// Learning rates of Gaussian Grouping and of the linear head of Feature 3DGS, the best on the built-in room of 0.01 to 0.2 and of
+/// 0.01 to 0.1.
 const LR_GROUPING: f64 = 0.1;
 const LR_LINEAR_HEAD: f64 = 0.1;
 /// Share added to every class of the votes that a decoder starts from. A larger one makes confident votes uncertain, and the decoder

@@ -8,7 +8,7 @@ use burn::tensor::Tensor;
 /// Rows of a block.
 pub const BLOCK: usize = 256;
 
-/// Repeats the last of `rows` until they fill blocks, where they are more than one.
+/// Repeats the last row until the rows fill whole blocks. One block or less stays as it is.
 pub fn fill_blocks(rows: &mut Vec<u32>) {
     if let Some(&last) = rows.last()
         && rows.len() > BLOCK
@@ -17,7 +17,7 @@ pub fn fill_blocks(rows: &mut Vec<u32>) {
     }
 }
 
-/// `x W`, `[N, M]`, of `x` `[N, K]` and `weight` `[K, M]`. In blocks where they divide N.
+/// `x W`, `[N, M]`, of `x` `[N, K]` and `weight` `[K, M]`. In blocks if N is a multiple of [`BLOCK`] and larger.
 pub fn product(x: Tensor<2>, weight: Tensor<2>) -> Tensor<2> {
     let ([rows, inputs], outputs) = (x.dims(), weight.dims()[1]);
     if !is_in_blocks(rows) {
@@ -27,14 +27,17 @@ pub fn product(x: Tensor<2>, weight: Tensor<2>) -> Tensor<2> {
     blocks.matmul(weight.unsqueeze()).reshape([rows, outputs])
 }
 
-/// `x + bias`, `[N, M]`, of `x` `[N, M]` and `bias` `[M]`. In blocks where they divide N.
+/// `x + bias`, `[N, M]`, of `x` `[N, M]` and `bias` `[M]`. In blocks if N is a multiple of [`BLOCK`] and larger.
 pub fn add_bias(x: Tensor<2>, bias: Tensor<1>) -> Tensor<2> {
     let [rows, outputs] = x.dims();
     if !is_in_blocks(rows) {
         return x + bias.unsqueeze();
     }
     let blocks = x.reshape([rows / BLOCK, BLOCK, outputs]);
-    (blocks + bias.unsqueeze()).reshape([rows, outputs])
+    // Copies for the blocks: the backward pass sums within each, then over all. burn would merge the two sums of one broadcast.
+    let copies = bias.reshape([1, 1, outputs]);
+    let copies = copies.expand([rows / BLOCK, 1, outputs]);
+    (blocks + copies).reshape([rows, outputs])
 }
 
 fn is_in_blocks(rows: usize) -> bool {

@@ -2,8 +2,6 @@
 
 use super::gpu::DeviceMatrix;
 use crate::backend::Resident;
-use crate::backend::device::in_host_memory;
-use burn::tensor::Device;
 
 /// A constant sparse matrix in compressed rows, `[rows, columns]`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -90,11 +88,6 @@ impl SparseMatrix {
         let offsets = (0..=rows.len() as u32).step_by(k.max(1)).collect();
         let ones = vec![1.0; rows.len()];
         Self::new(columns, offsets, rows, ones)
-    }
-
-    /// Copies of a matrix in memory once `device` has multiplied by it and by its transpose: a GPU holds both.
-    pub fn copies(device: &Device) -> usize {
-        if in_host_memory(device) { 1 } else { 3 }
     }
 
     /// Number of columns.

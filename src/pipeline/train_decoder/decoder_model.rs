@@ -127,7 +127,7 @@ impl<'a> DecoderModel<'a> {
         self
     }
 
-    /// Scores `[rows, C]` of the `gaussians` of the scene that have the first of these `hidden` features.
+    /// Scores `[rows, C]` of `gaussians` of the scene, whose hidden features are the first rows of `hidden`.
     fn scores(
         &self,
         decoder: &Decoder,

@@ -32,7 +32,7 @@ pub const RATIO: usize = 4;
 /// Values that [`RandlaEncoder::encode_levels`] holds per tensor in one chunk of points, when it may chunk.
 const CHUNK_VALUES: usize = 1 << 19;
 
-/// LeakyReLU with slope 0.2. The slope is a constant, so that the backward pass is one product: burn's own selects by masks, twice.
+/// LeakyReLU with slope 0.2. The slope is detached, so that the backward pass is one product: burn's own selects by masks, twice.
 pub(crate) fn leaky_relu(x: Tensor<2>) -> Tensor<2> {
     let slope = x.clone().detach().sign() * (0.5 * (1.0 - SLOPE)) + 0.5 * (1.0 + SLOPE);
     x * slope

@@ -136,4 +136,7 @@ fn columns_of_feature_fields_are_shown_where_there_are_some() {
     assert!(vote.ends_with("| – | – | – | – | – |"), "{vote}");
     let partial = "| – | 650.0 (1 of 2) | 3.00 (1 of 2) | 20 (1 of 2) | 1.50 (1 of 2) |";
     assert!(ours.ends_with(partial), "{ours}");
+    // A row with an empty cell, and a column that none of its cells has.
+    let [_, vote, _] = table([[plain, None], [field(650.0, 3.0); 2]]);
+    assert!(vote.ends_with("| – | – | – | – | – |"), "{vote}");
 }
