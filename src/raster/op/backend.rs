@@ -49,11 +49,11 @@ mod autodiff {
     use crate::backend::{AutodiffTensor, track};
     use crate::raster::op::tensors::INPUTS;
     use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
-    use burn::backend::{Autodiff, AutodiffBackend, Backend, TensorMetadata};
-    use burn::tensor::{Shape, Slice};
-    use std::ops::Range;
+    use burn::backend::{Autodiff, AutodiffBackend, TensorMetadata};
+    use std::sync::OnceLock;
 
-    /// Image and transmittance are parts of one node's output, so that one backward pass gets the gradients of both.
+    /// The transmittance is a child of the image in the graph: its backward pass runs first and leaves its gradient for that of the
+    /// image. One node for both would need a tensor of both, and ndarray copies the image to join and to split it.
     pub(super) fn raster_forward<B: RasterBackend, C: CheckpointStrategy>(
         tensors: RasterTensors<Autodiff<B, C>>,
         call: Arc<RasterCall>,
@@ -70,43 +70,43 @@ mod autodiff {
                 } => (image, transmittance, radii, saved),
                 RasterPass::Failed(error) => return RasterPass::Failed(error),
             };
-        let image_shape = image.shape();
-        let pixel_shape = transmittance.shape();
-        let values = image_shape.num_elements();
-        let pixels = pixel_shape.num_elements();
+        let zeros = |of: &FloatTensor<B>| {
+            let (shape, device, dtype) = (of.shape(), of.device(), of.dtype().into());
+            move || B::float_zeros(shape, &device, dtype)
+        };
+        let zero_image = zeros(&image);
+        let zero_transmittance = zeros(&transmittance);
+        let from_child = Arc::new(OnceLock::new());
+        let of_child = from_child.clone();
         let kept = saved.clone();
-        let image_dims = image_shape.clone();
-        let pixel_dims = pixel_shape.clone();
-        let both = track::<B, C, INPUTS, _>(tracked, |_| {
-            let flat = |tensor, len| B::float_reshape(tensor, Shape::new([len]));
-            let parts = vec![flat(image.clone(), values), flat(transmittance, pixels)];
-            let backward = move |gradient: FloatTensor<B>, _: [bool; INPUTS]| {
+        let image = track::<B, C, INPUTS, _>(tracked, |_| {
+            let rendered = image.clone();
+            let backward = move |d_image, _: [bool; INPUTS]| {
                 let pixels = PixelTensors {
                     image,
-                    d_image: part::<B>(gradient.clone(), 0..values, image_dims),
-                    d_transmittance: part::<B>(gradient, values..values + pixels, pixel_dims),
+                    d_image,
+                    d_transmittance: of_child.get().cloned().unwrap_or_else(zero_transmittance),
                 };
                 B::raster_backward(tensors, pixels, kept, call)
                     .into_array()
                     .map(Some)
             };
-            (B::float_cat(parts, 0), backward)
+            (rendered, backward)
+        });
+        let transmittance = track::<B, C, 1, _>([image.clone()], |_| {
+            let backward = move |gradient, _: [bool; 1]| {
+                // The cell is empty: a graph runs backward once.
+                let _ = from_child.set(gradient);
+                [Some(zero_image())]
+            };
+            (transmittance, backward)
         });
         RasterPass::Done {
-            image: part::<Autodiff<B, C>>(both.clone(), 0..values, image_shape),
-            transmittance: part::<Autodiff<B, C>>(both, values..values + pixels, pixel_shape),
+            image,
+            transmittance,
             radii: Autodiff::<B, C>::from_inner(radii),
             saved,
         }
-    }
-
-    /// The values `range` of a vector in another shape.
-    fn part<B: Backend>(
-        vector: FloatTensor<B>,
-        range: Range<usize>,
-        shape: Shape,
-    ) -> FloatTensor<B> {
-        B::float_reshape(B::float_slice(vector, &[Slice::from(range)]), shape)
     }
 
     pub(super) fn project_view<B: RasterBackend, C: CheckpointStrategy>(
