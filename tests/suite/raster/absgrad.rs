@@ -118,7 +118,7 @@ fn absolute_sums_equal_finite_differences_pixel_by_pixel() {
     for (settings, step) in [(SMOOTH, 1e-4), (cut, 1e-6)] {
         // A scene in which no pair lies so close to a cut-off that a finite step would cross it.
         let far = |c: &Cloud| {
-            reference::render(c, &numbers(3 * c.len(), 5), 3, &camera, &settings).closest_cut > 4e-4
+            reference::render(c, &numbers(3 * c.len(), 5), 3, &camera, &settings).margin() > 4e-4
         };
         let c = (0..1000)
             .map(|seed| cloud(10, 0.06, &camera, seed))

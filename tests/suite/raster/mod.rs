@@ -4,6 +4,7 @@ pub mod absgrad;
 pub mod blending;
 pub mod gsplat;
 pub mod operation_gradients;
+pub mod precision;
 pub mod raster_contract;
 #[cfg(feature = "wgpu")]
 pub mod raster_gpu;

@@ -31,8 +31,7 @@ pub mod population;
 #[path = "../../../examples/pretrain_encoder/training.rs"]
 pub mod pretraining;
 pub mod program;
-#[cfg(feature = "wgpu")]
-pub mod raster_on_gpu;
+pub mod raster_precision;
 pub mod raster_reference;
 pub mod raw_labels;
 pub mod rendered_views;
@@ -59,6 +58,19 @@ pub fn device() -> Device {
         .iter()
         .rfind(|name| **name != BackendName::Wgpu);
     coseg::backend::device::open(name.copied()).expect("a CPU backend")
+}
+
+/// A device of each backend of this build, by name; without the GPU where this machine has none.
+pub fn devices() -> Vec<(BackendName, Device)> {
+    let named = |&name: &BackendName| {
+        let device = match name {
+            #[cfg(feature = "wgpu")]
+            BackendName::Wgpu => gpu()?,
+            name => coseg::backend::device::open(Some(name)).expect("a CPU backend"),
+        };
+        Some((name, device))
+    };
+    BackendName::compiled().iter().filter_map(named).collect()
 }
 
 /// The wgpu device, if this machine has one that runs all kernels. Without it tests print that they skip, and pass. With

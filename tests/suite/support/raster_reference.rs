@@ -106,8 +106,20 @@ pub struct Reference {
     pub transmittance: Vec<f64>,
     /// `(pixel, Gaussian, weight)`, pixel by pixel, front to back.
     pub weights: Vec<(usize, usize, f64)>,
-    /// Smallest relative distance of any pair from a cut-off (alpha_min, alpha_max, t_min).
-    pub closest_cut: f64,
+    /// Smallest relative distance of a pair of each pixel from a cut-off (alpha_min, alpha_max, t_min).
+    pub margins: Vec<f64>,
+    /// Smallest relative distance between the depths of two Gaussians that a pixel blends one after the other, equal ones left
+    /// out.
+    pub depth_gaps: Vec<f64>,
+    /// `3 sqrt(lambda_max)` of each Gaussian in pixels, before it is rounded up; 0 behind the near plane.
+    pub reaches: Vec<f64>,
+}
+
+impl Reference {
+    /// The smallest margin.
+    pub fn margin(&self) -> f64 {
+        self.margins.iter().copied().fold(f64::INFINITY, f64::min)
+    }
 }
 
 /// Renders `values` `[N, channels]`.
@@ -145,6 +157,7 @@ pub fn render_shifted(
         opacity: f64,
     }
     let mut flat = Vec::new();
+    let mut reaches = vec![0.0; cloud.len()];
     for id in 0..cloud.len() {
         let at = |v: &[f64], w: usize| v[id * w..(id + 1) * w].to_vec();
         let (m, l, q) = (
@@ -182,6 +195,8 @@ pub fn render_shifted(
             j2.dot(sigma * j2) + s.low_pass,
         );
         let det = a * c - b * b;
+        let middle = 0.5 * (a + c);
+        reaches[id] = 3.0 * (middle + (0.25 * (a - c).powi(2) + b * b).sqrt()).sqrt();
         flat.push(Flat {
             id,
             z: p.z,
@@ -199,7 +214,9 @@ pub fn render_shifted(
         image: vec![0.0; pixels * channels],
         transmittance: vec![1.0; pixels],
         weights: Vec::new(),
-        closest_cut: f64::INFINITY,
+        margins: vec![f64::INFINITY; pixels],
+        depth_gaps: vec![f64::INFINITY; pixels],
+        reaches,
     };
     for pixel in 0..pixels {
         let (px, py) = (
@@ -207,15 +224,17 @@ pub fn render_shifted(
             (pixel / camera.width) as f64 + 0.5,
         );
         let mut t = 1.0;
+        let mut depth = 0.0;
         for g in &flat {
             let (dx, dy) = (px - g.mean[0], py - g.mean[1]);
             let power = -0.5
                 * (g.inverse[0] * dx * dx + 2.0 * g.inverse[1] * dx * dy + g.inverse[2] * dy * dy);
             let raw = g.opacity * power.exp();
             let alpha = raw.min(s.alpha_max);
+            let margin = &mut out.margins[pixel];
             let mut near = |x: f64, cut: f64| {
                 if cut > 0.0 {
-                    out.closest_cut = out.closest_cut.min((x - cut).abs() / cut);
+                    *margin = margin.min((x - cut).abs() / cut);
                 }
             };
             near(raw, s.alpha_min);
@@ -224,6 +243,11 @@ pub fn render_shifted(
             }
             near(raw, s.alpha_max);
             near(t * (1.0 - alpha), s.t_min);
+            if depth > 0.0 && g.z > depth {
+                let gap = &mut out.depth_gaps[pixel];
+                *gap = gap.min((g.z - depth) / depth);
+            }
+            depth = g.z;
             if t * (1.0 - alpha) <= s.t_min {
                 break;
             }
