@@ -31,6 +31,8 @@ pub enum Event {
         /// Views done, each counted as often as the stage reads it.
         done: usize,
     },
+    /// The number of Gaussians was reviewed.
+    Reviewed(Review),
     /// The held-out views were scored.
     Evaluated(CurvePoint),
     /// The stage is done. Not sent for stages that were stopped early.
@@ -52,6 +54,23 @@ pub struct CurvePoint {
     pub miou: Option<f64>,
     /// Gaussians in the scene.
     pub gaussians: usize,
+}
+
+/// A review of the number of Gaussians: what held-back views do not miss was left out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Review {
+    /// Iterations done.
+    pub iteration: usize,
+    /// Gaussians before it.
+    pub gaussians: usize,
+    /// Gaussians after it.
+    pub kept: usize,
+    /// Mean PSNR of the held-back views before it, dB.
+    pub psnr_before: f64,
+    /// The same after it.
+    pub psnr_after: f64,
+    /// Mean PSNR of views that are trained on before it, dB.
+    pub psnr_trained: f64,
 }
 
 /// Listens to a running stage.

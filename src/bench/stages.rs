@@ -3,6 +3,7 @@
 use super::figures::timed;
 use super::machine::reset_peak_memory;
 use super::{Bench, Figures};
+use crate::config::Budget;
 use crate::config::Variant;
 use crate::error::{Error, Result};
 use crate::metrics::ImageScores;
@@ -50,7 +51,7 @@ fn stage_one(bench: &Bench, gaussians: &Gaussians, figures: &mut Figures) -> Res
     let mut config = bench.config.clone();
     config.building.sh_degree = gaussians.sh_degree;
     config.building.iterations = RUN_STEPS;
-    config.building.max_gaussians = gaussians.len();
+    config.building.max_gaussians = Budget::AtMost(gaussians.len());
     // The last SH degree becomes active three eighths into the run.
     let every = config.building.densify_every.max(1);
     let densified = (3 * RUN_STEPS / 8 / every + 2) * every;

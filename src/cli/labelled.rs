@@ -17,8 +17,8 @@ use std::path::PathBuf;
 pub struct LabelledArgs {
     /// Scene in the 3DGS PLY convention, or a run folder
     #[arg(long, value_name = "FILE.ply|RUN")]
-    scene: PathBuf,
-    /// Scene folder with photos, cameras and raw labels
+    pub scene: PathBuf,
+    /// Scene folder: photos, cameras, raw labels
     #[arg(long, value_name = "DIR")]
     pub data: PathBuf,
     /// Folder to write to; made if absent

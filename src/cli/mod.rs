@@ -15,6 +15,7 @@ mod labelled;
 mod object_scene;
 mod objects;
 mod progress;
+mod prune;
 mod render;
 mod render_path;
 mod run_folder;
@@ -80,6 +81,7 @@ Examples:
   coseg objects --scene runs/living            its objects, and where they are
   coseg separate --scene runs/living --out objects/scene.ply    each chair an object of its own
   coseg edit --scene runs/living --out without.ply --remove sofa
+  coseg prune --scene runs/living --data scenes/living --out small --within 0.1
   coseg bench --run runs/living                speed on this machine
   coseg compare configs/tables/table1.toml --data-root scenes --out runs/table1
 
@@ -110,6 +112,8 @@ pub enum Command {
     Separate(separate::SeparateArgs),
     /// Keep, remove, turn and move objects of a labelled scene
     Edit(edit::EditArgs),
+    /// Leave out the Gaussians that the photos of a scene do not need
+    Prune(prune::PruneArgs),
     /// Measure speed, error and memory on this machine
     Bench(bench::BenchArgs),
     /// Make a table of variants on equal Gaussians, as a plan states it
@@ -132,6 +136,7 @@ impl Command {
             Self::Objects(args) => args.run(),
             Self::Separate(args) => args.run(),
             Self::Edit(args) => args.run(),
+            Self::Prune(args) => args.run(),
             Self::Bench(args) => args.run(),
         };
         done.map(|()| ExitCode::SUCCESS)

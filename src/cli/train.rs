@@ -162,7 +162,7 @@ impl TrainArgs {
             // Ahead of `--set`. All Gaussians of the file come back.
             let sets = [
                 "building.iterations=0".to_owned(),
-                "building.max_gaussians=0".to_owned(),
+                "building.max_gaussians=unlimited".to_owned(),
                 "unprojection.attendance=0".to_owned(),
                 format!("building.gaussians={}", scene_path(path)?.display()),
             ];

@@ -1,5 +1,6 @@
 //! Settings of stage one and of the blending.
 
+use super::budget::{Budget, EXPECTED};
 use super::range::{Range, checked};
 use crate::error::{Result, bail, ensure};
 use serde::{Deserialize, Serialize};
@@ -105,9 +106,8 @@ pub struct BuildingConfig {
     /// that colour become opaque. Photos with transparent pixels keep `raster.background`.
     #[default(true)]
     pub random_background: bool,
-    /// Largest number of Gaussians. Larger initial clouds are thinned to it. 0 means no limit; `strategy = "mcmc"` refuses 0,
-    /// because it grows to the limit.
-    pub max_gaussians: usize,
+    /// Largest number of Gaussians. `strategy = "mcmc"` needs a number, because it grows to it.
+    pub max_gaussians: Budget,
     /// Points when the scene has no initial cloud.
     #[default(20_000)]
     pub random_points: usize,
@@ -173,12 +173,14 @@ impl BuildingConfig {
         ensure!(self.sh_degree <= 3,
             setting "building.sh_degree"; found "{}", self.sh_degree; expected "0, 1, 2 or 3"; help "3 is the usual choice");
         checked!(self, "building": { lr_means: NotNegative, random_points: Positive });
+        ensure!(self.max_gaussians != Budget::AtMost(0), setting "building.max_gaussians"; found "0";
+            expected "{EXPECTED}"; help "\"unlimited\" sets no limit");
         match &self.strategy {
             Strategy::Adc(adc) => {
                 Range::NotNegative.check("building.strategy.adc.threshold", adc.threshold())
             }
-            Strategy::Mcmc(_) if self.max_gaussians == 0 => bail!(
-                setting "building.max_gaussians"; found "0";
+            Strategy::Mcmc(_) if self.max_gaussians.limit().is_none() => bail!(
+                setting "building.max_gaussians"; found "{}", self.max_gaussians;
                 expected "the number of Gaussians to grow to, because building.strategy = \"mcmc\"";
                 help "give it, such as 100_000"),
             Strategy::Mcmc(mcmc) => {

@@ -9,6 +9,7 @@
 
 mod assignment;
 mod association;
+mod budget;
 mod building;
 mod data;
 mod features;
@@ -19,6 +20,7 @@ mod segmentation;
 mod variant;
 
 pub use self::association::{Association, AssociationConfig};
+pub use self::budget::Budget;
 pub use self::building::{AdcConfig, BuildingConfig, McmcConfig, RasterConfig, SizeRule, Strategy};
 pub(crate) use self::data::same_folder;
 pub use self::data::{DataConfig, LabelsBy, Layout, NO_MASKS, RawFormat, ScannetClasses};

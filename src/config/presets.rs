@@ -1,8 +1,8 @@
 //! The named sets of defaults.
 
 use super::{
-    AdcConfig, Blend, Config, Encode, FeatureSource, LabelLoss, LabelSource, Normalisation, Preset,
-    Prior, Reduction, Resolution, SizeRule, Strategy,
+    AdcConfig, Blend, Budget, Config, Encode, FeatureSource, LabelLoss, LabelSource, Normalisation,
+    Preset, Prior, Reduction, Resolution, SizeRule, Strategy,
 };
 
 impl Config {
@@ -16,7 +16,7 @@ impl Config {
         let mut config = Self::default();
         if preset != Preset::Paper {
             config.building.iterations = 2_400;
-            config.building.max_gaussians = 25_000;
+            config.building.max_gaussians = Budget::AtMost(25_000);
             config.segmentation.pixel_share = 0.25;
         }
         config.changed_by(preset)
@@ -30,6 +30,7 @@ impl Config {
             Preset::Paper => {
                 config.raster.alpha_max = 0.99;
                 config.building.iterations = 6_000;
+                config.building.max_gaussians = Budget::Unlimited;
                 config.building.random_background = false;
                 config.building.strategy = Strategy::Adc(AdcConfig {
                     absgrad: false,

@@ -36,10 +36,12 @@ pub(crate) fn load_initial_scene(
     let mut gaussians = ply.gaussians;
     ensure!(!gaussians.is_empty(), path, "element vertex"; found "no Gaussian"; expected "one or more";
         help "name a scene that holds something");
-    let most = config.building.max_gaussians;
-    if config.building.iterations > 0 && most > 0 && gaussians.len() > most {
+    if config.building.iterations > 0
+        && let Some(most) = config.building.max_gaussians.limit()
+        && gaussians.len() > most
+    {
         bail!(setting "building.max_gaussians"; found "{most}";
-            expected "{} or more, as building.gaussians has, or 0 for no limit", gaussians.len();
+            expected "{} or more, as building.gaussians has, or \"unlimited\"", gaussians.len();
             help "raise it");
     }
     let shift = ply.origin - scene.origin;

@@ -5,7 +5,7 @@ use crate::checkpoint::Checkpoint;
 use crate::config::Config;
 use crate::data::Scene;
 use crate::error::{Error, Result};
-use crate::progress::{CurvePoint, Progress};
+use crate::progress::{CurvePoint, Progress, Review};
 use crate::provenance::Provenance;
 use crate::reconstruction::{Trainer, TrainerState};
 use crate::splat::{Gaussians, ply};
@@ -26,6 +26,8 @@ pub(crate) struct Reconstruction {
     pub gaussians: Gaussians,
     /// Held-out scores over the iterations.
     pub curve: Vec<CurvePoint>,
+    /// Reviews of the number of Gaussians.
+    pub reviews: Vec<Review>,
     /// Seconds of stage one, earlier parts of a resumed run included.
     pub seconds: f64,
     /// The share of `seconds` of earlier parts.
@@ -122,6 +124,7 @@ fn take(
     Ok(Reconstruction {
         gaussians: gaussians.select(&gaussians.spatial_order()),
         curve: Vec::new(),
+        reviews: Vec::new(),
         seconds: 0.0,
         earlier: 0.0,
         complete: true,
@@ -164,6 +167,7 @@ fn build(
     Ok(Reconstruction {
         gaussians: gaussians.select(&gaussians.spatial_order()),
         curve: stage.curve().to_vec(),
+        reviews: stage.reviews().to_vec(),
         seconds: 0.0,
         earlier,
         complete: stage.iteration() >= config.building.iterations,

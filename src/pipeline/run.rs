@@ -13,7 +13,7 @@ use crate::error::Result;
 use crate::features::FeatureColors;
 use crate::metrics::ImageScores;
 use crate::objects::{Identities, Semantics, has_truth};
-use crate::progress::{CurvePoint, Progress};
+use crate::progress::{CurvePoint, Progress, Review};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
@@ -45,6 +45,8 @@ pub struct Outcome {
     pub gaussians: Gaussians,
     /// Curve of stage one.
     pub building: Vec<CurvePoint>,
+    /// Reviews of the number of Gaussians in stage one.
+    pub reviews: Vec<Review>,
     /// Mean held-out scores of the final Gaussians.
     pub test: ImageScores,
     /// Attendance pruning, where stage two was reached.
@@ -77,6 +79,7 @@ impl Outcome {
             scene,
             gaussians: reconstruction.gaussians,
             building: reconstruction.curve,
+            reviews: reconstruction.reviews,
             seconds: Seconds {
                 building: reconstruction.seconds,
                 total: reconstruction.earlier,

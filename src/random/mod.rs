@@ -36,6 +36,8 @@ pub enum Purpose {
     LabelledPhotos = 10,
     /// Pixels at which features are scored; index = number of the held-out view.
     ScoredPixels = 12,
+    /// Signs that the Gaussians are measured with; index = iteration.
+    Pruning = 13,
     /// Scenes and maps that benchmarks make up; index = size.
     Benchmark = 48,
 }

@@ -1,9 +1,11 @@
 //! Stage one: 3D Gaussians from posed photos (3DGS, Kerbl et al. 2023; 3DGS-MCMC, Kheradmand et al. 2024).
 
+mod budget;
 pub mod densify;
 pub mod initialization;
 pub mod mcmc;
 pub(crate) mod optimizer;
+pub(crate) mod pruning;
 pub mod schedule;
 mod state;
 mod step;

@@ -18,6 +18,12 @@ const LOG_SCALES: usize = 1;
 /// Place of the opacity logits in [`Moments`].
 pub const OPACITY: usize = 3;
 
+/// Row numbers as a tensor.
+pub(crate) fn indices(rows: &[u32], device: &Device) -> Tensor<1, Int> {
+    let values: Vec<i32> = rows.iter().map(|&row| row as i32).collect();
+    Tensor::from_data(TensorData::new(values, [rows.len()]), device)
+}
+
 /// One value for each scalar of each parameter, row-major: a first or second moment.
 pub type Moments = [Vec<f32>; 5];
 
@@ -228,20 +234,27 @@ impl Parameters {
         read("geometry", Tensor::cat(parts, 0))
     }
 
+    /// Keeps `rows`, with their moments.
+    pub fn select(&mut self, rows: &[u32]) {
+        let rows = indices(rows, &self.state[MEANS].param.device());
+        for state in &mut self.state {
+            for tensor in [&mut state.param, &mut state.first, &mut state.second] {
+                *tensor = tensor.clone().select(0, rows.clone());
+            }
+        }
+    }
+
     /// Makes the rows those of `densification`.
     pub fn rearrange(&mut self, densification: Densification) {
         let device = self.state[MEANS].param.device();
         let count = densification.rows.len();
-        let rows: Vec<i32> = densification.rows.iter().map(|&row| row as i32).collect();
-        let rows = Tensor::<1, Int>::from_data(TensorData::new(rows, [count]), &device);
+        self.select(&densification.rows);
         let is_new = TensorData::new(densification.is_new, [count, 1]);
         let is_new = Tensor::<2, Bool>::from_data(is_new, &device);
         for state in &mut self.state {
             let shape = [count, state.param.dims()[1]];
-            state.param = state.param.clone().select(0, rows.clone());
             for moment in [&mut state.first, &mut state.second] {
-                let kept = moment.clone().select(0, rows.clone());
-                *moment = kept.mask_fill(is_new.clone().expand(shape), 0.0);
+                *moment = moment.clone().mask_fill(is_new.clone().expand(shape), 0.0);
             }
         }
         let given = [

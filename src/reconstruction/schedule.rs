@@ -2,7 +2,7 @@
 //!
 //! Steps count from 1. Everything is a function of the step, so a resumed run needs no memory of it.
 
-use crate::config::{BuildingConfig, Strategy};
+use crate::config::{Budget, BuildingConfig, Strategy};
 use crate::data::{Points, View};
 use crate::random::{Purpose, stream};
 use crate::splat::camera::spread;
@@ -16,22 +16,91 @@ const LATEST_START: f64 = 0.08;
 /// Passes over all views between two opacity resets, at least.
 const PASSES_BETWEEN_RESETS: usize = 5;
 
+/// Held-back views train again after this share of the run.
+const REJOIN: f64 = 0.75;
+/// Shares of the run at which the number of Gaussians is reviewed after densification.
+const REVIEWS: [f64; 2] = [0.625, 0.75];
+/// One of this many training views is held back.
+const HELD_BACK_EVERY: usize = 12;
+/// At least and at most this many are held back.
+const HELD_BACK: std::ops::RangeInclusive<usize> = 3..=8;
+
+/// Indices of the views to hold back of `views`, evenly spaced; none of fewer than twelve.
+fn held_back(views: usize) -> Vec<usize> {
+    if views < HELD_BACK_EVERY {
+        return Vec::new();
+    }
+    let count = (views / HELD_BACK_EVERY).clamp(*HELD_BACK.start(), *HELD_BACK.end());
+    (0..count)
+        .map(|k| (2 * k + 1) * views / (2 * count))
+        .collect()
+}
+
 /// The schedule of one run.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     config: BuildingConfig,
     views: usize,
     extent: f64,
+    /// Indices of the training views that judge the number of Gaussians.
+    judges: Vec<usize>,
+    /// All indices, and those of the views that are trained on while the judges are held back.
+    all: Vec<usize>,
+    others: Vec<usize>,
 }
 
 impl Schedule {
     /// The schedule of a run over `views` training views of a scene of size `extent` (world units).
     pub fn new(config: &BuildingConfig, views: usize, extent: f64) -> Self {
+        let held_back = match config.max_gaussians {
+            Budget::Auto => held_back(views),
+            Budget::Unlimited | Budget::AtMost(_) => Vec::new(),
+        };
+        let all: Vec<usize> = (0..views).collect();
+        let others = all.iter().copied().filter(|i| !held_back.contains(i));
         Self {
             config: config.clone(),
             views,
             extent,
+            others: others.collect(),
+            judges: if held_back.is_empty() {
+                all.clone()
+            } else {
+                held_back
+            },
+            all,
         }
+    }
+
+    /// Indices of the training views that judge the number of Gaussians: the held-back ones, or all where there are too few.
+    pub fn judges(&self) -> &[usize] {
+        &self.judges
+    }
+
+    /// Indices of the views that are trained on at `step`.
+    pub fn trained(&self, step: usize) -> &[usize] {
+        if step <= self.share(REJOIN) {
+            &self.others
+        } else {
+            &self.all
+        }
+    }
+
+    /// Whether the number of Gaussians is reviewed after `step`.
+    pub fn reviews(&self, step: usize) -> bool {
+        let late = REVIEWS.map(|share| self.share(share));
+        self.config.max_gaussians == Budget::Auto
+            && (self.resets(step) || step == self.densify_until() || late.contains(&step))
+    }
+
+    /// Whether densification may add Gaussians after `step`.
+    pub fn grows(&self, step: usize) -> bool {
+        step < self.densify_until()
+    }
+
+    /// The step at this share of the run.
+    fn share(&self, share: f64) -> usize {
+        (share * self.config.iterations as f64) as usize
     }
 
     /// Learning rate of the means: exponential from `lr_means` to a hundredth of it, times the extent.
@@ -94,10 +163,10 @@ impl Schedule {
 
     /// Index among the training views at `step`: each epoch is a shuffle of all views.
     pub fn view(&self, seed: u64, step: usize) -> usize {
-        let views = self.views.max(1);
+        let mut order = self.trained(step).to_vec();
+        let views = order.len().max(1);
         let epoch = (step.max(1) - 1) / views;
         let place = (step.max(1) - 1) % views;
-        let mut order: Vec<usize> = (0..self.views).collect();
         order.shuffle(&mut stream(seed, Purpose::ViewOrder, epoch as u64));
         order.get(place).copied().unwrap_or(0)
     }
@@ -214,5 +283,33 @@ mod tests {
             assert_eq!(sorted(epoch(e)), [0, 1, 2, 3, 4, 5, 6]);
         }
         assert!((1..5).any(|e| epoch(e) != epoch(0)));
+    }
+
+    #[test]
+    fn held_back_views_judge_and_join_the_last_quarter() {
+        let s = schedule(7_000, 48);
+        assert_eq!(s.judges(), [6, 18, 30, 42]);
+        let views = |steps: std::ops::RangeInclusive<usize>| {
+            let views: std::collections::BTreeSet<usize> =
+                steps.map(|step| s.view(5, step)).collect();
+            views
+        };
+        let early = views(1..=5_250);
+        assert_eq!(early.len(), 44);
+        assert!(s.judges().iter().all(|view| !early.contains(view)));
+        assert_eq!(views(5_251..=7_000).len(), 48);
+        let reviewed: Vec<usize> = (1..=7_000).filter(|&step| s.reviews(step)).collect();
+        assert_eq!(reviewed, [1_000, 2_000, 3_000, 3_500, 4_375, 5_250]);
+
+        let few = schedule(7_000, 11);
+        assert_eq!(few.judges().len(), 11);
+        assert_eq!(few.trained(1).len(), 11);
+        let config = BuildingConfig {
+            max_gaussians: Budget::Unlimited,
+            ..BuildingConfig::default()
+        };
+        let unlimited = Schedule::new(&config, 48, 2.0);
+        assert_eq!(unlimited.trained(1).len(), 48);
+        assert!((1..=7_000).all(|step| !unlimited.reviews(step)));
     }
 }

@@ -4,13 +4,15 @@ use super::densify::GradientStatistics;
 use super::optimizer::{Moments, NAMES, from_values, into_values, widths, zero_moments};
 use crate::checkpoint::{Checkpoint, Scalar};
 use crate::error::Result;
-use crate::progress::CurvePoint;
+use crate::progress::{CurvePoint, Review};
 use crate::provenance::Provenance;
 use crate::splat::Gaussians;
 use std::path::Path;
 
 /// Kind of checkpoint.
 const KIND: &str = "building";
+/// Values of a review in a checkpoint.
+const REVIEW_COLUMNS: usize = 6;
 
 /// State of stage one after some iterations. With scene and settings it determines the rest of the run.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -29,6 +31,10 @@ pub struct TrainerState {
     pub second: Moments,
     /// Screen-space gradients since the last densification.
     pub stats: GradientStatistics,
+    /// Gaussians that the run began with.
+    pub initial: usize,
+    /// Reviews of the number of Gaussians so far.
+    pub reviews: Vec<Review>,
     /// Sum and number of the training losses since the last point of the curve.
     pub losses: (f64, u64),
     /// Curves so far.
@@ -45,6 +51,7 @@ impl TrainerState {
         let stats = GradientStatistics::new(gaussians.len());
         Self {
             seed,
+            initial: gaussians.len(),
             gaussians,
             first,
             second,
@@ -77,6 +84,9 @@ impl TrainerState {
         }
         c.put("density.gradient", &[n], self.stats.gradient.clone())?;
         c.put("density.visible", &[n], self.stats.visible.clone())?;
+        c.set("initial", &self.initial)?;
+        let reviews = self.reviews.iter().flat_map(review_values).collect();
+        c.put("reviews", &[self.reviews.len(), REVIEW_COLUMNS], reviews)?;
         c.put("loss.sum", &[], vec![self.losses.0])?;
         c.put("loss.count", &[], vec![self.losses.1])?;
         c.put("seconds", &[], vec![self.seconds])?;
@@ -117,11 +127,47 @@ impl TrainerState {
             gradient: c.take("density.gradient", &[n])?,
             visible: c.take("density.visible", &[n])?,
         };
+        state.initial = c.get("initial")?;
+        let count = c.shape("reviews")?.first().copied().unwrap_or(0);
+        let reviews: Vec<f64> = c.take("reviews", &[count, REVIEW_COLUMNS])?;
+        state.reviews = reviews.as_chunks().0.iter().map(review).collect();
         state.losses = (scalar(&mut c, "loss.sum")?, scalar(&mut c, "loss.count")?);
         state.seconds = scalar(&mut c, "seconds")?;
         state.provenance = c.get("provenance")?;
         state.curve = c.take_curve()?;
         Ok(state)
+    }
+}
+
+/// A row of the tensor of reviews.
+fn review_values(review: &Review) -> [f64; REVIEW_COLUMNS] {
+    [
+        review.iteration as f64,
+        review.gaussians as f64,
+        review.kept as f64,
+        review.psnr_before,
+        review.psnr_after,
+        review.psnr_trained,
+    ]
+}
+
+/// The inverse of [`review_values`].
+fn review(values: &[f64; REVIEW_COLUMNS]) -> Review {
+    let &[
+        iteration,
+        gaussians,
+        kept,
+        psnr_before,
+        psnr_after,
+        psnr_trained,
+    ] = values;
+    Review {
+        iteration: iteration as usize,
+        gaussians: gaussians as usize,
+        kept: kept as usize,
+        psnr_before,
+        psnr_after,
+        psnr_trained,
     }
 }
 

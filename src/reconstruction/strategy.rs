@@ -97,7 +97,7 @@ impl Trainer<'_> {
             clone_below: CLONE_BELOW * self.extent as f32,
             prune_opacity: building.prune_opacity,
             prune_scale: self.size_limit(adc.size_limit),
-            max_gaussians: building.max_gaussians,
+            max_gaussians: self.capacity(),
         }
     }
 
@@ -126,7 +126,7 @@ impl Trainer<'_> {
         RelocationRules {
             dead: building.prune_opacity,
             growth: mcmc.growth,
-            max_gaussians: building.max_gaussians,
+            max_gaussians: self.capacity(),
         }
     }
 }
@@ -136,7 +136,7 @@ mod tests {
     use super::*;
     use crate::backend::device::{BackendName, device_of_tests};
     use crate::backend::host_fallbacks;
-    use crate::config::{BuildingConfig, Config};
+    use crate::config::{Budget, BuildingConfig, Config};
     use crate::data::builtin::{BuiltinOptions, scene_with};
     use crate::reconstruction::TrainerState;
     use crate::reconstruction::densify::{Densification, reset_opacity};
@@ -181,7 +181,7 @@ mod tests {
         let building = BuildingConfig {
             strategy,
             sh_degree: 2,
-            max_gaussians: 1000,
+            max_gaussians: Budget::AtMost(1000),
             ..BuildingConfig::default()
         };
         let config = Config {

@@ -11,7 +11,7 @@ use crate::config::Config;
 use crate::data::{Scene, Split, View};
 use crate::error::{Error, Result, bail, ensure};
 use crate::metrics::ImageScores;
-use crate::progress::{CurvePoint, Event, Progress};
+use crate::progress::{CurvePoint, Event, Progress, Review};
 use crate::provenance::Provenance;
 use crate::raster::{RasterInput, Settings, rasterize};
 use crate::splat::Gaussians;
@@ -38,6 +38,8 @@ pub struct StepReport {
     pub loss: f64,
     /// Gaussians afterwards.
     pub gaussians: usize,
+    /// The review of the number of Gaussians that followed, if one did.
+    pub review: Option<Review>,
     /// The densification that followed, if one did.
     pub densified: Option<Densified>,
     /// Whether opacities were reset.
@@ -57,12 +59,15 @@ pub struct Trainer<'a> {
     pub(super) extent: f64,
     pub(super) center: DVec3,
     pub(super) device: Device,
-    train: Vec<&'a View>,
+    pub(super) train: Vec<&'a View>,
     test: Vec<&'a View>,
     pub(super) targets: Targets,
     pub(super) parameters: Parameters,
     pub(super) statistics: GradientAccumulator,
     pub(super) iteration: usize,
+    /// Gaussians that the run began with.
+    pub(super) initial: usize,
+    pub(super) reviews: Vec<Review>,
     pub(super) losses: (f64, u64),
     curve: Vec<CurvePoint>,
     seconds: f64,
@@ -116,6 +121,8 @@ impl<'a> Trainer<'a> {
             train,
             test: scene.split(Split::Test).collect(),
             iteration: state.iteration,
+            initial: state.initial,
+            reviews: state.reviews,
             losses: state.losses,
             curve: state.curve,
             seconds: state.seconds,
@@ -137,6 +144,11 @@ impl<'a> Trainer<'a> {
     /// Curve so far, one point per evaluation.
     pub fn curve(&self) -> &[CurvePoint] {
         &self.curve
+    }
+
+    /// Reviews of the number of Gaussians so far.
+    pub fn reviews(&self) -> &[Review] {
+        &self.reviews
     }
 
     /// Seconds of training so far.
@@ -166,6 +178,8 @@ impl<'a> Trainer<'a> {
             first,
             second,
             stats: self.statistics.read()?,
+            initial: self.initial,
+            reviews: self.reviews.clone(),
             losses: self.losses,
             curve: self.curve.clone(),
             seconds: self.seconds,
@@ -199,6 +213,11 @@ impl<'a> Trainer<'a> {
         self.iteration = iteration;
         self.losses.0 += pass.loss;
         self.losses.1 += 1;
+        let review = if self.schedule.reviews(iteration) && self.parameters.len() > 0 {
+            Some(self.review()?)
+        } else {
+            None
+        };
         let densified = if self.schedule.densifies(iteration) {
             Some(self.densify()?)
         } else {
@@ -216,6 +235,7 @@ impl<'a> Trainer<'a> {
             view,
             loss: pass.loss,
             gaussians,
+            review,
             densified,
             reset,
         })
@@ -241,6 +261,9 @@ impl<'a> Trainer<'a> {
                 loss: report.loss,
                 gaussians: report.gaussians,
             });
+            if let Some(review) = report.review {
+                progress.event(&Event::Reviewed(review));
+            }
             if self.schedule.evaluates(iteration) {
                 progress.event(&Event::Evaluated(self.evaluate()?));
             }

@@ -74,6 +74,7 @@ impl History {
                 psnr: samples(b, |p| p.held_out.psnr),
                 ssim: samples(b, |p| p.held_out.ssim),
                 gaussians: samples(b, |p| Some(p.gaussians as f64)),
+                reviews: outcome.reviews.clone(),
             },
             rows: rows
                 .map(|r| VariantHistory {

@@ -1,6 +1,7 @@
 //! Measurements during training, as plain data that a checkpoint can store.
 
 use crate::config::Variant;
+use crate::progress::Review;
 use serde::{Deserialize, Serialize};
 
 /// One measurement: iteration and value.
@@ -26,6 +27,9 @@ pub struct BuildingHistory {
     pub ssim: Vec<Sample>,
     /// Number of Gaussians.
     pub gaussians: Vec<Sample>,
+    /// Reviews of that number, with `building.max_gaussians = "auto"`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub reviews: Vec<Review>,
 }
 
 /// Measurements of one variant of stage two.

@@ -34,6 +34,7 @@ pub(super) fn page(report: &Report<'_>, path: &Path) -> Result<Markup> {
                     h2 { "Held-out views" }
                     (pictures)
                     (charts("Building the Gaussians", &curves::building(report)))
+                    (tables::reviews(report))
                     (charts("Learning the labels", &curves::segmentation(report)))
                     h2 { "Time and memory" }
                     div.two {

@@ -48,7 +48,7 @@ pub struct AdcRules {
     pub prune_opacity: f32,
     /// Gaussians whose largest scale is above this are pruned.
     pub prune_scale: SizeLimit,
-    /// No more Gaussians than this afterwards; 0 means no limit. The highest gradients go first.
+    /// No more Gaussians than this afterwards. The highest gradients go first.
     pub max_gaussians: usize,
 }
 
@@ -85,21 +85,19 @@ pub fn adc<'a>(
         fits && is_opaque(i) && stats.mean(i) >= rules.threshold
     };
     let mut grown: Vec<usize> = (0..n).filter(|&i| grows(i)).collect();
-    if rules.max_gaussians > 0 {
-        let kept = (0..n).filter(|&i| stays(i)).count();
-        let mut budget = rules.max_gaussians.saturating_sub(kept);
-        grown.sort_by(|&a, &b| stats.mean(b).total_cmp(&stats.mean(a)).then(a.cmp(&b)));
-        grown.retain(|&i| {
-            // The children of a Gaussian that would be pruned otherwise cost two rows.
-            let cost = if stays(i) { 1 } else { 2 };
-            let affordable = cost <= budget;
-            if affordable {
-                budget -= cost;
-            }
-            affordable
-        });
-        grown.sort_unstable();
-    }
+    let kept = (0..n).filter(|&i| stays(i)).count();
+    let mut budget = rules.max_gaussians.saturating_sub(kept);
+    grown.sort_by(|&a, &b| stats.mean(b).total_cmp(&stats.mean(a)).then(a.cmp(&b)));
+    grown.retain(|&i| {
+        // The children of a Gaussian that would be pruned otherwise cost two rows.
+        let cost = if stays(i) { 1 } else { 2 };
+        let affordable = cost <= budget;
+        if affordable {
+            budget -= cost;
+        }
+        affordable
+    });
+    grown.sort_unstable();
     let (split, cloned): (Vec<usize>, Vec<usize>) = grown.into_iter().partition(|&i| is_large(i));
     let mut is_split = vec![false; n];
     split.iter().for_each(|&i| is_split[i] = true);

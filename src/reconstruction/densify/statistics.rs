@@ -1,5 +1,6 @@
 //! Screen-space gradients between densifications.
 
+use super::super::optimizer::indices;
 use crate::backend::device::{read, upload};
 use crate::error::Result;
 use burn::tensor::{Device, Tensor};
@@ -57,6 +58,13 @@ impl GradientAccumulator {
         let seen = radii.greater_elem(0.0).float();
         self.gradient = self.gradient.clone() + length * seen.clone();
         self.visible = self.visible.clone() + seen;
+    }
+
+    /// Keeps `rows`.
+    pub fn select(&mut self, rows: &[u32]) {
+        let rows = indices(rows, &self.gradient.device());
+        self.gradient = self.gradient.clone().select(0, rows.clone());
+        self.visible = self.visible.clone().select(0, rows);
     }
 
     /// The statistics on the host.

@@ -37,11 +37,11 @@ pub(crate) fn initial_gaussians(
     } else {
         Cow::Borrowed(&scene.points)
     };
-    let most = building.max_gaussians;
-    let points = if most > 0 && points.positions.len() > most {
-        Cow::Owned(thinned(&points, most, config.seed))
-    } else {
-        points
+    let points = match building.max_gaussians.limit() {
+        Some(most) if points.positions.len() > most => {
+            Cow::Owned(thinned(&points, most, config.seed))
+        }
+        _ => points,
     };
     let mut gaussians = from_points(&points, building.sh_degree, extent(train, &scene.points))?;
     if let Strategy::Mcmc(mcmc) = &building.strategy {

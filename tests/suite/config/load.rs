@@ -2,8 +2,8 @@
 
 use crate::support::settings_file::{assert_names, load};
 use coseg::config::{
-    BuildingConfig, Config, Encode, FeatureSource, LabelLoss, McmcConfig, Normalisation, Preset,
-    Reduction, Resolution, Strategy, Variant,
+    Budget, BuildingConfig, Config, Encode, FeatureSource, LabelLoss, McmcConfig, Normalisation,
+    Preset, Reduction, Resolution, Strategy, Variant,
 };
 use std::path::{Path, PathBuf};
 
@@ -76,7 +76,7 @@ fn the_built_in_scene_has_defaults_of_its_own_below_all_that_is_given() {
             segmentation.pixel_share,
         )
     };
-    let builtin = (2_400, 25_000, 2_000, 0.25);
+    let builtin = (2_400, Budget::AtMost(25_000), 2_000, 0.25);
     assert_eq!(
         Config::load_for(None, None, &[]).unwrap(),
         Config::builtin_preset(Preset::Default)
@@ -97,8 +97,8 @@ fn the_built_in_scene_has_defaults_of_its_own_below_all_that_is_given() {
     );
     let toml = "preset = \"fast\"\n[building]\niterations = 9\n[segmentation]\npixel_share = 0.5\n";
     assert_eq!(
-        size(&own(None, toml, &["building.max_gaussians=0"])),
-        (9, 0, 2_000, 0.5)
+        size(&own(None, toml, &["building.max_gaussians=unlimited"])),
+        (9, Budget::Unlimited, 2_000, 0.5)
     );
     let mut paper = Config::preset(Preset::Paper);
     paper.features.weights = Some("dino.pth".into());
@@ -265,8 +265,8 @@ fn strategies_of_densification_have_defaults_and_needs_of_their_own() {
     );
     assert_eq!(load(&config.to_toml().unwrap(), &[]).unwrap(), config);
     assert_names(
-        &load(toml, &["building.max_gaussians=0"]).unwrap_err(),
-        &["max_gaussians", "found 0", "mcmc"],
+        &load(toml, &["building.max_gaussians=auto"]).unwrap_err(),
+        &["max_gaussians", "found auto", "mcmc"],
     );
     let error = load("[building.strategy.mcmc]\ngrow = 1\n", &[]).unwrap_err();
     assert_names(

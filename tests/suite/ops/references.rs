@@ -3,7 +3,7 @@
 use crate::support::painted_plane::{config, scene};
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::Tensor;
-use coseg::config::{BuildingConfig, Config, LabelSource, Resolution, Strategy, Variant};
+use coseg::config::{Budget, BuildingConfig, Config, LabelSource, Resolution, Strategy, Variant};
 use coseg::data::{LabelMap, Split};
 use coseg::objects::{Identities, LabelMaps, LabelRule, RenderOptions, Renderer, Votes, vote};
 use coseg::ops::{CustomOp, with_references};
@@ -46,7 +46,7 @@ fn a_step_of_stage_one_equals_that_of_the_references() {
     for strategy in [Strategy::default(), Strategy::Mcmc(Default::default())] {
         let building = BuildingConfig {
             strategy,
-            max_gaussians: 1_000,
+            max_gaussians: Budget::AtMost(1_000),
             ..config().building
         };
         let config = Config {

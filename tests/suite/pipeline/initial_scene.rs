@@ -2,7 +2,7 @@
 
 use crate::support::plate_runs::{config, whole};
 use crate::support::plates;
-use coseg::config::{Config, Variant};
+use coseg::config::{Budget, Config, Variant};
 use coseg::data::Limits;
 use coseg::error::Error;
 use coseg::pipeline::run;
@@ -102,7 +102,7 @@ fn a_file_that_cannot_be_begun_with_is_told_of() {
             .expect("an error")
     };
     config.building.iterations = 40;
-    config.building.max_gaussians = 50;
+    config.building.max_gaussians = Budget::AtMost(50);
     let Error::Config {
         key,
         found,

@@ -144,7 +144,7 @@ fn rules() -> AdcRules {
         clone_below: 0.1,
         prune_opacity: 0.005,
         prune_scale,
-        max_gaussians: 0,
+        max_gaussians: usize::MAX,
     }
 }
 

@@ -1,7 +1,7 @@
 //! The building stage with 3DGS-MCMC, and with AbsGS: both learn, keep to the cap, and resume exactly.
 
 use crate::support::painted_plane::{advance, assert_bits_follow_the_seed, config, scene, untimed};
-use coseg::config::{AdcConfig, BuildingConfig, Config, McmcConfig, Strategy};
+use coseg::config::{AdcConfig, Budget, BuildingConfig, Config, McmcConfig, Strategy};
 use coseg::data::Points;
 use coseg::reconstruction::{Trainer, TrainerState, schedule};
 use coseg::splat::Gaussians;
@@ -17,7 +17,7 @@ fn mcmc() -> Config {
     };
     let building = BuildingConfig {
         strategy: Strategy::Mcmc(mcmc),
-        max_gaussians: CAP,
+        max_gaussians: Budget::AtMost(CAP),
         prune_opacity: 0.1,
         ..config().building
     };
@@ -90,7 +90,7 @@ fn mcmc_learns_the_scene() {
     let building = BuildingConfig {
         iterations: 400,
         sh_degree: 2,
-        max_gaussians: 600,
+        max_gaussians: Budget::AtMost(600),
         densify_every: 20,
         // the usual small start is for longer runs: scales grow by 0.5 % a step
         strategy: Strategy::Mcmc(McmcConfig {
@@ -156,7 +156,7 @@ fn large_clouds_are_thinned_to_the_cap() {
     for strategy in [Strategy::default(), mcmc().building.strategy] {
         let building = BuildingConfig {
             strategy: strategy.clone(),
-            max_gaussians: 150,
+            max_gaussians: Budget::AtMost(150),
             ..mcmc().building
         };
         let config = Config { building, ..mcmc() };
@@ -205,7 +205,7 @@ fn mcmc_without_gaussians_or_without_a_cap() {
     advance(&mut empty, 12);
     assert!(empty.gaussians().expect("on the host").is_empty());
     let mut endless = config;
-    endless.building.max_gaussians = 0;
+    endless.building.max_gaussians = Budget::Unlimited;
     let refusal = Trainer::new(&scene, &endless, &device)
         .err()
         .expect("refused");

@@ -2,7 +2,7 @@
 
 use crate::support::assert_names;
 use crate::support::device;
-use coseg::config::{AdcConfig, BuildingConfig, Config, McmcConfig, Strategy};
+use coseg::config::{AdcConfig, Budget, BuildingConfig, Config, McmcConfig, Strategy};
 use coseg::data::builtin::{BuiltinOptions, scene_with};
 use coseg::reconstruction::Trainer;
 
@@ -18,7 +18,7 @@ fn a_run_and_a_stage_refuse_the_same_settings() {
     };
     let scene = scene_with(&options).unwrap();
     type Edit = fn(&mut BuildingConfig);
-    let cases: [(&str, Edit); 8] = [
+    let cases: [(&str, Edit); 9] = [
         ("building.iterations", |b| b.iterations = 0),
         ("building.iterations", |b| b.iterations = 1 << 32),
         ("building.sh_degree", |b| b.sh_degree = 4),
@@ -31,11 +31,14 @@ fn a_run_and_a_stage_refuse_the_same_settings() {
             })
         }),
         ("building.strategy.mcmc.growth", |b| {
-            b.max_gaussians = 9;
+            b.max_gaussians = Budget::AtMost(9);
             b.strategy = Strategy::Mcmc(McmcConfig {
                 growth: f64::NAN,
                 ..McmcConfig::default()
             })
+        }),
+        ("building.max_gaussians", |b| {
+            b.max_gaussians = Budget::AtMost(0)
         }),
         ("building.max_gaussians", |b| {
             b.strategy = Strategy::Mcmc(McmcConfig::default())
@@ -72,6 +75,7 @@ fn a_rate_of_zero_leaves_a_parameter_as_it_is() {
         lr_means: 0.0,
         lr_opacity: 0.0,
         iterations: 4,
+        max_gaussians: Budget::Unlimited,
         ..BuildingConfig::default()
     };
     let config = Config {

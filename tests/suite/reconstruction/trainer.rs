@@ -181,8 +181,8 @@ fn resumed_run_equals_uninterrupted_run_bit_for_bit() {
         resets += usize::from(report.reset);
     }
     assert!(
-        densified > 0 && resets == 1,
-        "the run must densify ({densified}) and reset ({resets})"
+        densified > 0 && resets == 1 && !whole.reviews().is_empty(),
+        "the run must densify ({densified}), reset ({resets}) and review"
     );
     let whole = untimed(whole.state().expect("a state"));
 
@@ -195,7 +195,7 @@ fn resumed_run_equals_uninterrupted_run_bit_for_bit() {
         let state = stage.state().expect("a state");
         state.save(&path).expect("saved");
         let loaded = TrainerState::load(&path).expect("loaded");
-        assert_eq!(loaded, state, "a checkpoint gives back the state");
+        assert!(loaded == state, "a checkpoint gives back the state");
         stage = Trainer::from_state(&scene, &config, &device, loaded).expect("a stage");
     }
     assert!(

@@ -2,7 +2,7 @@
 
 use crate::support::gpu;
 use burn::tensor::Device;
-use coseg::config::{AdcConfig, BuildingConfig, Config, McmcConfig, Strategy};
+use coseg::config::{AdcConfig, Budget, BuildingConfig, Config, McmcConfig, Strategy};
 use coseg::data::{LoadOptions, Scene, load};
 use coseg::reconstruction::{Trainer, TrainerState};
 
@@ -30,7 +30,7 @@ fn mcmc() -> Strategy {
 fn config(densify_from: usize, strategy: Strategy) -> Config {
     let building = BuildingConfig {
         strategy,
-        max_gaussians: 600,
+        max_gaussians: Budget::AtMost(600),
         iterations: 60,
         random_points: 500,
         densify_from,

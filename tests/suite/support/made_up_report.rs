@@ -4,6 +4,7 @@ use coseg::config::{Config, Variant};
 use coseg::data::{Class, Classes, LabelMap, Split, View};
 use coseg::metrics::ImageScores;
 use coseg::pipeline::Seconds;
+use coseg::progress::Review;
 use coseg::report::{
     BuildingHistory, Command, HeldOutView, History, Metrics, Report, Scores, TestScores,
     VariantHistory, VariantScores,
@@ -152,6 +153,14 @@ fn history() -> History {
             psnr: sparse(7_000, 11.0, 31.4, 5.0),
             ssim: sparse(7_000, 0.3, 0.941, 5.0),
             gaussians: sparse(7_000, 8_000.0, 41_250.0, 4.0),
+            reviews: vec![Review {
+                iteration: 1_000,
+                gaussians: 48_000,
+                kept: 39_250,
+                psnr_before: 28.42,
+                psnr_after: 28.38,
+                psnr_trained: 29.75,
+            }],
         },
         rows: vec![
             row(Variant::PerGaussian, 0.712, 0.31),

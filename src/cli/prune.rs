@@ -1,0 +1,86 @@
+//! `coseg prune`: a scene without the Gaussians that its photos do not need.
+
+use super::labelled::LabelledArgs;
+use super::scene_file::{classes_beside, copy_cameras, scene_path};
+use super::terminal;
+use clap::{ArgGroup, Args};
+use coseg::error::{Result, ensure};
+use coseg::pipeline::{Keep, prune, score_images};
+use coseg::splat::ply;
+
+const HELP: &str = "\
+Measures what each Gaussian adds to the pictures of the training views, and leaves out those that add least. Works on scenes of
+other trainers too. Writes scene.ply, with labels where the scene has some, and classes.json. Prints the PSNR of some training
+views, and of the held-out views where there are some. The Gaussians that stay are not trained again: `coseg train` does that with
+--set building.gaussians=OUT/scene.ply.
+
+Examples:
+  coseg prune --scene runs/room --data scenes/room --out runs/small --keep 0.5
+  coseg prune --scene point_cloud.ply --data scenes/room --out runs/small --within 0.1";
+
+/// Arguments of `coseg prune`.
+#[derive(Args, Debug)]
+#[command(after_help = HELP, group = ArgGroup::new("how many").required(true))]
+pub struct PruneArgs {
+    #[command(flatten)]
+    input: LabelledArgs,
+    /// Keep this share of the Gaussians, above 0, at most 1
+    #[arg(long, value_name = "SHARE", group = "how many")]
+    keep: Option<f64>,
+    /// Keep as few Gaussians as lower the mean PSNR of the training views by no more than this, dB
+    #[arg(long, value_name = "DB", group = "how many")]
+    within: Option<f64>,
+}
+
+impl PruneArgs {
+    /// Measures, leaves out, writes and scores.
+    pub fn run(self) -> Result<()> {
+        let keep = self.how_many()?;
+        let config = self.input.config()?;
+        let device = self.input.device()?;
+        let (scene, ply) = self.input.read(&config, &device)?;
+        let from = scene_path(&self.input.scene)?;
+        let pruning = prune(&ply.gaussians, &scene, keep, &config, &device)?;
+        let gaussians = ply.gaussians.select(&pruning.kept);
+        let labels = ply.labels.as_ref().map(|labels| {
+            let kept = pruning.kept.iter().map(|&i| labels[i as usize]);
+            kept.collect::<Vec<u16>>()
+        });
+        let path = self.input.out.join("scene.ply");
+        ply::write(&path, &gaussians, ply.origin, labels.as_deref())?;
+        let classes = classes_beside(&from, None)?;
+        if labels.is_some() && !classes.is_empty() {
+            classes.write(&self.input.out.join("classes.json"))?;
+        }
+        copy_cameras(&from, &path)?;
+        terminal::say(&format!(
+            "{}: {} of {} Gaussians, PSNR of training views {:.2} dB, {:.2} dB before",
+            path.display(),
+            gaussians.len(),
+            ply.gaussians.len(),
+            pruning.after,
+            pruning.before,
+        ));
+        let before = score_images(&ply.gaussians, &scene, &config, &device)?.psnr;
+        let after = score_images(&gaussians, &scene, &config, &device)?.psnr;
+        if let (Some(before), Some(after)) = (before, after) {
+            terminal::say(&format!(
+                "held-out views: PSNR {after:.2} dB, {before:.2} dB before"
+            ));
+        }
+        Ok(())
+    }
+
+    /// The checked choice. The command line has exactly one of the two.
+    fn how_many(&self) -> Result<Keep> {
+        if let Some(share) = self.keep {
+            ensure!(share > 0.0 && share <= 1.0, argument "--keep"; found "{share}";
+                expected "a number above 0, at most 1"; help "0.5 keeps half of the Gaussians");
+            return Ok(Keep::Share(share));
+        }
+        let loss = self.within.unwrap_or_default();
+        ensure!(loss >= 0.0 && loss.is_finite(), argument "--within"; found "{loss}";
+            expected "a number of 0 or more"; help "0.1 allows a tenth of a decibel");
+        Ok(Keep::Within(loss))
+    }
+}

@@ -1,0 +1,359 @@
+//! Which Gaussians a scene can do without: what each adds to the pictures, and how many of them some views need.
+//!
+//! The colour of a pixel is an affine function of the alpha of each Gaussian. Leaving Gaussian `i` out changes it by exactly
+//! `dC = -alpha_i dC/d(alpha_i)`, in terms of the logit `o` of the opacity `-dC/do / sigmoid(-o)`. So the backward pass of the
+//! rasterizer gives sums of `-dC` over the pixels, weighted by the gradient that it is given. With random signs as that gradient, the
+//! square of the sum is an unbiased estimate of the sum of `|dC|^2` (Hutchinson 1989). This is the sensitivity that PUP-3DGS (Hanson et al.
+//! 2025) and Speedy-Splat (Hanson et al. 2025) approximate, without an approximation in the alpha.
+
+use super::optimizer::{Leaves, Parameters, zero_moments};
+use crate::backend::device::{read, upload};
+use crate::config::RasterConfig;
+use crate::data::View;
+use crate::error::Result;
+use crate::metrics::psnr;
+use crate::ops::sum_all;
+use crate::raster::{RasterInput, Settings, rasterize};
+use crate::splat::Gaussians;
+use burn::tensor::activation::sigmoid;
+use burn::tensor::{Device, Tensor};
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+
+/// Logits above this are measured as if they had this value, an opacity of 0.999: beyond, `sigmoid(-o)` vanishes in f32.
+const MAX_LOGIT: f64 = 7.0;
+/// A logit that renders nothing.
+const LEFT_OUT: f32 = -30.0;
+/// Halvings of the interval in which the share of Gaussians to leave out is searched.
+const HALVINGS: usize = 5;
+
+/// Gaussians on a device, and how they are rendered.
+pub(crate) struct PrunedScene {
+    pub leaves: Leaves,
+    pub sh_degree: usize,
+    pub raster: RasterConfig,
+}
+
+/// A view and the colour behind the scene in it.
+#[derive(Clone, Copy)]
+pub(crate) struct Judge<'a> {
+    view: &'a View,
+    background: [f32; 3],
+}
+
+/// The Gaussians that stay.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pruning {
+    /// Rows that stay, in their order.
+    pub kept: Vec<u32>,
+    /// Mean PSNR of the views with all Gaussians, dB.
+    pub before: f64,
+    /// The same with those that stay.
+    pub after: f64,
+}
+
+impl PrunedScene {
+    /// `gaussians` with their settings, on `device`.
+    pub fn new(gaussians: &Gaussians, raster: &RasterConfig, device: &Device) -> Self {
+        let moments = zero_moments(gaussians);
+        let device = device.clone().inner();
+        Self {
+            leaves: Parameters::new(gaussians.clone(), moments.clone(), moments, &device).leaves(),
+            sh_degree: gaussians.sh_degree,
+            raster: raster.clone(),
+        }
+    }
+
+    /// `views` with random colours behind the scene, so that surfaces of the usual colour count too. Photos with transparent
+    /// pixels keep the usual one.
+    pub fn judges<'a>(&self, views: &[&'a View], rng: &mut ChaCha8Rng) -> Vec<Judge<'a>> {
+        let mut judge = |&view: &&'a View| {
+            let random = rng.random();
+            let background = if view.image.is_transparent() {
+                self.raster.background
+            } else {
+                random
+            };
+            Judge { view, background }
+        };
+        views.iter().map(&mut judge).collect()
+    }
+
+    /// Estimates of what the pictures of `judges` lose without each Gaussian: the sum over views, pixels and channels of the squared
+    /// change, `[N]`.
+    ///
+    /// # Errors
+    /// [`crate::Error::Device`] when the device does not return the gradients.
+    pub fn costs(&self, judges: &[Judge<'_>], rng: &mut ChaCha8Rng) -> Result<Vec<f64>> {
+        let mut costs = vec![0.0; self.leaves.opacity_logits.dims()[0]];
+        for judge in judges {
+            let changes = self.changes(judge, random_signs(judge.view, rng))?;
+            for (cost, change) in costs.iter_mut().zip(changes) {
+                *cost += f64::from(change).powi(2);
+            }
+        }
+        Ok(costs)
+    }
+
+    /// What each Gaussian adds to the sum of the values of a picture times `weights` (`[H, W, 3]`), `[N]`.
+    fn changes(&self, judge: &Judge<'_>, weights: Vec<f32>) -> Result<Vec<f32>> {
+        // Where alpha' is capped, its gradient is masked.
+        let settings = Settings {
+            alpha_max: 1.0,
+            ..Settings::from(&self.raster)
+        };
+        let logits = self.leaves.opacity_logits.clone().inner();
+        let logits = logits.clamp_max(MAX_LOGIT);
+        let tracked = Tensor::from_inner(logits.clone()).require_grad();
+        let image = self.image(judge, tracked.clone(), &settings)?;
+        let weights = upload(weights, image.dims(), &logits.device());
+        let mut gradients = sum_all(image * Tensor::from_inner(weights)).backward();
+        let gradient = tracked.grad_remove(&mut gradients);
+        let gradient = gradient.unwrap_or_else(|| logits.zeros_like());
+        read("changes of the pictures", gradient / sigmoid(logits.neg()))
+    }
+
+    /// Leaves out as many of the cheapest Gaussians as lower the mean PSNR of `judges` by no more than `loss` dB.
+    ///
+    /// # Errors
+    /// Those of [`crate::data::Photo::pixels`], and [`crate::Error::Device`] when the device does not return the pictures.
+    pub fn prune(&self, costs: &[f64], judges: &[Judge<'_>], loss: f64) -> Result<Pruning> {
+        let order = cheapest_first(costs);
+        let before = self.psnr(judges, &[])?;
+        let mut after = before;
+        let mut left_out = 0;
+        let mut step = order.len() / 2;
+        for _ in 0..HALVINGS {
+            let tried = left_out + step;
+            let psnr = self.psnr(judges, &order[..tried])?;
+            if psnr >= before - loss {
+                left_out = tried;
+                after = psnr;
+            }
+            step /= 2;
+        }
+        Ok(Pruning {
+            kept: in_order(&order[left_out..]),
+            before,
+            after,
+        })
+    }
+
+    /// Keeps the `count` most expensive Gaussians.
+    ///
+    /// # Errors
+    /// As [`Self::prune`].
+    pub fn keep(&self, costs: &[f64], judges: &[Judge<'_>], count: usize) -> Result<Pruning> {
+        let order = cheapest_first(costs);
+        let (left_out, kept) = order.split_at(order.len().saturating_sub(count));
+        Ok(Pruning {
+            kept: in_order(kept),
+            before: self.psnr(judges, &[])?,
+            after: self.psnr(judges, left_out)?,
+        })
+    }
+
+    /// Mean PSNR of `judges` without the Gaussians `left_out`, dB.
+    pub fn psnr(&self, judges: &[Judge<'_>], left_out: &[u32]) -> Result<f64> {
+        let logits = self.leaves.opacity_logits.clone().inner();
+        let mut values = read("opacity logits", logits.clone())?;
+        left_out.iter().for_each(|&i| values[i as usize] = LEFT_OUT);
+        let logits = upload(values, logits.dims(), &logits.device());
+        let mut sum = 0.0;
+        let settings = Settings::from(&self.raster);
+        for judge in judges {
+            let image = read("image", self.image(judge, logits.clone(), &settings)?)?;
+            let view = judge.view;
+            let photo = view.rgb()?;
+            let score = match &view.mask {
+                Some(mask) => psnr(&mask.used(&image, 3), &mask.used(&photo, 3)),
+                None => psnr(&image, &photo),
+            };
+            sum += score.unwrap_or(0.0);
+        }
+        Ok(sum / judges.len().max(1) as f64)
+    }
+
+    fn image(
+        &self,
+        judge: &Judge<'_>,
+        logits: Tensor<1>,
+        settings: &Settings,
+    ) -> Result<Tensor<3>> {
+        let leaves = &self.leaves;
+        let input = RasterInput {
+            means: leaves.means.clone(),
+            log_scales: leaves.log_scales.clone(),
+            rotations: leaves.rotations.clone(),
+            opacity_logits: logits,
+            sh: Some(leaves.sh.clone()),
+            active_sh_degree: self.sh_degree,
+            features: None,
+            screen: None,
+        };
+        Ok(rasterize(input, &judge.view.camera, settings, judge.background)?.image)
+    }
+}
+
+/// At most `count` of `views`, evenly spaced.
+pub(crate) fn evenly<'a>(views: &[&'a View], count: usize) -> Vec<&'a View> {
+    let every = views.len().div_ceil(count).max(1);
+    views.iter().copied().step_by(every).collect()
+}
+
+/// Rows by ascending cost, ties by row.
+fn cheapest_first(costs: &[f64]) -> Vec<u32> {
+    let mut order: Vec<u32> = (0..costs.len() as u32).collect();
+    order.sort_by(|&a, &b| costs[a as usize].total_cmp(&costs[b as usize]));
+    order
+}
+
+fn in_order(rows: &[u32]) -> Vec<u32> {
+    let mut rows = rows.to_vec();
+    rows.sort_unstable();
+    rows
+}
+
+/// 1 or -1 for each value of the picture of `view`, `[H, W, 3]`; 0 where its mask hides the photo.
+fn random_signs(view: &View, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    let pixels = view.camera.width * view.camera.height;
+    let mut signs = Vec::with_capacity(3 * pixels);
+    for pixel in 0..pixels {
+        let bits: u8 = rng.random();
+        let used = view.mask.as_ref().is_none_or(|mask| mask.uses(pixel));
+        for channel in 0..3 {
+            let sign = if bits >> channel & 1 == 1 { 1.0 } else { -1.0 };
+            signs.push(if used { sign } else { 0.0 });
+        }
+    }
+    signs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::backend::device::{BackendName, device_of_tests};
+    use crate::config::Config;
+    use crate::data::builtin::{BuiltinOptions, scene_with};
+    use crate::data::{Scene, Split};
+    use crate::random::{Purpose, stream};
+    use crate::reconstruction::initialization::initial_gaussians;
+
+    const VIEWS: usize = 2;
+
+    fn photos() -> Scene {
+        let options = BuiltinOptions {
+            width: 48,
+            height: 36,
+            train_views: VIEWS,
+            test_views: 1,
+            points: 120,
+            ..BuiltinOptions::default()
+        };
+        scene_with(&options).expect("a scene")
+    }
+
+    /// Initial Gaussians with opacities from 0.02 to 0.9995; every fourth stands where no view sees it.
+    fn gaussians(photos: &Scene, device: &Device) -> PrunedScene {
+        let train: Vec<&View> = photos.split(Split::Train).collect();
+        let mut gaussians = initial_gaussians(photos, &train, &Config::default()).expect("points");
+        for i in 0..gaussians.len() {
+            gaussians.opacity_logits[i] = (i * 7 % 23) as f32 * 0.5 - 4.0;
+            if i % 4 == 0 {
+                gaussians.means[i] = [0.0, 1e3, 0.0];
+            }
+        }
+        let raster = RasterConfig {
+            background: [0.2, 0.4, 0.6],
+            ..RasterConfig::default()
+        };
+        PrunedScene::new(&gaussians, &raster, device)
+    }
+
+    /// The picture of `judge` without Gaussian `i`.
+    fn without(scene: &PrunedScene, judge: &Judge<'_>, i: Option<usize>) -> Vec<f64> {
+        let logits = scene.leaves.opacity_logits.clone().inner();
+        let device = logits.device();
+        let mut values: Vec<f32> = read("logits", logits.clamp_max(MAX_LOGIT)).expect("readable");
+        if let Some(i) = i {
+            values[i] = LEFT_OUT;
+        }
+        let n = values.len();
+        let settings = Settings {
+            alpha_max: 1.0,
+            ..Settings::from(&scene.raster)
+        };
+        let image = scene.image(judge, upload(values, [n], &device), &settings);
+        let image = read("image", image.expect("finite")).expect("readable");
+        image.into_iter().map(f64::from).collect()
+    }
+
+    fn judges<'a>(scene: &PrunedScene, photos: &'a Scene) -> Vec<Judge<'a>> {
+        let views: Vec<&View> = photos.split(Split::Train).collect();
+        scene.judges(&views, &mut stream(2, Purpose::Pruning, 0))
+    }
+
+    #[test]
+    fn changes_are_those_of_pictures_without_a_gaussian_on_every_device() {
+        let photos = photos();
+        for &name in BackendName::compiled() {
+            let Some(device) = device_of_tests(name) else {
+                continue;
+            };
+            let scene = gaussians(&photos, &device);
+            for judge in judges(&scene, &photos) {
+                let signs = random_signs(judge.view, &mut stream(1, Purpose::Pruning, 0));
+                let all = without(&scene, &judge, None);
+                let changes = scene.changes(&judge, signs.clone()).expect("finite");
+                for (i, &change) in changes.iter().enumerate() {
+                    let left = without(&scene, &judge, Some(i));
+                    let terms = all.iter().zip(&left).zip(&signs);
+                    let want: f64 = terms.map(|((a, b), &s)| (a - b) * f64::from(s)).sum();
+                    let error = (f64::from(change) - want).abs();
+                    assert!(error <= 2e-3, "{i} on {name}: {change} for {want}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn costs_are_squared_changes_in_the_mean() {
+        const DRAWS: u64 = 400;
+        let photos = photos();
+        let scene = gaussians(&photos, &Device::ndarray());
+        let judges = judges(&scene, &photos);
+        let all = without(&scene, &judges[0], None);
+        let n = scene.leaves.opacity_logits.dims()[0];
+        let mut mean = vec![0.0; n];
+        for draw in 0..DRAWS {
+            let mut rng = stream(1, Purpose::Pruning, draw);
+            let costs = scene.costs(&judges[..1], &mut rng).expect("finite");
+            mean.iter_mut()
+                .zip(costs)
+                .for_each(|(m, c)| *m += c / DRAWS as f64);
+        }
+        for (i, mean) in mean.into_iter().enumerate() {
+            let left = without(&scene, &judges[0], Some(i));
+            let want: f64 = all.iter().zip(&left).map(|(a, b)| (a - b).powi(2)).sum();
+            // The deviation of a draw is at most sqrt(2) of its mean.
+            let bound = 4.0 * (2.0 / DRAWS as f64).sqrt() * want + 1e-6;
+            assert!((mean - want).abs() <= bound, "{i}: {mean} for {want}");
+        }
+    }
+
+    #[test]
+    fn what_no_view_sees_is_left_out_first() {
+        let photos = photos();
+        let scene = gaussians(&photos, &Device::ndarray());
+        let judges = judges(&scene, &photos);
+        let mut rng = stream(1, Purpose::Pruning, 0);
+        let costs = scene.costs(&judges, &mut rng).expect("finite");
+        let exact = scene.prune(&costs, &judges, 0.0).expect("rendered");
+        assert!(exact.after >= exact.before);
+        assert!(exact.kept.len() <= costs.len() - costs.len() / 4 + costs.len() / 32);
+        let lossy = scene.prune(&costs, &judges, 1.0).expect("rendered");
+        assert!(lossy.kept.len() < exact.kept.len());
+        assert!(lossy.after >= lossy.before - 1.0 && lossy.after < lossy.before);
+        assert!(lossy.kept.is_sorted() && lossy.kept.iter().all(|i| i % 4 != 0));
+    }
+}
