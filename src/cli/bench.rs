@@ -68,7 +68,7 @@ impl BenchArgs {
     pub fn run(mut self) -> Result<()> {
         let (backend, device) = self.backend.choose()?;
         let machine = Machine::here(backend);
-        terminal::say(&machine.text());
+        terminal::say_lines(&machine.text());
         let (config, trained) = match &self.run {
             Some(dir) => {
                 let run = RunFolder::existing(dir)?;
@@ -98,7 +98,7 @@ impl BenchArgs {
                     }
                     measured => {
                         let figures = measured?;
-                        terminal::say(&format!("\n{}", figures.text().trim_end()));
+                        terminal::say_lines(&format!("\n{}", figures.text()));
                         found.push(figures);
                     }
                 }
@@ -120,6 +120,7 @@ fn write_json(path: &Path, machine: &Machine, bench: &Bench, found: &[Figures]) 
         "sections": found,
     });
     atomic::write_bytes(path, format!("{json:#}\n").as_bytes())?;
-    terminal::say(&format!("\nfigures: {}", path.display()));
+    terminal::say("");
+    terminal::say(&format!("figures: {}", path.display()));
     Ok(())
 }

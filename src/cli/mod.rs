@@ -187,7 +187,11 @@ impl Settings {
 /// Ends the program as clap does where a setting is wrong: it was given on the command line.
 pub fn or_usage_error(config: Result<Config>) -> Result<Config> {
     if let Err(error @ Error::Config { .. }) = config {
-        clap::Error::raw(ErrorKind::ValueValidation, format!("{error}\n")).exit();
+        clap::Error::raw(
+            ErrorKind::ValueValidation,
+            format!("{}\n", terminal::escaped(&error.to_string())),
+        )
+        .exit();
     }
     config
 }

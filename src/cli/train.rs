@@ -285,10 +285,11 @@ fn scene_name(config: &Config) -> String {
     dir.map_or("builtin".to_owned(), data::scene_name)
 }
 
-/// This command line, quoted where a shell would need it.
+/// This command line, quoted where a shell would need it. What is no Unicode is shown as U+FFFD.
 pub fn command_line() -> String {
+    let words = std::env::args_os().skip(1);
     std::iter::once("coseg".to_owned())
-        .chain(std::env::args().skip(1).map(quoted))
+        .chain(words.map(|word| quoted(word.to_string_lossy().into_owned())))
         .collect::<Vec<_>>()
         .join(" ")
 }
