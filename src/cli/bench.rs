@@ -8,6 +8,7 @@ use clap::{Args, ValueEnum};
 use coseg::bench::{Bench, Figures, Machine};
 use coseg::data::atomic;
 use coseg::error::{Error, Result};
+use coseg::files::own;
 use std::path::{Path, PathBuf};
 
 const HELP: &str = "\
@@ -47,7 +48,7 @@ pub struct BenchArgs {
     /// Numbers of Gaussians, separated by commas [default: that of the scene]
     #[arg(long, value_name = "N,...", value_delimiter = ',', value_parser = RangedU64ValueParser::<usize>::new().range(1..=100_000_000))]
     gaussians: Vec<usize>,
-    /// Write the figures to this file too
+    /// Write the figures to this file too; new, or one that this program wrote
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
     #[command(flatten)]
@@ -66,6 +67,9 @@ enum Section {
 impl BenchArgs {
     /// Measures, prints a table for each section, and writes the figures if asked to.
     pub fn run(mut self) -> Result<()> {
+        if let Some(path) = &self.json {
+            own::check(path)?;
+        }
         let (backend, device) = self.backend.choose()?;
         let machine = Machine::here(backend);
         terminal::say_lines(&machine.text());

@@ -8,6 +8,7 @@ pub mod commands;
 pub mod compare;
 pub mod edit;
 pub mod features;
+pub mod foreign_files;
 pub mod render;
 pub mod render_path;
 pub mod render_settings;
