@@ -80,6 +80,7 @@ pub mod random;
 pub mod raster;
 pub mod reconstruction;
 pub mod report;
+mod seal;
 pub mod segmentation;
 pub mod segmenter;
 pub mod splat;

@@ -1,0 +1,3 @@
+//! Tests of what every reader of files promises.
+
+pub mod bit_flips;
