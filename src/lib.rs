@@ -70,6 +70,7 @@ pub mod data;
 pub mod error;
 pub mod features;
 pub mod files;
+mod memory;
 pub mod metrics;
 pub mod objects;
 pub mod ops;

@@ -8,6 +8,7 @@ use super::schedule::extent;
 use crate::config::{Config, Strategy};
 use crate::data::{Points, Scene, View};
 use crate::error::Result;
+use crate::memory;
 use crate::random::{Purpose, stream};
 use crate::segmentation::neighbours::{PointIndex, check_finite};
 use crate::splat::{Gaussians, SH_0};
@@ -31,13 +32,19 @@ pub(crate) fn initial_gaussians(
     config: &Config,
 ) -> Result<Gaussians> {
     let building = &config.building;
+    let count = match scene.points.positions.len() {
+        0 => building.random_points,
+        points => points,
+    };
+    let most = building.max_gaussians;
+    let kept = if most > 0 { count.min(most) } else { count };
+    memory::check_building(kept, building.sh_degree)?;
     let points = if scene.points.positions.is_empty() {
         let mut rng = stream(config.seed, Purpose::InitialPoints, 0);
         Cow::Owned(random_points(train, building.random_points, &mut rng)?)
     } else {
         Cow::Borrowed(&scene.points)
     };
-    let most = building.max_gaussians;
     let points = if most > 0 && points.positions.len() > most {
         Cow::Owned(thinned(&points, most, config.seed))
     } else {
