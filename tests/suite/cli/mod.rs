@@ -9,6 +9,7 @@ pub mod compare;
 pub mod edit;
 pub mod features;
 pub mod foreign_files;
+pub mod hostile;
 pub mod render;
 pub mod render_path;
 pub mod render_settings;
