@@ -1,22 +1,23 @@
 //! Checkpoints: named tensors and settings in one safetensors file. A crash while it is written leaves the old file whole.
 //!
-//! Settings are one JSON object under the key `coseg` of `__metadata__`. Numbers that must come back bit for bit belong in
+//! A checksum covers every byte: a damaged file is refused. Settings are one JSON object under the key `coseg` of `__metadata__`. Numbers that must come back bit for bit belong in
 //! tensors.
 
 use crate::data::atomic;
 use crate::error::{Error, Result, ensure, invalid};
+use crate::files;
 use crate::metrics::ImageScores;
 use crate::progress::CurvePoint;
+use crate::seal;
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensorError, SafeTensors};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::collections::{BTreeMap, HashMap};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Version of the layout; files of another one are refused.
-const VERSION: u64 = 3;
+const VERSION: u64 = 4;
 /// Key of the JSON object within `__metadata__`.
 const KEY: &str = "coseg";
 /// Numbers stored of each point of a curve.
@@ -187,11 +188,11 @@ impl Checkpoint {
         let metadata = HashMap::from([(KEY.to_owned(), settings.to_string())]);
         let views = self.tensors.iter().map(|(name, tensor)| {
             let view = TensorView::new(tensor.dtype, tensor.shape.clone(), &tensor.bytes)?;
-            Ok((name, view))
+            Ok((name.clone(), view))
         });
         let views: Result<Vec<_>, SafeTensorError> = views.collect();
         let bytes = views
-            .and_then(|views| safetensors::serialize(views, Some(metadata)))
+            .and_then(|views| seal::sealed(views, Some(metadata)))
             .map_err(|e| Error::io(path, "encode", std::io::Error::other(e.to_string())))?;
         atomic::write_bytes(path, &bytes)
     }
@@ -199,10 +200,10 @@ impl Checkpoint {
     /// Reads a checkpoint of `kind`.
     ///
     /// # Errors
-    /// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is truncated, no checkpoint, or of another
+    /// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is truncated or damaged, no checkpoint, or of another
     /// kind or version.
     pub fn load(path: &Path, kind: &str) -> Result<Self> {
-        let bytes = fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+        let bytes = files::read(path)?;
         let mut checkpoint = Self {
             path: path.to_owned(),
             kind: kind.to_owned(),
@@ -230,8 +231,12 @@ impl Checkpoint {
                 return Err(checkpoint.wrong(field, found, expected.to_string()));
             }
         }
+        // After the version: earlier ones had none.
+        let help = "resume from another checkpoint, or start the run again";
+        seal::check(&bytes, path, help)?;
         checkpoint.settings = serde_json::from_value(json["settings"].take()).unwrap_or_default();
-        for (name, view) in file.tensors() {
+        let tensors = file.tensors().into_iter();
+        for (name, view) in tensors.filter(|(name, _)| name != seal::NAME) {
             let tensor = Stored {
                 dtype: view.dtype(),
                 shape: view.shape().to_vec(),

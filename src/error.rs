@@ -31,7 +31,7 @@ macro_rules! invalid {
         help $($help:expr),+) => {
         $crate::error::Error::$kind {
             $name: std::fmt::format(format_args!($($what),+)),
-            found: std::fmt::format(format_args!($($found),+)),
+            found: $crate::error::clipped(std::fmt::format(format_args!($($found),+))),
             $allowed: std::fmt::format(format_args!($($expected),+)),
             help: std::fmt::format(format_args!($($help),+)),
         }
@@ -170,6 +170,20 @@ pub enum Error {
     },
 }
 
+/// Characters of what was found that a message shows, at most.
+const MAX_FOUND: usize = 400;
+
+/// `text` without its end, where it is long: files may hold values of any length.
+#[doc(hidden)]
+pub fn clipped(mut text: String) -> String {
+    if let Some((end, _)) = text.char_indices().nth(MAX_FOUND) {
+        let bytes = text.len();
+        text.truncate(end);
+        text.push_str(&format!(".. ({bytes} bytes)"));
+    }
+    text
+}
+
 /// What to do about an error of the system, where its kind says so.
 fn what_to_do(error: &std::io::Error) -> &'static str {
     use std::io::ErrorKind as Kind;
@@ -212,8 +226,8 @@ impl Error {
     ) -> Self {
         Self::Input {
             path: path.as_ref().to_owned(),
-            field: field.into(),
-            found: found.into(),
+            field: clipped(field.into()),
+            found: clipped(found.into()),
             expected: expected.into(),
             help: help.into(),
         }

@@ -10,7 +10,11 @@ fn main() -> ExitCode {
     cli::terminal::report_panics();
     let cli = cli::Cli::parse();
     cli::terminal::show_warnings(cli.verbose);
-    match cli.command.run() {
+    match cli
+        .command
+        .run()
+        .and_then(|code| cli::terminal::finish().map(|()| code))
+    {
         Ok(code) => code,
         Err(error) => {
             cli::terminal::error(&error);

@@ -276,7 +276,7 @@ fn digest_labels(scene: &Scene) -> Sha256 {
         digest_map(view.raw.as_ref(), hash);
         // A file that cannot be read is an error where its scores are used.
         let scores = view.scores.as_ref();
-        if let Some(Ok(file)) = scores.map(|scores| std::fs::read(scores.file())) {
+        if let Some(Ok(file)) = scores.map(|scores| crate::files::read(scores.file())) {
             hash.update(file);
         }
     });

@@ -2,7 +2,8 @@
 
 use crate::checkpoint::Scalar;
 use crate::error::{Error, Result, invalid};
-use crate::files::{atomic, extension};
+use crate::files::{self, atomic, extension};
+use crate::seal;
 use burn::store::pytorch_reader::{DType as TorchType, PytorchReader};
 use half::{bf16, f16};
 use safetensors::{Dtype, SafeTensors, View};
@@ -20,7 +21,7 @@ const STATE_DICT_KEYS: [&str; 3] = ["model_state_dict", "state_dict", "model"];
 /// # Errors
 /// [`Error::Io`] when it cannot be read.
 pub(crate) fn file_digest(path: &Path) -> Result<String> {
-    let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
+    let mut file = files::open(path)?;
     let mut hash = Sha256::new();
     std::io::copy(&mut file, &mut hash).map_err(|e| Error::io(path, "read", e))?;
     Ok(format!("{:x}", hash.finalize()))
@@ -93,10 +94,10 @@ impl WeightFile {
     pub fn open_where(path: impl AsRef<Path>, keep: impl Fn(&str) -> bool) -> Result<Self> {
         let path = path.as_ref();
         if extension(path) == "safetensors" {
-            let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+            let bytes = files::read(path)?;
             return Self::selected(&bytes, path, keep);
         }
-        std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
+        files::open(path)?;
         let reader = PytorchReader::new(path).map_err(|e| unreadable(path, "checkpoint", e))?;
         let mut weights = Self {
             origin: path.to_owned(),
@@ -120,6 +121,17 @@ impl WeightFile {
             weights.insert(name, HostTensor { shape, values });
         }
         Ok(weights)
+    }
+
+    /// Reads what [`WeightFile::write_one`] wrote.
+    ///
+    /// # Errors
+    /// As [`WeightFile::open`]; [`Error::Input`] for bytes that were changed since.
+    pub(crate) fn open_sealed(path: &Path) -> Result<Self> {
+        let bytes = files::read(path)?;
+        let file = Self::selected(&bytes, path, |_| true)?;
+        seal::check(&bytes, path, "write the run again with `coseg train`")?;
+        Ok(file)
     }
 
     /// Reads the bytes of a safetensors file; `origin` names them in messages.
@@ -164,7 +176,7 @@ impl WeightFile {
             .map_err(|e| unreadable(&self.origin, "tensors", e))
     }
 
-    /// Writes a safetensors file with one tensor, atomically.
+    /// Writes a safetensors file with one tensor and a checksum, atomically.
     ///
     /// # Errors
     /// [`Error::Io`] when it cannot be written.
@@ -174,7 +186,12 @@ impl WeightFile {
             ..Self::default()
         };
         file.insert(name, tensor);
-        atomic::write_bytes(path, &file.to_safetensors()?)
+        let tensors = file
+            .tensors
+            .iter()
+            .map(|(name, tensor)| (name.clone(), tensor));
+        let bytes = seal::sealed(tensors, None).map_err(|e| unreadable(path, "tensors", e))?;
+        atomic::write_bytes(path, &bytes)
     }
 
     /// The tensors whose names start with `prefix`, named without it. Messages name them as the file does.

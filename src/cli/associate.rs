@@ -8,12 +8,11 @@ use clap::Args;
 use coseg::config::Association;
 use coseg::data::formats::transforms;
 use coseg::data::{MapGeometry, Split};
-use coseg::error::{Result, ensure};
+use coseg::error::Result;
 use coseg::objects::vote;
 use coseg::pipeline::{Associated, HeldOut, Inputs, associate};
 use coseg::raster::Settings;
 use coseg::splat::ply;
-use std::path::Path;
 
 const HELP: &str = "\
 The ids of instance masks often mean nothing in other views. Segments that cover the same Gaussians get one id. Writes
@@ -43,10 +42,9 @@ impl AssociateArgs {
     pub fn run(self) -> Result<()> {
         let mut config = self.input.config()?;
         config.data.association = Association::Gaussians;
-        check_own(&self.input.out)?;
         let settings = Settings::from(&config.raster);
         let device = self.input.device()?;
-        let (mut scene, ply) = self.input.read(&config, &device)?;
+        let (mut scene, ply) = self.input.read(&config, &device, &["labels"])?;
         let found = associate(&ply.gaussians, &mut scene, &config, &mut Bars::default())?;
         let Some(Associated { counts, semantics }) = found else {
             return Ok(());
@@ -92,14 +90,4 @@ impl AssociateArgs {
         held_out::print(&rendered, "held-out views, rendered");
         Ok(())
     }
-}
-
-/// Refuses a folder with label maps or classes that an earlier run of this command did not write.
-fn check_own(out: &Path) -> Result<()> {
-    let maps = out.join("labels");
-    let is_used = maps.is_dir() || out.join("classes.json").exists();
-    ensure!(!is_used || maps.join(MapGeometry::FILE).is_file(),
-        argument "--out"; found "{}, which holds labels or classes.json of others", out.display();
-        expected "a new folder, or one that `coseg associate` wrote"; help "name a new folder");
-    Ok(())
 }

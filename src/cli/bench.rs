@@ -8,6 +8,7 @@ use clap::{Args, ValueEnum};
 use coseg::bench::{Bench, Figures, Machine};
 use coseg::data::atomic;
 use coseg::error::{Error, Result};
+use coseg::files::own;
 use std::path::{Path, PathBuf};
 
 const HELP: &str = "\
@@ -47,7 +48,7 @@ pub struct BenchArgs {
     /// Numbers of Gaussians, separated by commas [default: that of the scene]
     #[arg(long, value_name = "N,...", value_delimiter = ',', value_parser = RangedU64ValueParser::<usize>::new().range(1..=100_000_000))]
     gaussians: Vec<usize>,
-    /// Write the figures to this file too
+    /// Write the figures to this file too; new, or one that this program wrote
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
     #[command(flatten)]
@@ -66,9 +67,12 @@ enum Section {
 impl BenchArgs {
     /// Measures, prints a table for each section, and writes the figures if asked to.
     pub fn run(mut self) -> Result<()> {
+        if let Some(path) = &self.json {
+            own::check(path)?;
+        }
         let (backend, device) = self.backend.choose()?;
         let machine = Machine::here(backend);
-        terminal::say(&machine.text());
+        terminal::say_lines(&machine.text());
         let (config, trained) = match &self.run {
             Some(dir) => {
                 let run = RunFolder::existing(dir)?;
@@ -98,7 +102,7 @@ impl BenchArgs {
                     }
                     measured => {
                         let figures = measured?;
-                        terminal::say(&format!("\n{}", figures.text().trim_end()));
+                        terminal::say_lines(&format!("\n{}", figures.text()));
                         found.push(figures);
                     }
                 }
@@ -120,6 +124,7 @@ fn write_json(path: &Path, machine: &Machine, bench: &Bench, found: &[Figures]) 
         "sections": found,
     });
     atomic::write_bytes(path, format!("{json:#}\n").as_bytes())?;
-    terminal::say(&format!("\nfigures: {}", path.display()));
+    terminal::say("");
+    terminal::say(&format!("figures: {}", path.display()));
     Ok(())
 }

@@ -7,6 +7,7 @@ use super::{BackendArgs, interrupt, terminal};
 use clap::Args;
 use coseg::compare::{Cell, Options, Plan, Tables, Watch, run};
 use coseg::error::{Error, Result};
+use coseg::files::own;
 use coseg::progress::{Event, Progress};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -75,6 +76,9 @@ impl CompareArgs {
         let given = self.gaussians.iter();
         let given = given.map(|(scene, path)| Ok((scene.clone(), scene_path(path)?)));
         let gaussians = given.collect::<Result<_>>()?;
+        for name in Tables::FILES {
+            own::check(out.join(name))?;
+        }
         let (backend, device) = self.backend.choose()?;
         let threads = rayon::current_num_threads();
         let options = Options {

@@ -5,7 +5,7 @@ use super::{Settings, fault_list, terminal};
 use clap::{Args, Subcommand};
 use coseg::data::{self, Info, LoadOptions};
 use coseg::error::{Result, ensure};
-use coseg::files::extension;
+use coseg::files::{extension, own};
 use coseg::pipeline::suggest;
 use coseg::report::pictures;
 use coseg::report::sheet::contact_sheet;
@@ -147,6 +147,7 @@ impl InfoArgs {
             (Ok(path), Ok(dir)) => path.starts_with(&dir) && path.parent() != Some(&dir),
             _ => false,
         };
+        own::check(path)?;
         ensure!(!is_in_subfolder, argument "--sheet"; found "{}, a file within the scene", path.display();
             expected "a new file, or one outside the scene's subfolders"; help "name another file");
         Ok(())

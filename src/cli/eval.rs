@@ -66,8 +66,10 @@ impl EvalArgs {
             semantics: semantics.as_ref(),
             ..Inputs::new(&scene, &ply.gaussians, &config, &device)
         };
+        // Before the work.
+        let identities = identities(&run, &ply, scene.classes.len())?;
         let views = image_scores(&inputs)?;
-        let labels = match identities(&run, &ply)? {
+        let labels = match identities {
             Some(identities) => Some(HeldOut::new(&inputs).score(&identities, &inputs)?),
             None => None,
         };
@@ -128,7 +130,7 @@ fn stored_row(config: &Config) -> Option<Variant> {
 }
 
 /// The identities of the run, where it has some.
-fn identities(run: &RunFolder, ply: &PlyScene) -> Result<Option<Identities>> {
+fn identities(run: &RunFolder, ply: &PlyScene, classes: usize) -> Result<Option<Identities>> {
     let path = run.file(IDENTITIES);
     if !path.is_file() {
         return Ok(None);
@@ -137,6 +139,8 @@ fn identities(run: &RunFolder, ply: &PlyScene) -> Result<Option<Identities>> {
     let rows = identities.scores.len() / identities.classes.max(1);
     ensure!(rows == ply.gaussians.len(), &path, "scores"; found "{rows} rows";
         expected "{}, as in scene.ply", ply.gaussians.len(); help "the two files are of different runs; train again");
+    ensure!(identities.classes == classes, &path, "scores"; found "{} columns", identities.classes;
+        expected "{classes}, as classes.json has classes"; help "the two files are of different runs; train again");
     Ok(Some(identities))
 }
 

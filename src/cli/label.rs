@@ -3,8 +3,9 @@
 use super::progress::Bars;
 use super::{Settings, interrupt, terminal};
 use clap::Args;
-use coseg::data::LoadOptions;
+use coseg::data::{LoadOptions, check_outputs};
 use coseg::error::{Error, Result, ensure};
+use coseg::files::lock::Lock;
 use coseg::segmenter::{ClassFile, Contract, Job, Labelled, Network, label_scene};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -88,6 +89,8 @@ impl SegmenterArgs {
         let contract = Contract::find(model, self.contract.as_deref())?;
         let classes = self.classes.as_deref().map(ClassFile::read).transpose()?;
         let network = Network::load(model, contract)?;
+        check_outputs("--out", &[out], Some((dir, options)))?;
+        let _lock = Lock::new(out)?;
         let job = Job {
             dir,
             options,

@@ -1,12 +1,13 @@
 //! A trained scene and a folder with raw labels: the input of commands that label Gaussians.
 
-use super::scene_file::{SCENE, scene_path};
+use super::scene_file::{CAMERAS, CLASSES, SCENE, scene_path};
 use super::{BackendArgs, Settings};
 use burn::tensor::Device;
 use clap::Args;
 use coseg::config::Config;
 use coseg::data::{self, Limits, LoadOptions, Scene, atomic};
 use coseg::error::{Result, ensure};
+use coseg::files::own;
 use coseg::pipeline::compare_with_photos;
 use coseg::splat::ply;
 use coseg::splat::ply::PlyScene;
@@ -41,8 +42,14 @@ impl LabelledArgs {
         self.backend.open()
     }
 
-    /// Reads both, the scene relative to the origin of the Gaussians.
-    pub fn read(&self, config: &Config, device: &Device) -> Result<(Scene, PlyScene)> {
+    /// Reads both, the scene relative to the origin of the Gaussians. Refuses an output folder where files of others are in the way,
+    /// in its `folders` too.
+    pub fn read(
+        &self,
+        config: &Config,
+        device: &Device,
+        folders: &[&str],
+    ) -> Result<(Scene, PlyScene)> {
         let options = LoadOptions::from(config);
         data::locate(&self.data, &options)?;
         let outputs = [self.out.as_path(), &self.out.join("labels")];
@@ -51,6 +58,12 @@ impl LabelledArgs {
         ensure!(!atomic::same_file(&path, &self.out.join(SCENE)),
             argument "--out"; found "{}", self.out.display();
             expected "another folder than that of the scene, which would be written over"; help "name a new folder");
+        for name in [SCENE, CLASSES, CAMERAS] {
+            own::check(self.out.join(name))?;
+        }
+        for name in folders {
+            own::check_folder(self.out.join(name))?;
+        }
         let scene = data::load(&self.data, &options)?;
         let ply = ply::read(&path, &Limits::default())?;
         let scene = scene.with_origin(ply.origin);

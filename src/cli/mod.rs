@@ -34,6 +34,7 @@ use coseg::backend::device;
 use coseg::backend::device::BackendName;
 use coseg::config::Config;
 use coseg::error::{Error, Result};
+use coseg::files::own;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::LazyLock;
@@ -85,6 +86,7 @@ Examples:
   coseg bench --run runs/living                speed on this machine
   coseg compare configs/tables/table1.toml --data-root scenes --out runs/table1
 
+No command writes over a file that it did not write itself; `train --resume` may write over the files of its run.
 Exit code: 0 success, 1 an error that says what to do, 2 a mistake on the command line, 130 stopped by Ctrl-C.";
 
 /// The subcommands.
@@ -121,8 +123,29 @@ pub enum Command {
 }
 
 impl Command {
+    /// The name of the command, and of those whose files it may write over.
+    fn writes_over(&self) -> &'static [&'static str] {
+        match self {
+            Self::Train(_) => &["train"],
+            Self::Label(_) => &["label", "train"],
+            Self::Data(_) => &["data"],
+            Self::Eval(_) => &["eval"],
+            Self::Render(_) => &["render"],
+            Self::View(_) => &["view", "train"],
+            Self::Vote(_) => &["vote"],
+            Self::Associate(_) => &["associate"],
+            Self::Objects(_) => &["objects"],
+            Self::Separate(_) => &["separate"],
+            Self::Edit(_) => &["edit"],
+            Self::Prune(_) => &["prune"],
+            Self::Bench(_) => &["bench"],
+            Self::Compare(_) => &["compare"],
+        }
+    }
+
     /// Runs the command. A run that was stopped is neither an error nor a success.
     pub fn run(self) -> Result<ExitCode> {
+        own::guard(self.writes_over());
         let done = match self {
             Self::Train(args) => return args.run(),
             Self::Label(args) => return args.run(),
@@ -192,7 +215,11 @@ impl Settings {
 /// Ends the program as clap does where a setting is wrong: it was given on the command line.
 pub fn or_usage_error(config: Result<Config>) -> Result<Config> {
     if let Err(error @ Error::Config { .. }) = config {
-        clap::Error::raw(ErrorKind::ValueValidation, format!("{error}\n")).exit();
+        clap::Error::raw(
+            ErrorKind::ValueValidation,
+            format!("{}\n", terminal::escaped(&error.to_string())),
+        )
+        .exit();
     }
     config
 }

@@ -92,8 +92,10 @@ impl ObjectScene {
         classes: &Classes,
     ) -> Result<()> {
         ply::write(out, gaussians, self.ply.origin, Some(labels))?;
-        if !classes.is_empty() {
-            classes.write(&out.with_file_name(CLASSES))?;
+        let names = out.with_file_name(CLASSES);
+        // The same table, where there is one.
+        if !classes.is_empty() && !names.exists() {
+            classes.write(&names)?;
         }
         copy_cameras(&self.path, out)
     }

@@ -80,7 +80,7 @@ impl ObjectsArgs {
                     json!({"id": o.id, "name": scene.name(o.id), "gaussians": o.rows.len(), "low": low, "high": high})
                 })
                 .collect();
-            terminal::say(&format!("{:#}", json!(entries)));
+            terminal::say_lines(&format!("{:#}", json!(entries)));
             return;
         }
         let width = scene
@@ -149,7 +149,7 @@ impl ObjectsArgs {
                 )
             }
         };
-        terminal::say(&line);
+        terminal::say_lines(&line);
         Ok(())
     }
 }

@@ -38,7 +38,7 @@ impl PruneArgs {
         let keep = self.how_many()?;
         let config = self.input.config()?;
         let device = self.input.device()?;
-        let (scene, ply) = self.input.read(&config, &device)?;
+        let (scene, ply) = self.input.read(&config, &device, &[])?;
         let from = scene_path(&self.input.scene)?;
         let pruning = prune(&ply.gaussians, &scene, keep, &config, &device)?;
         let gaussians = ply.gaussians.select(&pruning.kept);

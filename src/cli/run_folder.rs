@@ -1,10 +1,12 @@
 //! The files of a run folder.
 
 use super::or_usage_error;
-use super::scene_file::{CONFIG, SCENE, classes_beside};
+use super::scene_file::{CAMERAS, CLASSES, CONFIG, FEATURE_COLORS, SCENE, VIEWER, classes_beside};
 use coseg::config::Config;
 use coseg::data::{Classes, atomic};
 use coseg::error::{Result, ensure};
+use coseg::files::lock::Lock;
+use coseg::files::{self, own};
 use coseg::report::{Command, Metrics};
 use std::path::{Path, PathBuf};
 
@@ -16,6 +18,25 @@ pub const IDENTITIES: &str = "identities.safetensors";
 const METRICS: &str = "metrics.json";
 /// The figures on a page.
 pub const REPORT: &str = "report.html";
+/// Held-out views.
+pub const RENDERS: &str = "renders";
+/// The files of a run folder, those in its folders aside.
+const FILES: [&str; 10] = [
+    CAMERAS,
+    CLASSES,
+    COMMANDS,
+    CONFIG,
+    FEATURE_COLORS,
+    IDENTITIES,
+    METRICS,
+    REPORT,
+    SCENE,
+    VIEWER,
+];
+/// The folders of a run folder.
+const FOLDERS: [&str; 2] = [CHECKPOINTS, RENDERS];
+/// The state that a run continues from.
+const CHECKPOINTS: &str = "checkpoint";
 
 /// A run folder.
 #[derive(Clone, Debug)]
@@ -49,6 +70,26 @@ impl RunFolder {
         ensure!(!run.is_used(), dir, "{CONFIG}"; found "a run"; expected "no run there yet";
             help "continue it (--resume {}) or choose another folder", dir.display());
         Ok(run)
+    }
+
+    /// Locks the folder for this process. The files of a run to `resume` may be written over; for a new one, refuses those that
+    /// this program did not write.
+    ///
+    /// # Errors
+    /// [`coseg::Error::Input`] naming the process that has the folder; [`coseg::Error::Argument`] naming a file that is in the way.
+    pub fn claim(&self, resume: bool) -> Result<Lock> {
+        if resume {
+            own::allow(&self.0);
+            FOLDERS.iter().for_each(|name| own::allow(self.file(name)));
+        } else {
+            FILES
+                .iter()
+                .try_for_each(|name| own::check(self.file(name)))?;
+            FOLDERS
+                .iter()
+                .try_for_each(|name| own::check_folder(self.file(name)))?;
+        }
+        Lock::new(&self.0)
     }
 
     fn is_used(&self) -> bool {
@@ -139,9 +180,9 @@ impl StartedRun {
 
     /// Removes the files of a new run after an error, unless training has started: the input was wrong.
     pub fn remove_new(&self) {
-        let checkpoints = self.run.0.join("checkpoint");
+        let checkpoints = self.run.file(CHECKPOINTS);
         let has_checkpoint =
-            std::fs::read_dir(&checkpoints).is_ok_and(|mut files| files.next().is_some());
+            !files::names(&checkpoints, |name, _| !name.starts_with('.')).is_empty();
         if !self.is_new || has_checkpoint {
             return;
         }
@@ -149,7 +190,7 @@ impl StartedRun {
         for path in [self.run.file(CONFIG), self.run.file(COMMANDS)] {
             let _ = atomic::remove(path);
         }
-        let _ = std::fs::remove_dir(&checkpoints);
-        let _ = std::fs::remove_dir(&self.run.0);
+        own::remove_empty(&checkpoints);
+        own::remove_empty(&self.run.0);
     }
 }

@@ -2,24 +2,64 @@
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{self, IsTerminal, Write};
-use std::sync::LazyLock;
+use std::sync::{LazyLock, OnceLock};
 
 /// All bars; lines are printed above them.
 static BARS: LazyLock<MultiProgress> =
     LazyLock::new(|| MultiProgress::with_draw_target(ProgressDrawTarget::stderr_with_hz(4)));
 
+/// The first error of standard output, a closed pipe aside.
+static FAILURE: OnceLock<io::Error> = OnceLock::new();
+
 /// Prints a line of the result on standard output. A closed pipe ends the output, not the work.
 pub fn say(line: &str) {
-    BARS.suspend(|| {
-        let _ = writeln!(io::stdout(), "{line}");
-    });
+    let line = escaped(line);
+    let written = BARS.suspend(|| writeln!(io::stdout(), "{line}"));
+    if let Err(error) = written
+        && error.kind() != io::ErrorKind::BrokenPipe
+    {
+        let _ = FAILURE.set(error);
+    }
+}
+
+/// Prints each line of a result.
+pub fn say_lines(text: &str) {
+    text.lines().for_each(say);
+}
+
+/// What went wrong with standard output.
+///
+/// # Errors
+/// [`coseg::Error::Io`].
+pub fn finish() -> coseg::Result<()> {
+    match FAILURE.get() {
+        Some(error) => {
+            let error = io::Error::new(error.kind(), error.to_string());
+            Err(coseg::Error::io("standard output", "write", error))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Prints a line on standard error.
 pub fn note(line: &str) {
+    let line = escaped(line);
     BARS.suspend(|| {
         let _ = writeln!(io::stderr(), "{line}");
     });
+}
+
+/// `line` with its control characters as JSON writes them: names of files and classes may have some, which would command the
+/// terminal.
+pub fn escaped(line: &str) -> String {
+    let commands =
+        |c: char| c.is_control() || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    let shown = |c: char| match c {
+        '\n' => "\\n".to_owned(),
+        c if commands(c) => format!("\\u{:04x}", u32::from(c)),
+        c => c.to_string(),
+    };
+    line.chars().map(shown).collect()
 }
 
 /// Prints an error.
@@ -44,11 +84,13 @@ pub fn report_panics() {
             .location()
             .map_or(String::new(), |l| format!(" at {}:{}", l.file(), l.line()));
         note(&format!(
-            "error: coseg {} has an internal error{place}: {}\n\
-             This is a bug. Please report it with the command line. Checkpoints and results written before are intact.",
+            "error: coseg {} has an internal error{place}: {}",
             env!("CARGO_PKG_VERSION"),
             text.unwrap_or("no message"),
         ));
+        note(
+            "This is a bug. Please report it with the command line. Checkpoints and results written before are intact.",
+        );
         if trace {
             default(info);
         }
@@ -88,8 +130,11 @@ impl Write for AboveBars {
 
 impl Drop for AboveBars {
     fn drop(&mut self) {
+        // The colours of the message are commands too; those in its text are escaped before.
+        let text = String::from_utf8_lossy(&self.0);
+        let line = text.trim_end_matches('\n').replace('\n', "\\n");
         BARS.suspend(|| {
-            let _ = io::stderr().write_all(&self.0);
+            let _ = writeln!(io::stderr(), "{line}");
         });
     }
 }

@@ -3,7 +3,7 @@
 use super::held_out;
 use super::label::{BEST, SegmenterArgs};
 use super::progress::Bars;
-use super::run_folder::{IDENTITIES, REPORT, RunFolder};
+use super::run_folder::{IDENTITIES, RENDERS, REPORT, RunFolder};
 use super::scene_file::{CAMERAS, FEATURE_COLORS, SCENE, VIEWER, cameras_of, scene_path};
 use super::{BackendArgs, Settings, interrupt, terminal};
 use burn::tensor::Device;
@@ -13,6 +13,7 @@ use coseg::data;
 use coseg::data::formats::transforms;
 use coseg::data::{LoadOptions, Split, atomic};
 use coseg::error::{Result, bail};
+use coseg::files::own;
 use coseg::pipeline;
 use coseg::pipeline::{Outcome, VariantOutcome};
 use coseg::report::{Command, Metrics, Report, held_out_views};
@@ -97,13 +98,20 @@ pub struct TrainArgs {
 impl TrainArgs {
     /// Trains or resumes, and writes the run folder unless the run is stopped.
     pub fn run(mut self) -> Result<ExitCode> {
-        let (run, mut config) = self.run_and_config()?;
+        let (run, config) = self.run_and_config()?;
         if let Some(dir) = &config.data.dir {
             let options = LoadOptions::from(&config);
             data::locate(dir, &options)?;
-            let renders = run.path().join("renders");
+            let renders = run.file(RENDERS);
             data::check_outputs("--out", &[run.path(), &renders], Some((dir, &options)))?;
         }
+        let _lock = run.claim(self.resume.is_some())?;
+        self.train(&run, config)
+            .inspect_err(|_| own::remove_empty(run.path()))
+    }
+
+    /// Trains in the folder `run`.
+    fn train(self, run: &RunFolder, mut config: Config) -> Result<ExitCode> {
         let (backend, device) = self.backend.choose()?;
         let threads = rayon::current_num_threads();
         let device_text = format!("{backend} backend, {threads} threads");
@@ -113,7 +121,7 @@ impl TrainArgs {
             run.path().display()
         ));
         interrupt::watch();
-        if self.label(&run, &mut config)? {
+        if self.label(run, &mut config)? {
             terminal::note("stopped; the same command continues");
             return Ok(ExitCode::from(interrupt::EXIT));
         }
@@ -127,12 +135,12 @@ impl TrainArgs {
         let outcome = outcome.inspect_err(|_| started.remove_new())?;
         started.write_commands()?;
         if outcome.stopped {
-            let line = self.resume_line(&run);
+            let line = self.resume_line(run);
             terminal::note(&format!("stopped; resume with: {line}"));
             return Ok(ExitCode::from(interrupt::EXIT));
         }
-        let viewer = write_scene(&outcome, &run)?;
-        write_report(&outcome, &run, started.commands, &device)?;
+        let viewer = write_scene(&outcome, run)?;
+        write_report(&outcome, run, started.commands, &device)?;
         summary(&outcome);
         terminal::say(&format!("report: {}", run.file(REPORT).display()));
         terminal::say(&viewer);
@@ -253,7 +261,7 @@ fn write_report(
     device: &Device,
 ) -> Result<()> {
     let classes = &outcome.scene.classes;
-    let renders = run.path().join("renders");
+    let renders = run.file(RENDERS);
     let mut metrics = Metrics {
         commands,
         ..Metrics::of(outcome)
@@ -285,10 +293,11 @@ fn scene_name(config: &Config) -> String {
     dir.map_or("builtin".to_owned(), data::scene_name)
 }
 
-/// This command line, quoted where a shell would need it.
+/// This command line, quoted where a shell would need it. What is no Unicode is shown as U+FFFD.
 pub fn command_line() -> String {
+    let words = std::env::args_os().skip(1);
     std::iter::once("coseg".to_owned())
-        .chain(std::env::args().skip(1).map(quoted))
+        .chain(words.map(|word| quoted(word.to_string_lossy().into_owned())))
         .collect::<Vec<_>>()
         .join(" ")
 }

@@ -8,7 +8,7 @@ use super::values::{alpha_max, numbers};
 use clap::Args;
 use coseg::data::{Limits, read_cameras};
 use coseg::error::{Result, ensure};
-use coseg::files::{extension, file_name};
+use coseg::files::{extension, file_name, own};
 use coseg::splat::ply;
 use coseg::viewer::Viewer;
 use glam::DVec3;
@@ -64,6 +64,7 @@ impl ViewArgs {
         };
         ensure!(extension(&out) == "html", argument "--out"; found "{}", out.display();
             expected "an .html file"; help "end the name in .html");
+        own::check(&out)?;
         let ply = ply::read(&path, &Limits::default())?;
         let names = self.classes.as_ref().map(|file| file.display().to_string());
         let classes = classes_beside(&path, self.classes.as_deref())?;

@@ -40,7 +40,7 @@ impl VoteArgs {
             help "use `coseg associate`, which makes objects of segments and votes for these");
         let settings = Settings::from(&config.raster);
         let device = self.input.device()?;
-        let (scene, ply) = self.input.read(&config, &device)?;
+        let (scene, ply) = self.input.read(&config, &device, &[])?;
         if scene.labelled().next().is_none() {
             bail!(&self.input.data, "raw_label_path"; found "nothing"; expected "raw labels of training views";
                 help "add raw_label_path to the frames of a transforms.json, or name a folder with --set data.raw_labels=FOLDER");

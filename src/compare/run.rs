@@ -6,7 +6,9 @@ use super::stage_one::SharedGaussians;
 use super::{Cell, CellId, Figures};
 use crate::config::Config;
 use crate::data::{self, Classes, Scene, Split, View};
-use crate::error::{Error, Result, bail, ensure};
+use crate::error::{Result, bail, ensure};
+use crate::files::lock::Lock;
+use crate::files::own;
 use crate::metrics::ClassIou;
 use crate::pipeline::{self, Scored, VariantOutcome, load_scene};
 use crate::progress::Progress;
@@ -65,6 +67,7 @@ pub fn run(
     watch: &mut dyn Watch,
 ) -> Result<Finished> {
     check_options(plan, options)?;
+    let _lock = Lock::new(&options.out)?;
     let mut comparison = Comparison {
         plan,
         options,
@@ -309,7 +312,7 @@ impl<'a> Comparison<'a> {
             self.cells.push(cell);
         }
         // Its checkpoints are as large as the scene, and have served.
-        std::fs::remove_dir_all(&folder).map_err(|e| Error::io(&folder, "remove", e))?;
+        own::remove_folder(&folder)?;
         Ok(true)
     }
 

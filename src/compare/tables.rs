@@ -36,6 +36,9 @@ struct Line<'a> {
 }
 
 impl<'a> Tables<'a> {
+    /// Files that [`Tables::write`] always writes.
+    pub const FILES: [&'static str; 2] = ["table.md", "compare.json"];
+
     /// The tables of the finished `cells` of `plan`, for files that `command` writes.
     pub fn new(plan: &'a Plan, cells: &'a [Cell], command: &'a str) -> Self {
         Self {
@@ -50,7 +53,7 @@ impl<'a> Tables<'a> {
     /// # Errors
     /// [`crate::Error::Io`] naming the file.
     pub fn write(&self, out: &Path) -> Result<Vec<PathBuf>> {
-        let mut files = vec![out.join("table.md"), out.join("compare.json")];
+        let mut files = Self::FILES.map(|name| out.join(name)).to_vec();
         atomic::write_bytes(&files[0], self.markdown().as_bytes())?;
         atomic::write_json(&files[1], &self.json())?;
         for (name, svg) in self.plots() {

@@ -7,6 +7,9 @@ use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use std::path::PathBuf;
 
+/// Largest number of initial points: that of a point cloud.
+const MAX_POINTS: f64 = 268_435_456.0;
+
 /// How the Gaussians are densified. A name alone stands for the strategy with its defaults.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
 #[serde(rename_all = "lowercase")]
@@ -108,7 +111,7 @@ pub struct BuildingConfig {
     pub random_background: bool,
     /// Largest number of Gaussians. `strategy = "mcmc"` needs a number, because it grows to it.
     pub max_gaussians: Budget,
-    /// Points when the scene has no initial cloud.
+    /// Points when the scene has no initial cloud, 1 to 2^28.
     #[default(20_000)]
     pub random_points: usize,
     /// Iterations between held-out evaluations; 0 means ten in the run.
@@ -172,7 +175,8 @@ impl BuildingConfig {
             setting "building.iterations"; found "{}", self.iterations; expected "fewer than 2^32"; help "give fewer");
         ensure!(self.sh_degree <= 3,
             setting "building.sh_degree"; found "{}", self.sh_degree; expected "0, 1, 2 or 3"; help "3 is the usual choice");
-        checked!(self, "building": { lr_means: NotNegative, random_points: Positive });
+        checked!(self, "building": { lr_means: NotNegative });
+        Range::Within(1.0, MAX_POINTS).check("building.random_points", self.random_points)?;
         ensure!(self.max_gaussians != Budget::AtMost(0), setting "building.max_gaussians"; found "0";
             expected "{EXPECTED}"; help "\"unlimited\" sets no limit");
         match &self.strategy {

@@ -1,10 +1,13 @@
 //! Settings of the inputs of stage two: image features, their lifting onto Gaussians, the point encoder.
 
-use super::range::checked;
+use super::range::{Range, checked};
 use crate::error::{Result, invalid};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use std::path::PathBuf;
+
+/// Largest number of dimensions: more than any network here has channels.
+const MAX_DIMENSIONS: f64 = 4_096.0;
 
 /// Where 2D image features come from.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -35,7 +38,7 @@ pub struct FeatureConfig {
     /// Weights of the extractor.
     #[serde(deserialize_with = "super::optional_path")]
     pub weights: Option<PathBuf>,
-    /// Dimensions kept by PCA, per scale.
+    /// Dimensions kept by PCA, per scale, 1 to 4096.
     #[default(64)]
     pub dimensions: usize,
     /// Folder of cached maps, keyed by content; absent means no cache.
@@ -45,7 +48,7 @@ pub struct FeatureConfig {
 
 impl FeatureConfig {
     pub(super) fn check(&self) -> Result<()> {
-        checked!(self, "features": { dimensions: Positive });
+        Range::Within(1.0, MAX_DIMENSIONS).check("features.dimensions", self.dimensions)?;
         let network = match self.source {
             FeatureSource::Mobilenetv2 => "MobileNetV2",
             FeatureSource::Dino => "DINO",

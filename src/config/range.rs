@@ -7,7 +7,7 @@ use std::fmt::Display;
 /// Allowed values of a number.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Range {
-    /// 1 or more.
+    /// From 1 to 2^32 - 1.
     Positive,
     /// Finite and above 0.
     AboveZero,
@@ -31,7 +31,10 @@ impl Range {
     pub fn check(self, key: &str, value: impl AsPrimitive<f64> + Display) -> Result<()> {
         let v: f64 = value.as_();
         let (inside, expected) = match self {
-            Self::Positive => (v >= 1.0, "a whole number above 0".to_owned()),
+            Self::Positive => (
+                (1.0..=f64::from(u32::MAX)).contains(&v),
+                "a whole number above 0, fewer than 2^32".to_owned(),
+            ),
             Self::AboveZero => (
                 v > 0.0 && v.is_finite(),
                 "a finite number above 0".to_owned(),

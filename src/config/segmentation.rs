@@ -12,6 +12,9 @@ pub const GCE_EXPONENTS: [f64; 2] = [1e-6, 1.0];
 /// Weight of the label loss in Eq. 10 (the paper's). No key sets it, because Adam follows the ratio of the weights alone.
 pub const LAMBDA_PIX: f64 = 0.8;
 
+/// Largest cache of blending weights, megabytes: 16 TB.
+const MAX_CACHE_MB: f64 = 16_777_216.0;
+
 /// Loss on rendered labels. A name alone stands for the variant with its defaults.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
@@ -178,7 +181,7 @@ pub struct SegmentationConfig {
     /// Share of the labelled pixels of a view that a step uses, in (0, 1].
     #[default(1.0)]
     pub pixel_share: f64,
-    /// Megabytes (2^20 bytes) for the blending weights of the training views, shared by all variants. On a GPU they hold the
+    /// Megabytes (2^20 bytes, 2^24 at most) for the blending weights of the training views, shared by all variants. On a GPU they hold the
     /// Gaussians that each view shows. The decoder keeps half as much again for what it prepares per view. The rest is
     /// computed at each use, to the same bits.
     #[default(2_048)]
@@ -218,6 +221,8 @@ impl SegmentationConfig {
             min_coverage: Unit,
             pixel_share: Share,
         });
+        Range::Within(0.0, MAX_CACHE_MB)
+            .check("segmentation.weight_cache_mb", self.weight_cache_mb)?;
         self.loss.check()?;
         let rows = self.rows();
         if let Some(row) = (1..rows.len()).find(|&i| rows[..i].contains(&rows[i])) {

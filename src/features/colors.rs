@@ -70,7 +70,7 @@ impl FeatureColors {
     /// [`crate::Error::Io`]; [`crate::Error::Input`] for another file, another number of Gaussians, or values that are no colours.
     pub fn read(path: &Path, gaussians: usize) -> Result<Self> {
         const HELP: &str = "give the run folder that `coseg train` wrote, with its own scene.ply";
-        let mut file = WeightFile::open(path)?;
+        let mut file = WeightFile::open_sealed(path)?;
         let tensor = file.tensors.remove(COLORS).unwrap_or_default();
         let HostTensor { shape, values } = tensor;
         ensure!(shape == [gaussians, 3], path, "{COLORS}"; found "shape {shape:?}";

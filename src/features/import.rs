@@ -2,7 +2,8 @@
 //! divide the image evenly.
 
 use super::{FeatureMap, SCALES};
-use crate::error::{Error, Result, ensure, invalid};
+use crate::error::{Result, ensure, invalid};
+use crate::files;
 use crate::weights::floats;
 use npyz::{DType, Endianness, NpyFile, Order, TypeChar};
 use safetensors::{Dtype, SafeTensors};
@@ -11,41 +12,44 @@ use std::path::Path;
 /// What a map file must hold, for error messages.
 const WANTED: &str = "an [H, W, C] array of f32 or f16, none of them 0";
 
+/// Refuses a folder without the files of view `stem`.
+///
+/// # Errors
+/// [`crate::Error::Input`].
+pub fn expect(dir: &Path, stem: &str) -> Result<()> {
+    if dir.join(format!("{stem}.safetensors")).exists() {
+        return Ok(());
+    }
+    for n in 1..=SCALES {
+        ensure!(dir.join(format!("{stem}.{n}.npy")).exists(), dir, "view {stem}, scale {n}";
+            found "neither {stem}.{n}.npy nor {stem}.safetensors";
+            expected "one of them for every view";
+            help "write the missing maps or correct features.source.import");
+    }
+    Ok(())
+}
+
 /// The four maps of view `stem`.
 ///
 /// # Errors
-/// [`Error::Input`] when files are absent, truncated, of another type or shape; [`Error::NonFinite`] on NaN or infinity.
+/// [`crate::Error::Input`] when files are absent, truncated, of another type or shape; [`crate::Error::NonFinite`] on NaN or infinity.
 pub fn read(dir: &Path, stem: &str) -> Result<[FeatureMap; SCALES]> {
+    expect(dir, stem)?;
     let bundle = dir.join(format!("{stem}.safetensors"));
     if bundle.exists() {
         return read_bundle(&bundle);
     }
     let mut maps: [FeatureMap; SCALES] = Default::default();
     for (n, map) in (1..).zip(&mut maps) {
-        let path = dir.join(format!("{stem}.{n}.npy"));
-        ensure!(path.exists(), dir, "view {stem}, scale {n}";
-            found "neither {stem}.{n}.npy nor {stem}.safetensors";
-            expected "one of them for every view";
-            help "write the missing maps or correct features.source.import");
-        *map = read_npy(&path)?;
+        *map = read_npy(&dir.join(format!("{stem}.{n}.npy")))?;
     }
     Ok(maps)
 }
 
 fn read_npy(path: &Path) -> Result<FeatureMap> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let bytes = files::read(path)?;
     let bad = |field: &str, found: String| invalid!(path, "{field}"; found "{found}"; expected "{WANTED}"; help "write the map again");
-    // From version 2 on a header can claim gigabytes, which the reader would allocate.
-    if bytes.get(6).is_some_and(|version| *version > 1) {
-        let length = bytes.get(8..12).unwrap_or_default();
-        let length = length
-            .iter()
-            .rev()
-            .fold(0, |sum, byte| sum << 8 | usize::from(*byte));
-        if length > bytes.len() {
-            return Err(bad("header", format!("a header of {length} bytes")));
-        }
-    }
+    vet_header(&bytes).map_err(|found| bad("header", found))?;
     let mut rest = &bytes[..];
     let file = NpyFile::new(&mut rest).map_err(|e| bad("header", e.to_string()))?;
     let shape: Vec<usize> = file.shape().iter().map(|&n| n as usize).collect();
@@ -85,7 +89,7 @@ fn read_npy(path: &Path) -> Result<FeatureMap> {
 }
 
 fn read_bundle(path: &Path) -> Result<[FeatureMap; SCALES]> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let bytes = files::read(path)?;
     let tensors = SafeTensors::deserialize(&bytes).map_err(|e| {
         invalid!(path, "header"; found "{e}"; expected "a safetensors file with scale1 to scale4";
             help "write the file again")
@@ -107,6 +111,27 @@ fn read_bundle(path: &Path) -> Result<[FeatureMap; SCALES]> {
         *map = checked(path, &name, shape, data)?;
     }
     Ok(maps)
+}
+
+/// Refuses the header of an NPY file that is no dictionary of plain values, before the parser sees it: a header can claim
+/// gigabytes, which the parser would allocate, and it takes time exponential in the depth of nested brackets.
+fn vet_header(bytes: &[u8]) -> Result<(), String> {
+    // Magic and version, then the length, which has two bytes in version 1.
+    let start = if bytes.get(6) == Some(&1) { 10 } else { 12 };
+    let length = bytes.get(8..start).unwrap_or_default();
+    let length = length
+        .iter()
+        .rev()
+        .fold(0, |sum, byte| sum << 8 | usize::from(*byte));
+    let Some(header) = bytes.get(start..start.saturating_add(length)) else {
+        return Err(format!("a header of {length} bytes"));
+    };
+    let count = |brackets: &[u8]| header.iter().filter(|byte| brackets.contains(byte)).count();
+    let [dictionaries, tuples, lists] = [b"{", b"(", b"["].map(|bracket| count(bracket));
+    if dictionaries > 1 || tuples > 1 || lists > 0 {
+        return Err("nested values".to_owned());
+    }
+    Ok(())
 }
 
 /// The three sizes when none is 0 and their product is a sane number of values.

@@ -117,6 +117,17 @@ impl Extractor {
         })
     }
 
+    /// Refuses a view without maps, where maps are imported.
+    ///
+    /// # Errors
+    /// [`Error::Input`].
+    pub(crate) fn expect(&self, view: &str) -> Result<()> {
+        match &self.source {
+            Source::Import(dir) => import::expect(dir, view),
+            _ => Ok(()),
+        }
+    }
+
     /// The four maps of a view before reduction, fine to coarse.
     ///
     /// Imported maps are `STEM.1.npy` to `STEM.4.npy` (`[H, W, C]`, f32 or f16) or the tensors `scale1` to `scale4` of

@@ -1,10 +1,18 @@
 //! Atomic writes: a file is written under a temporary name, synced and renamed.
 
+use super::own::{self, Hashed};
 use crate::error::{Error, Result};
 use serde::Serialize;
-use std::fs::{self, File};
+use sha2::{Digest, Sha256};
+use std::fs;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
+use std::time::Duration;
+
+/// How the names of temporary files begin and end.
+const TEMPORARY: [&str; 2] = [".coseg-", ".tmp"];
+/// Temporary files that are older belong to processes that were killed.
+const ABANDONED: Duration = Duration::from_secs(3600);
 
 /// Writes `path` through `fill`; the old file stays until the new one is complete and on disk.
 ///
@@ -12,10 +20,11 @@ use std::path::Path;
 /// anything fails.
 ///
 /// # Errors
-/// [`Error::Io`] naming `path` and the step that failed.
+/// [`Error::Io`] naming `path` and the step that failed; [`Error::Argument`] for a file that this program did not write, see
+/// [`own::check`].
 pub fn write(
     path: impl AsRef<Path>,
-    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+    fill: impl FnOnce(&mut BufWriter<Hashed>) -> io::Result<()>,
 ) -> Result<()> {
     let path = path.as_ref();
     let failed = |action| move |source| Error::io(path, action, source);
@@ -27,9 +36,10 @@ pub fn write(
         let source = io::Error::new(io::ErrorKind::InvalidInput, "not a file name");
         return Err(Error::io(path, "create", source));
     }
+    own::check(path)?;
     fs::create_dir_all(parent).map_err(|e| Error::io(parent, "create folder", e))?;
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".").suffix(".tmp");
+    builder.prefix(TEMPORARY[0]).suffix(TEMPORARY[1]);
     // By default only the user could read the file.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
@@ -37,21 +47,43 @@ pub fn write(
         .tempfile_in(parent)
         .map_err(failed("create"))?
         .into_parts();
-    let mut out = BufWriter::with_capacity(1 << 20, file);
+    let hash = Sha256::new();
+    let mut out = BufWriter::with_capacity(1 << 20, Hashed { file, hash });
     fill(&mut out)
         .and_then(|()| out.flush())
         .map_err(failed("write"))?;
-    out.get_ref().sync_all().map_err(failed("sync"))?;
-    drop(out);
+    let Hashed { file, hash } = out
+        .into_inner()
+        .map_err(|e| failed("write")(e.into_error()))?;
+    file.sync_all().map_err(failed("sync"))?;
+    drop(file);
+    // Before the file is there: a process that is killed now leaves no file of its own that it does not know.
+    own::note(path, &hash.finalize())?;
     temporary
         .persist(path)
         .map_err(|e| Error::io(path, "rename into place", e.error))?;
+    own::stamp(path);
     // The rename is on disk only once the folder is.
     #[cfg(unix)]
-    File::open(parent)
+    fs::File::open(parent)
         .and_then(|folder| folder.sync_all())
         .map_err(failed("sync"))?;
     Ok(())
+}
+
+/// Removes the temporary files in `folder` that killed processes left there.
+pub(super) fn remove_abandoned(folder: &Path) {
+    let is_temporary =
+        |name: &str, _: &Path| name.starts_with(TEMPORARY[0]) && name.ends_with(TEMPORARY[1]);
+    for name in super::names(folder, is_temporary) {
+        let path = folder.join(name);
+        let written = fs::symlink_metadata(&path).and_then(|there| there.modified());
+        let age = written.ok().and_then(|time| time.elapsed().ok());
+        if age.is_some_and(|age| age > ABANDONED) {
+            // What stays does no harm.
+            let _ = fs::remove_file(path);
+        }
+    }
 }
 
 /// Writes `bytes` to `path` as [`write()`] does.
@@ -76,8 +108,9 @@ pub fn write_json(path: impl AsRef<Path>, value: &impl Serialize) -> Result<()> 
 /// Removes the file at `path`, if there is one.
 ///
 /// # Errors
-/// [`Error::Io`] naming `path`.
+/// [`Error::Io`] naming `path`; [`Error::Argument`] for a file that this program did not write.
 pub fn remove(path: impl AsRef<Path>) -> Result<()> {
+    own::check(&path)?;
     match fs::remove_file(&path) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => {
             Err(Error::io(path, "remove", error))

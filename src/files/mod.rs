@@ -2,19 +2,52 @@
 
 pub mod atomic;
 mod limits;
+pub mod lock;
+pub mod own;
 pub(crate) mod ply;
 
 pub use self::limits::Limits;
 pub(crate) use self::limits::check_limit;
 
-use crate::error::{Error, Result, bail, invalid};
+use crate::error::{Error, Result, bail, ensure, invalid};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
+
+/// Largest text file that is read, bytes.
+const MAX_TEXT_BYTES: u64 = 2 << 30;
+
+/// Opens a file to read it. Pipes and devices are refused: they block, or have no end.
+pub(crate) fn open(path: &Path) -> Result<File> {
+    let failed = |e| Error::io(path, "read", e);
+    let there = std::fs::metadata(path).map_err(failed)?;
+    if there.is_dir() {
+        return Err(failed(io::ErrorKind::IsADirectory.into()));
+    }
+    ensure!(there.is_file(), path, "kind"; found "a pipe or a device"; expected "a regular file";
+        help "copy its content into a file");
+    File::open(path).map_err(failed)
+}
+
+/// The bytes of a file.
+pub(crate) fn read(path: &Path) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let read = open(path)?.read_to_end(&mut bytes);
+    read.map_err(|e| Error::io(path, "read", e))?;
+    Ok(bytes)
+}
 
 /// The text of a file.
 pub(crate) fn text(path: &Path) -> Result<String> {
-    std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))
+    let file = open(path)?;
+    let size = file.metadata().map_or(0, |there| there.len());
+    check_limit(path, "bytes", size, MAX_TEXT_BYTES, "give a smaller file")?;
+    let mut text = String::new();
+    let read = file.take(MAX_TEXT_BYTES).read_to_string(&mut text);
+    read.map_err(|e| Error::io(path, "read", e))?;
+    Ok(text)
 }
 
 /// A JSON file; `expected` describes its form in errors.
@@ -39,7 +72,7 @@ pub(crate) fn json_error(path: &Path, e: &serde_json::Error, expected: &str) -> 
 }
 
 /// The names of the files and folders in `dir` that `keep` accepts, sorted; empty where `dir` cannot be read.
-pub(crate) fn names(dir: &Path, keep: impl Fn(&str, &Path) -> bool) -> Vec<String> {
+pub fn names(dir: &Path, keep: impl Fn(&str, &Path) -> bool) -> Vec<String> {
     let entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
     let mut names: Vec<String> = entries
         .filter_map(|entry| Some((entry.file_name().into_string().ok()?, entry.path())))

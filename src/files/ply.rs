@@ -3,7 +3,7 @@
 //! The format itself is `ply-rs-bw`'s. Its rows are addressed by property name. Here every wanted property is renamed once to its
 //! column number, in a private copy of the element definition. So no row compares names.
 
-use super::{Limits, kind};
+use super::{Limits, kind, open};
 use crate::error::{Error, Result, bail, invalid};
 use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{
@@ -89,7 +89,7 @@ pub(crate) struct PlyFile {
 impl PlyFile {
     /// Opens `path` and reads the header up to `end_header`; `element` (such as `vertex`) must be declared.
     pub fn open(path: &Path, element: &str, limits: &Limits) -> Result<Self> {
-        let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
+        let file = open(path)?;
         let mut file = BufReader::with_capacity(1 << 20, file);
         let first = file.fill_buf().map_err(|e| Error::io(path, "read", e))?;
         // A file that begins like one and is cut off, or has other line ends, has a bad header.

@@ -2,7 +2,7 @@
 
 use super::largest::first_largest;
 use crate::data::Classes;
-use crate::error::{Result, invalid};
+use crate::error::{Result, bail, invalid};
 use crate::weights::{HostTensor, WeightFile};
 use std::path::Path;
 
@@ -67,14 +67,22 @@ impl Identities {
     /// Reads what [`Identities::write`] wrote.
     ///
     /// # Errors
-    /// [`crate::Error::Io`]; [`crate::Error::Input`] when the file is not a safetensors file with a 2D tensor `scores` of floats.
+    /// [`crate::Error::Io`]; [`crate::Error::Input`] when the file is damaged or has no 2D tensor `scores` of finite
+    /// numbers.
     pub fn read(path: &Path) -> Result<Self> {
-        let mut file = WeightFile::open(path)?;
+        let mut file = WeightFile::open_sealed(path)?;
         match file.tensors.remove(SCORES) {
-            Some(HostTensor { shape, values }) if shape.len() == 2 => Ok(Self {
-                classes: shape[1],
-                scores: values,
-            }),
+            Some(HostTensor { shape, values }) if shape.len() == 2 => {
+                if let Some(i) = values.iter().position(|score| !score.is_finite()) {
+                    let row = i / shape[1];
+                    bail!(path, "{SCORES}, row {row}"; found "{}", values[i]; expected "finite numbers";
+                        help "write the run again with `coseg train`");
+                }
+                Ok(Self {
+                    classes: shape[1],
+                    scores: values,
+                })
+            }
             other => {
                 let shape = other.map(|tensor| tensor.shape);
                 let found = shape.map_or("nothing".into(), |shape| format!("shape {shape:?}"));

@@ -231,7 +231,7 @@ fn count(
 }
 
 /// Whether image features are read: by the decoder, and where pruning counts the cells of their maps.
-fn reads_features(config: &Config) -> bool {
+pub(super) fn reads_features(config: &Config) -> bool {
     let cells = config.unprojection.resolution == Resolution::Feature
         && config.unprojection.attendance > 0.0;
     let variants = config.segmentation.rows();

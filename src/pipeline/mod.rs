@@ -5,7 +5,8 @@
 //! ```
 //!
 //! [`run`] calls the steps in order; each has a file of its name. `variants` trains and scores the lines of the label table,
-//! `rivals` has the methods of other papers among them, `evaluate` holds the scores, `initial_scene` reads Gaussians of another trainer.
+//! `rivals` has the methods of other papers among them, `evaluate` holds the scores, `initial_scene` reads Gaussians of another trainer,
+//! `requirements` checks what stage two needs before stage one starts.
 
 pub mod train_decoder;
 
@@ -16,6 +17,7 @@ mod initial_scene;
 pub(crate) mod lift;
 mod prune;
 mod reconstruct;
+mod requirements;
 mod rivals;
 mod run;
 mod suggest;

@@ -5,12 +5,14 @@ use super::encode::Inputs;
 use super::evaluate::score_images;
 use super::lift::{Pruned, lift};
 use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
+use super::requirements::{check_networks, check_scores, initial_count, score_tables};
 use super::variant_outcome::VariantOutcome;
 use super::variants::train_variants;
 use crate::config::{Association, Config, LabelLoss, LabelsBy, Prior, Variant};
 use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
 use crate::error::Result;
 use crate::features::FeatureColors;
+use crate::memory;
 use crate::metrics::ImageScores;
 use crate::objects::{Identities, Semantics, has_truth};
 use crate::progress::{CurvePoint, Progress, Review};
@@ -178,6 +180,11 @@ pub fn run_on(
              names them; set segmentation.rows = [] if there are none"
         );
     }
+    if has_raw_labels(&scene) && !config.segmentation.rows().is_empty() {
+        check_networks(config, &scene, device)?;
+    }
+    // What stage one starts from, which its growth only adds to.
+    check_scores(initial_count(&scene, config), &scene, config)?;
     let files = RunFiles::new(out);
     let reconstruction = reconstruct(&scene, config, &files, device, progress)?;
     let complete = reconstruction.complete;
@@ -226,6 +233,8 @@ impl Outcome {
         if progress.stop() {
             return Ok(false);
         }
+        let tables = score_tables(config);
+        memory::check_scores(self.gaussians.len(), self.scene.classes.len(), tables)?;
         let lifted = lift(
             &self.gaussians,
             &self.scene,
@@ -320,7 +329,7 @@ fn trust_labels(config: &mut Config, scene: &Scene) {
 }
 
 /// Whether stage two has something to train on.
-fn has_raw_labels(scene: &Scene) -> bool {
+pub(super) fn has_raw_labels(scene: &Scene) -> bool {
     scene.labelled().next().is_some() && !scene.classes.is_empty()
 }
 

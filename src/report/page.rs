@@ -7,6 +7,9 @@ use crate::error::Result;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use std::path::Path;
 
+/// The page loads and sends nothing, and runs no script.
+const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'";
+
 /// The whole page.
 pub(super) fn page(report: &Report<'_>, path: &Path) -> Result<Markup> {
     let m = &report.metrics;
@@ -18,6 +21,7 @@ pub(super) fn page(report: &Report<'_>, path: &Path) -> Result<Markup> {
         html lang="en" {
             head {
                 meta charset="utf-8";
+                meta http-equiv="Content-Security-Policy" content=(POLICY);
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 title { (m.scene) " – coseg" }
                 style { (PreEscaped(include_str!("page.css"))) }

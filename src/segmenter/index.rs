@@ -2,7 +2,7 @@
 
 use crate::data::atomic;
 use crate::error::{Result, bail};
-use crate::files;
+use crate::files::{self, own};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, BTreeSet};
@@ -48,6 +48,9 @@ impl Index {
     pub fn open(folder: &Path) -> Result<Self> {
         let path = folder.join(FILE);
         let content = if path.is_file() {
+            // The index itself tells which files are own, after a copy too.
+            own::allow(folder);
+            own::allow(folder.join("scores"));
             files::json(&path, "the index of a folder that `coseg label` wrote")?
         } else {
             if let Some(other) = files::names(folder, |name, _| !name.starts_with('.')).first() {
@@ -77,7 +80,7 @@ impl Index {
 
     /// Whether the file is there as it was written; `None` where it is not there.
     fn is_ours(&self, name: &str) -> Option<bool> {
-        let bytes = std::fs::read(self.folder.join(name)).ok()?;
+        let bytes = files::read(&self.folder.join(name)).ok()?;
         Some(self.content.files.get(name) == Some(&digest(&bytes)))
     }
 

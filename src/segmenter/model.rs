@@ -52,7 +52,7 @@ impl Network {
 
     /// [`Network::load`] with `tensor` for the output: any tensor within the network that has four dimensions.
     pub(super) fn open(file: &Path, contract: Contract, tensor: Option<&str>) -> Result<Self> {
-        let bytes = std::fs::read(file).map_err(|e| Error::io(file, "read", e))?;
+        let bytes = crate::files::read(file)?;
         let digest = format!("{:x}", Sha256::digest(&bytes));
         let (proto, output) = graph::read(file, &bytes, &contract, tensor)?;
         drop(bytes);

@@ -6,6 +6,7 @@ mod compare;
 mod config;
 mod data;
 mod features;
+mod files;
 mod metrics;
 mod objects;
 mod ops;

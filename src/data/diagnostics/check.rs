@@ -2,6 +2,7 @@
 
 use super::{notices, photometric_poses, poses};
 use crate::config::Layout;
+use crate::data::formats::camera_checks::check_intrinsics;
 use crate::data::formats::frame::Frame;
 use crate::data::formats::frame_labels::FrameLabels;
 use crate::data::formats::listing::{Listing, Problems};
@@ -54,6 +55,9 @@ fn check_listing(listing: &Listing, options: &LoadOptions, problems: &mut Proble
     };
     let mut checks = Vec::new();
     let frames = &listing.frames;
+    for frame in frames.iter().filter(|frame| frame.posed) {
+        problems.ok(check_intrinsics(&listing.file, &frame.name, &frame.camera));
+    }
     frames
         .par_iter()
         .map(|frame| FrameCheck::new(listing, frame, &known, options))

@@ -5,6 +5,7 @@ use super::depth::Depth;
 use super::frame::Frame;
 use super::frame_labels::FrameLabels;
 use super::label_folder::choose_raw_files;
+use super::points::MAX_STRAY;
 use crate::config::Layout;
 use crate::data::labels::map_geometry::MapGeometries;
 use crate::data::labels::raw::{self, RawFile, RawLabels};
@@ -183,14 +184,22 @@ impl Listing {
         }
     }
 
-    /// The cloud, relative to `origin`.
+    /// The cloud, relative to `origin`, without its strays.
     pub fn points(&self, origin: DVec3, limits: &Limits) -> Result<Points> {
-        match &self.cloud {
-            Cloud::None => Ok(Points::default()),
-            Cloud::Ply(path) => Points::read(path, origin, limits),
-            Cloud::Colmap(path) => colmap::read_points(path, origin, limits),
-            Cloud::Depth(depth) => depth.points(&self.frames, &self.file, origin, limits),
+        let mut points = match &self.cloud {
+            Cloud::None => Points::default(),
+            Cloud::Ply(path) => Points::read(path, origin, limits)?,
+            Cloud::Colmap(path) => colmap::read_points(path, origin, limits)?,
+            Cloud::Depth(depth) => depth.points(&self.frames, &self.file, origin, limits)?,
+        };
+        let left_out = points.remove_strays();
+        if left_out > 0 {
+            tracing::warn!(
+                "{}: {left_out} points of the initial cloud are left out: they lie {MAX_STRAY} times as far out as half of all points",
+                self.file.display()
+            );
         }
+        Ok(points)
     }
 
     /// Mean of the camera centres.
@@ -331,7 +340,12 @@ pub(crate) fn in_order<T: Send>(
 fn read_classes(dir: &Path, labelled: Option<&str>) -> Result<Classes> {
     let path = dir.join("classes.json");
     match labelled {
-        _ if path.is_file() => Classes::read(&path),
+        _ if path.is_file() => {
+            let classes = Classes::read(&path)?;
+            ensure!(!classes.is_empty(), &path, "classes"; found "no class"; expected "one or more";
+                help "list the classes: {{\"0\": \"void\", \"1\": \"wall\", ..}}, or remove the file");
+            Ok(classes)
+        }
         None => Ok(Classes::default()),
         Some(or) => Err(
             invalid!(&path, "file"; found "nothing"; expected "a class table, as frames have labels";

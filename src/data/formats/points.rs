@@ -1,12 +1,17 @@
 //! Initial point clouds from PLY files.
 
-use super::camera_checks::fits_f32;
+use super::camera_checks::is_coordinate;
 use crate::data::{Limits, Points};
 use crate::error::{Result, bail};
 use crate::files::ply::PlyFile;
 use glam::DVec3;
 use ply_rs_bw::ply::ScalarType;
 use std::path::Path;
+
+/// Points this many times as far from the middle of the cloud as half of all points are strays.
+pub(super) const MAX_STRAY: f64 = 1_000.0;
+/// Clouds of fewer points have none.
+const MIN_POINTS: usize = 16;
 
 impl Points {
     /// Number of points.
@@ -17,6 +22,29 @@ impl Points {
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
+    }
+
+    /// Removes strays: triangulated from wrong matches, they lie at 10^8, become Gaussians as large as that, and take the size of
+    /// the scene with them. Returns their number.
+    pub(super) fn remove_strays(&mut self) -> usize {
+        let count = self.len();
+        if count < MIN_POINTS {
+            return 0;
+        }
+        let median =
+            |mut values: Vec<f64>| *values.select_nth_unstable_by(count / 2, f64::total_cmp).1;
+        let all = |axis: usize| self.positions.iter().map(|p| f64::from(p[axis])).collect();
+        let middle = DVec3::from([0, 1, 2].map(|axis| median(all(axis))));
+        let distance = |p: &[f32; 3]| DVec3::from(p.map(f64::from)).distance(middle);
+        let most = MAX_STRAY * median(self.positions.iter().map(distance).collect());
+        // Where half of all points lie in one place, nobody knows.
+        let is_kept = |p: &[f32; 3]| most == 0.0 || distance(p) <= most;
+        let kept: Vec<bool> = self.positions.iter().map(is_kept).collect();
+        let mut keeps = kept.iter();
+        self.positions.retain(|_| *keeps.next().unwrap_or(&true));
+        let mut keeps = kept.iter();
+        self.colors.retain(|_| *keeps.next().unwrap_or(&true));
+        count - self.len()
     }
 
     /// Reads element `vertex` of a PLY file: `x y z` (any scalar type) and `red green blue`.
@@ -41,7 +69,7 @@ impl Points {
         let mut points = Self::default();
         let mut brightest = 0.0_f32;
         file.read(&columns, |row, cells| {
-            if let Some(bad) = cells.iter().position(|v| !fits_f32(*v)) {
+            if let Some(bad) = cells.iter().position(|v| !is_coordinate(*v)) {
                 bail!(path, "row {row}, column {}", columns[bad].as_deref().unwrap_or_default();
                     found "{}", cells[bad]; expected "a finite number (f32)"; help "remove this point");
             }

@@ -1,6 +1,6 @@
 //! Shared by recorded sequences (Replica, ScanNet): numbered files, poses as text, depth images.
 
-use super::camera_checks::{fits_f32, not_a_rotation};
+use super::camera_checks::{is_coordinate, not_a_rotation};
 use super::depth::Depth;
 use super::frame::Frame;
 use super::label_folder::SideFolders;
@@ -94,7 +94,7 @@ pub(crate) fn pose(text: &str, path: &Path, field: &str) -> Result<Pose> {
 /// The pose is not finite or no rotation and translation.
 pub(crate) fn camera(pose: &Pose, intrinsics: &Camera, path: &Path, field: &str) -> Result<Camera> {
     let again = "drop the frame, or export its pose again";
-    if let Some(i) = pose.iter().position(|v| !fits_f32(*v)) {
+    if let Some(i) = pose.iter().position(|v| !is_coordinate(*v)) {
         bail!(path, "{field}"; found "{} in row {}, column {}", pose[i], i / 4, i % 4;
             expected "finite numbers (f32)"; help "{again}");
     }

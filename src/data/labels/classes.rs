@@ -73,7 +73,8 @@ impl Classes {
     /// (`color` may be absent; objects have `class` and `thing` besides, see [`ObjectOf`]).
     ///
     /// # Errors
-    /// [`crate::Error::Io`]; [`crate::Error::Input`] naming line or id: malformed JSON, ids that are not u16 or appear twice.
+    /// [`crate::Error::Io`]; [`crate::Error::Input`] naming line or id: malformed JSON, ids that are not u16 or appear twice, names with
+    /// control characters.
     pub fn read(path: &Path) -> Result<Self> {
         let text = files::text(path)?;
         let expected = "{\"0\": \"void\", \"1\": \"NAME\", ..} or {\"ignore\": 0, \"classes\": [{\"id\": 1, \"name\": ..}, ..]}";
@@ -100,6 +101,7 @@ impl Classes {
             named.push((id, name));
         }
         check_unique(path, named.iter().map(|(id, _)| *id))?;
+        check_names(path, named.iter().map(|(id, name)| (*id, &**name)))?;
         Ok(Self::from_names(VOID, named))
     }
 
@@ -142,6 +144,14 @@ fn check_unique(path: &Path, ids: impl Iterator<Item = u16>) -> Result<()> {
     Ok(())
 }
 
+/// Refuses names with line ends or other control characters.
+fn check_names<'a>(path: &Path, mut names: impl Iterator<Item = (u16, &'a str)>) -> Result<()> {
+    if let Some((id, name)) = names.find(|(_, name)| name.chars().any(char::is_control)) {
+        bail!(path, "id {id}"; found "{name:?}"; expected "a name without control characters"; help "rename the class");
+    }
+    Ok(())
+}
+
 /// The file's second form.
 #[derive(Serialize, Deserialize)]
 struct ClassFile {
@@ -176,6 +186,7 @@ impl From<&Class> for ClassEntry {
 impl ClassFile {
     fn into_classes(self, path: &Path) -> Result<Classes> {
         check_unique(path, self.classes.iter().map(|c| c.id))?;
+        check_names(path, self.classes.iter().map(|c| (c.id, &*c.name)))?;
         let names = self.classes.iter().map(|c| (c.id, c.name.clone()));
         let mut classes = Classes::from_names(self.ignore, names);
         for entry in self.classes {

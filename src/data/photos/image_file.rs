@@ -1,7 +1,7 @@
 //! PNG and JPEG files. Incomplete files are refused, because decoders accept files that were cut off.
 
 use crate::data::Limits;
-use crate::error::{Error, Result, bail, ensure, invalid};
+use crate::error::{Result, bail, ensure, invalid};
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Rgb, RgbImage};
 use sha2::{Digest, Sha256};
@@ -17,6 +17,10 @@ pub(crate) const TURNED_HELP: &str = "it is turned by a quarter: some programs t
 /// Help for a picture of another size.
 const SIZE_HELP: &str = "scale the image to that size (label maps without blending), or correct the size with focal length \
     and centre";
+/// Bytes of a pixel while a file is decoded, at most: 16 bits of four channels, and a copy.
+const PIXEL_BYTES: u64 = 16;
+/// Bytes for all parts of a file that are no pixels.
+const EXTRA_BYTES: u64 = 16 << 20;
 const DAMAGED_HELP: &str = "copy or export it again";
 
 /// An image file in memory, its header read and its end seen, not yet decoded.
@@ -31,7 +35,7 @@ pub(crate) struct ImageFile {
 impl ImageFile {
     /// Reads `path` and checks that it is a complete PNG or JPEG of an acceptable size.
     pub fn open(path: &Path, limits: &Limits) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read image", e))?;
+        let bytes = crate::files::read(path)?;
         let format = match image::guess_format(&bytes) {
             Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,
             _ => {
@@ -50,7 +54,7 @@ impl ImageFile {
         let name = name(format);
         ensure!(is_complete(&bytes), path, "image data"; found "{} bytes without the end of the image", bytes.len();
             expected "a complete {name}"; help "{DAMAGED_HELP}");
-        let size = ImageReader::with_format(Cursor::new(&bytes), format).into_dimensions();
+        let size = reader(&bytes, format, 0).into_dimensions();
         let (width, height) = size.map_err(
             |e| invalid!(path, "header"; found "{e}"; expected "a valid {name}"; help "{DAMAGED_HELP}"),
         )?;
@@ -97,8 +101,7 @@ impl ImageFile {
 
     /// The EXIF orientation, 2 to 8, by which programs should turn or mirror it; `None` where it is stored upright.
     pub fn exif_orientation(&self) -> Option<u8> {
-        let decoder =
-            ImageReader::with_format(Cursor::new(&self.bytes), self.format).into_decoder();
+        let decoder = reader(&self.bytes, self.format, 0).into_decoder();
         let orientation = decoder.ok()?.orientation().ok().map(Orientation::to_exif);
         orientation.filter(|exif| *exif != Orientation::NoTransforms.to_exif())
     }
@@ -118,9 +121,8 @@ impl ImageFile {
     }
 
     pub fn decode(&self) -> Result<DynamicImage> {
-        let mut reader = ImageReader::with_format(Cursor::new(&self.bytes), self.format);
-        // The size was checked against our own limits.
-        reader.no_limits();
+        let pixels = self.size.0 as u64 * self.size.1 as u64;
+        let reader = reader(&self.bytes, self.format, pixels * PIXEL_BYTES);
         reader.decode().map_err(|e| {
             invalid!(&self.path, "image data"; found "{e}"; expected "a valid {}", name(self.format); help "{DAMAGED_HELP}")
         })
@@ -147,6 +149,15 @@ impl ImageFile {
         });
         Ok((photo, transparent))
     }
+}
+
+/// A decoder that allocates no more than `pixel_bytes` and [`EXTRA_BYTES`]: a colour profile may be compressed from gigabytes.
+fn reader(bytes: &[u8], format: ImageFormat, pixel_bytes: u64) -> ImageReader<Cursor<&[u8]>> {
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
+    let mut limits = image::Limits::no_limits();
+    limits.max_alloc = Some(pixel_bytes + EXTRA_BYTES);
+    reader.limits(limits);
+    reader
 }
 
 /// Whether two sizes have the same proportions, within [`MAX_PROPORTION_ERROR`].

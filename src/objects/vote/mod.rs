@@ -14,6 +14,7 @@ use self::tables::VoteTables;
 use self::view_votes::ViewVotes;
 use crate::data::{Classes, View};
 use crate::error::Result;
+use crate::memory;
 use crate::raster::{Settings, SplatTensors};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
@@ -24,7 +25,8 @@ const REFINEMENTS: usize = 2;
 /// Collects the votes of all `views` that have raw labels, on `device`: one vote of each labelled pixel for its class.
 ///
 /// # Errors
-/// Those of [`SplatView::blend_adjoint`](crate::raster::SplatView::blend_adjoint).
+/// Those of [`SplatView::blend_adjoint`](crate::raster::SplatView::blend_adjoint); [`crate::Error::Limit`] for more votes than
+/// fit into memory.
 pub fn vote<'a>(
     gaussians: &Gaussians,
     views: impl Iterator<Item = &'a View>,
@@ -96,6 +98,8 @@ fn collect<'a>(
             classes,
         });
     }
+    // The sums on the device, and what is read back or comes from the round before.
+    memory::check_scores(gaussians.len(), classes, 2)?;
     let splats = SplatTensors::new(gaussians, device);
     let mut tables = VoteTables::new(&splats, classes);
     for view in views.filter(|view| view.raw.is_some()) {

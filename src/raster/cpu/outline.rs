@@ -5,9 +5,12 @@
 use super::footprint::{Splat2, TILE};
 use crate::backend::simd::vectorized;
 use std::ops::Range;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Gaussians of one loop.
 const BLOCK: usize = 32;
+/// Entries of the tile lists of a view, at most: each takes 16 bytes while lists are made.
+pub(super) const MAX_ENTRIES: usize = 1 << 28;
 /// A value of each.
 type Column = [f64; BLOCK];
 
@@ -23,15 +26,16 @@ pub(super) struct Bins {
 }
 
 /// Finds every tile of an image of `size` pixels that holds a pixel centre near the ellipse of each of `splats`.
-pub(super) fn bin(splats: &[Splat2], size: [usize; 2]) -> Bins {
+/// Stops early, with [`Bins::counts`] of fewer ranks, once `total` of all calls exceeds [`MAX_ENTRIES`].
+pub(super) fn bin(splats: &[Splat2], size: [usize; 2], total: &AtomicUsize) -> Bins {
     vectorized(
         #[inline(always)]
-        || bin_all(splats, size),
+        || bin_all(splats, size, total),
     )
 }
 
 #[inline(always)]
-fn bin_all(splats: &[Splat2], size: [usize; 2]) -> Bins {
+fn bin_all(splats: &[Splat2], size: [usize; 2], total: &AtomicUsize) -> Bins {
     let [across, down] = size.map(|s| s.div_ceil(TILE));
     let mut bins = Bins {
         tiles: Vec::with_capacity(4 * splats.len()),
@@ -39,6 +43,7 @@ fn bin_all(splats: &[Splat2], size: [usize; 2]) -> Bins {
         per_tile: vec![0; across * down],
     };
     for splats in splats.chunks(BLOCK) {
+        let entries = bins.tiles.len();
         let outlines = Outlines::new(splats);
         let mut rows = [const { 0..0 }; BLOCK];
         for (l, rows) in rows.iter_mut().enumerate() {
@@ -69,6 +74,10 @@ fn bin_all(splats: &[Splat2], size: [usize; 2]) -> Bins {
                 }
             }
             bins.counts.push((bins.tiles.len() - before) as u32);
+        }
+        let new = bins.tiles.len() - entries;
+        if total.fetch_add(new, Ordering::Relaxed) + new > MAX_ENTRIES {
+            break;
         }
     }
     bins
@@ -194,6 +203,7 @@ fn between(low: f64, high: f64, limit: usize) -> Range<usize> {
 #[cfg(test)]
 mod tests {
     use super::{Splat2, bin, bin_all};
+    use std::sync::atomic::AtomicUsize;
 
     #[test]
     fn wide_instructions_list_the_same_tiles() {
@@ -213,7 +223,9 @@ mod tests {
             }
         };
         let splats: Vec<Splat2> = (0..3_000).map(splat).collect();
-        let (wide, plain) = (bin(&splats, [131, 97]), bin_all(&splats, [131, 97]));
+        let total = AtomicUsize::new(0);
+        let wide = bin(&splats, [131, 97], &total);
+        let plain = bin_all(&splats, [131, 97], &total);
         assert_eq!(
             (wide.tiles, wide.counts, wide.per_tile),
             (plain.tiles.clone(), plain.counts, plain.per_tile)

@@ -46,7 +46,7 @@ impl<E: Real> Projected<E> {
     /// # Errors
     /// [`crate::Error::Config`] for settings out of range; [`crate::Error::Argument`] for array lengths that disagree or an unusable
     /// camera;
-    /// [`crate::Error::NonFinite`] for a NaN or an infinity in `splats`; [`crate::Error::Limit`] for tile lists beyond 2^32.
+    /// [`crate::Error::NonFinite`] for a NaN or an infinity in `splats`; [`crate::Error::Limit`] for tile lists of more than 2^28 entries.
     pub fn new(splats: &Splats<'_, E>, camera: &Camera, settings: &Settings) -> Result<Self> {
         settings.check()?;
         splats.check()?;

@@ -1,11 +1,11 @@
 //! Depth order and tile lists.
 
 use super::footprint::{Splat2, TILE};
-use super::outline::{Bins, bin};
+use super::outline::{Bins, MAX_ENTRIES, bin};
 use crate::error::{Result, ensure};
 use rayon::prelude::*;
 use std::ops::Range;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 
 /// Gaussians that one task bins.
 const CHUNK: usize = 4096;
@@ -93,19 +93,22 @@ pub(in crate::raster) fn depth_order(depths: &[f64]) -> Vec<u32> {
 /// Lists for `splats` in depth order over an image of `size` pixels.
 ///
 /// # Errors
-/// [`crate::Error::Limit`] when the lists would have more than 2^32 - 1 entries.
+/// [`crate::Error::Limit`] when the lists would have more than [`MAX_ENTRIES`] entries.
 pub(in crate::raster) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Result<TileLists> {
     let [columns, rows] = size.map(|s| s.div_ceil(TILE));
     let tiles = columns * rows;
     let chunk_len = CHUNK.max(splats.len().div_ceil(64));
     // `per_tile` becomes the next free position of each tile.
+    let listed = AtomicUsize::new(0);
     let mut chunks: Vec<Bins> = splats
         .par_chunks(chunk_len)
-        .map(|splats| bin(splats, size))
+        .map(|splats| bin(splats, size, &listed))
         .collect();
     let total: usize = chunks.iter().map(|c| c.tiles.len()).sum();
-    ensure!(total <= u32::MAX as usize,
-        limit "entries of the tile lists of one view"; found "{total}"; expected "{}", u32::MAX;
+    let done: usize = chunks.iter().map(|c| c.counts.len()).sum();
+    ensure!(total <= MAX_ENTRIES,
+        limit "entries of the tile lists of one view, 16 bytes each";
+        found "{total} of the first {done} of {} visible Gaussians", splats.len(); expected "{MAX_ENTRIES}";
         help "render a smaller image, or remove very large Gaussians");
     let mut starts = Vec::with_capacity(tiles + 1);
     let mut sum = 0;

@@ -8,6 +8,7 @@ use super::schedule::extent;
 use crate::config::{Config, Strategy};
 use crate::data::{Points, Scene, View};
 use crate::error::Result;
+use crate::memory;
 use crate::random::{Purpose, stream};
 use crate::segmentation::neighbours::{PointIndex, check_finite};
 use crate::splat::{Gaussians, SH_0};
@@ -31,17 +32,22 @@ pub(crate) fn initial_gaussians(
     config: &Config,
 ) -> Result<Gaussians> {
     let building = &config.building;
+    let count = match scene.points.positions.len() {
+        0 => building.random_points,
+        points => points,
+    };
+    let most = building.max_gaussians.limit().unwrap_or(usize::MAX);
+    memory::check_building(count.min(most), building.sh_degree)?;
     let points = if scene.points.positions.is_empty() {
         let mut rng = stream(config.seed, Purpose::InitialPoints, 0);
         Cow::Owned(random_points(train, building.random_points, &mut rng)?)
     } else {
         Cow::Borrowed(&scene.points)
     };
-    let points = match building.max_gaussians.limit() {
-        Some(most) if points.positions.len() > most => {
-            Cow::Owned(thinned(&points, most, config.seed))
-        }
-        _ => points,
+    let points = if points.positions.len() > most {
+        Cow::Owned(thinned(&points, most, config.seed))
+    } else {
+        points
     };
     let mut gaussians = from_points(&points, building.sh_degree, extent(train, &scene.points))?;
     if let Strategy::Mcmc(mcmc) = &building.strategy {

@@ -8,6 +8,8 @@ pub mod commands;
 pub mod compare;
 pub mod edit;
 pub mod features;
+pub mod foreign_files;
+pub mod hostile;
 pub mod prune;
 pub mod render;
 pub mod render_path;

@@ -1,13 +1,12 @@
 //! `coseg render` and `coseg vote`: the files that they write.
 
 use crate::support::plates::{HEIGHT, WIDTH, camera, plates, scene};
-use crate::support::program::{cpu_backend, read_npy, succeeds, utf8};
+use crate::support::program::{cpu_backend, listed, read_npy, succeeds, utf8};
 use coseg::data::{Classes, Limits};
 use coseg::raster::{Settings, render};
 use coseg::splat::camera::Camera;
 use coseg::splat::ply;
 use glam::DVec3;
-use std::ffi::OsString;
 
 #[test]
 fn render_writes_arrays_labels_and_pictures() {
@@ -36,14 +35,10 @@ fn render_writes_arrays_labels_and_pictures() {
     ];
     let cpu = cpu_backend();
     succeeds(&[&render_args[..], &more, &["--backend", &cpu]].concat());
-    let mut files: Vec<_> = std::fs::read_dir(&out)
-        .unwrap()
-        .map(|e| e.unwrap().file_name())
-        .collect();
-    files.sort();
+    let files = listed(&out);
     let of_view = |view: &str| {
         ["alpha.npy", "label.png", "label_color.png", "rgb.npy"]
-            .map(|kind| OsString::from(format!("{view}.{kind}")))
+            .map(|kind| format!("{view}.{kind}"))
     };
     let expected = [of_view("v2"), of_view("v5")].concat();
     assert_eq!(files, expected);

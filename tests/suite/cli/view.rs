@@ -2,7 +2,7 @@
 
 use crate::support::browser::inside;
 use crate::support::plates::scene as plates_scene;
-use crate::support::program::{fails, succeeds, utf8};
+use crate::support::program::{fails, listed, succeeds, utf8};
 use coseg::data::formats::transforms::write_cameras;
 use coseg::data::read_cameras;
 
@@ -54,9 +54,5 @@ fn a_model_folder_of_graphdeco_has_its_cameras_above_its_gaussians() {
     assert_eq!(header["cameras"].as_array().unwrap().len(), 6);
     let out = dir.path().join("pictures");
     succeeds(&["render", "--scene", utf8(&model), "--out", utf8(&out)]);
-    assert_eq!(
-        std::fs::read_dir(&out).unwrap().count(),
-        12,
-        "colour and coverage of six views"
-    );
+    assert_eq!(listed(&out).len(), 12, "colour and coverage of six views");
 }

@@ -14,6 +14,7 @@ pub mod colmap;
 pub mod colmap_models;
 pub mod color_maps;
 pub mod data_check;
+pub mod hostile;
 pub mod labelme;
 pub mod lens;
 pub mod map_geometry;

@@ -310,3 +310,24 @@ fn tensors_of_two_float_types_are_refused() {
         other => panic!("{other:?}"),
     }
 }
+
+#[test]
+fn lists_of_huge_gaussians_are_refused_before_they_take_the_memory() {
+    let n = 60_000;
+    let means = [0.0, 0.0, 3.0].repeat(n);
+    let values = [
+        means,
+        vec![20.0; 3 * n],
+        [1.0, 0.0, 0.0, 0.0].repeat(n),
+        vec![0.0; n],
+    ];
+    // 8,160 tiles.
+    let camera = Camera::centred([1_000.0; 2], [1_920, 1_080]);
+    let refused = Projected::new(&splats(&values), &camera, &Settings::default());
+    let error = refused.expect_err("489.6 million entries");
+    assert!(matches!(error, Error::Limit { .. }), "{error}");
+    let message = error.to_string();
+    for part in ["16 bytes each", "of 60000 visible Gaussians", "268435456"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+}

@@ -43,6 +43,15 @@ pub fn fails(arguments: &[&str], code: i32) -> String {
     message
 }
 
+/// Names of the files in a folder, hidden ones aside, in order.
+pub fn listed(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).unwrap();
+    let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let mut names: Vec<String> = names.filter(|name| !name.starts_with('.')).collect();
+    names.sort();
+    names
+}
+
 /// The path as an argument.
 pub fn utf8(path: &Path) -> &str {
     path.to_str().unwrap()

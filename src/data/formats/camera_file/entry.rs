@@ -1,7 +1,7 @@
 //! Fields of a JSON object, with errors that name file and field.
 
 use crate::data::Limits;
-use crate::data::formats::camera_checks::{FOCAL, describe_rotation, fits_f32};
+use crate::data::formats::camera_checks::{FOCAL, describe_rotation, fits_f32, is_coordinate};
 use crate::error::{Error, Result, ensure, invalid};
 use crate::splat::camera::Camera;
 use glam::DMat4;
@@ -136,6 +136,7 @@ fn number(value: &Value) -> Option<f64> {
 }
 
 fn numbers<const N: usize>(value: &Value) -> Option<[f64; N]> {
-    let values: Option<Vec<f64>> = value.as_array()?.iter().map(number).collect();
+    let coordinate = |value: &Value| number(value).filter(|value| is_coordinate(*value));
+    let values: Option<Vec<f64>> = value.as_array()?.iter().map(coordinate).collect();
     values?.try_into().ok()
 }

@@ -50,7 +50,7 @@ pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
             expected "cameras: a transforms.json, cameras.json of 3DGS, or camera path of nerfstudio";
             help "give a file of cameras, such as the cameras.json of a run")
     };
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let bytes = crate::files::read(path)?;
     if let Some(kind) = files::kind(&bytes).filter(|kind| *kind != "JSON") {
         return Err(unusable("first bytes", kind));
     }

@@ -5,6 +5,7 @@ use crate::data::formats::camera_checks::{FOCAL, MAX_PIXELS};
 use crate::data::photos::lens::Lens;
 use crate::error::{Error, Result, ensure, invalid};
 use crate::splat::camera::Camera;
+use std::collections::HashSet;
 use std::path::Path;
 
 /// The models that are read, by their numbers in binary files: name, number of focal lengths, and number of distortion
@@ -36,6 +37,7 @@ pub(super) struct ModelCamera {
 pub(super) fn read(path: &Path) -> Result<Vec<ModelCamera>> {
     let mut reader = Reader::open(path, "camera", 4 + 4 + 16 + 3 * 8)?;
     let mut cameras = Vec::new();
+    let mut seen = HashSet::new();
     while reader.next()? {
         let place = reader.place();
         let id = reader.value("CAMERA_ID")?;
@@ -48,6 +50,8 @@ pub(super) fn read(path: &Path) -> Result<Vec<ModelCamera>> {
             .map(|_| reader.value("PARAMS"))
             .collect::<Result<_>>()?;
         reader.expect_end("PARAMS", &format!("{count} numbers for {name}"))?;
+        ensure!(seen.insert(id), path, "{place}: CAMERA_ID"; found "{id}, which an earlier camera has too";
+            expected "a number of its own for each camera"; help "drop the repeated camera from the model");
         cameras.push(ModelCamera {
             id,
             size,

@@ -4,7 +4,7 @@ use super::DAMAGED_HELP;
 use super::cameras::ModelCamera;
 use super::reader::Reader;
 use crate::data::Limits;
-use crate::data::formats::camera_checks::not_a_rotation;
+use crate::data::formats::camera_checks::{is_coordinate, not_a_rotation};
 use crate::data::formats::frame::joined_name;
 use crate::data::photos::lens::Lens;
 use crate::error::{Result, ensure, invalid};
@@ -102,7 +102,7 @@ impl PosedImage {
         ensure!((0.99..1.01).contains(&norm),
             images, "{place}: QW QX QY QZ"; found "{:?} of length {norm:.4}", self.rotation;
             expected "a quaternion of length 1"; help "{DAMAGED_HELP}");
-        ensure!(self.translation.iter().all(|&v| (v as f32).is_finite()),
+        ensure!(self.translation.iter().all(|&v| is_coordinate(v)),
             images, "{place}: TX TY TZ"; found "{:?}", self.translation; expected "finite numbers (f32)"; help "{DAMAGED_HELP}");
         let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
         let center = -(rotation.transpose() * DVec3::from(self.translation));

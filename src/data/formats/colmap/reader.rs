@@ -61,7 +61,7 @@ struct Text {
 impl<'p> Reader<'p> {
     /// Opens a file of items; a binary one takes at least `smallest` bytes for each `item`.
     pub fn open(path: &'p Path, item: &'static str, smallest: u64) -> Result<Self> {
-        let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
+        let file = crate::files::open(path)?;
         let length = file
             .metadata()
             .map_err(|e| Error::io(path, "measure", e))?

@@ -1,7 +1,7 @@
 //! The fields of a `transforms.json`, and the cameras that they give.
 
 use super::not_finite::quoted;
-use crate::data::formats::camera_checks::{FOCAL, MAX_PIXELS, describe_rotation, fits_f32};
+use crate::data::formats::camera_checks::{FOCAL, MAX_PIXELS, describe_rotation, is_coordinate};
 use crate::data::photos::lens::Lens;
 use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files;
@@ -185,7 +185,7 @@ impl Transforms {
         let mut m = DMat4::IDENTITY.to_cols_array_2d();
         for (r, row) in rows.iter().enumerate() {
             for (c, value) in row.iter().enumerate() {
-                let number = value.as_f64().filter(|number| fits_f32(*number));
+                let number = value.as_f64().filter(|number| is_coordinate(*number));
                 m[r][c] = number.ok_or_else(|| {
                     let text = value.as_str().map(str::to_owned);
                     let found = text.unwrap_or_else(|| value.to_string());

@@ -37,7 +37,7 @@ struct Shape {
 
 /// Whether a JSON file is LabelMe's.
 pub(crate) fn has_shapes(file: &Path) -> bool {
-    std::fs::read_to_string(file).is_ok_and(|text| text.contains("\"shapes\""))
+    crate::files::text(file).is_ok_and(|text| text.contains("\"shapes\""))
 }
 
 /// Reads `labelled`, for a scene with the class table `classes`: drawings by the names of the frames.

@@ -190,7 +190,7 @@ fn inflate(path: &Path, limits: &Limits) -> Result<Vec<u8>> {
     let help = "store fewer classes of each cell";
     let size = std::fs::metadata(path).map_err(|e| Error::io(path, "open", e))?;
     check_limit(path, "bytes", size.len(), most, help)?;
-    let file = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let file = crate::files::read(path)?;
     let damaged = |found: String| invalid!(path, "compressed data"; found "{found}"; expected "a complete file of scores"; help "{DAMAGED_HELP}");
     let mut decoder = Decompress::new(true);
     let mut bytes = Vec::new();

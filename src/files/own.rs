@@ -1,0 +1,227 @@
+//! Which files a command of this program wrote: it writes over no others.
+//!
+//! The program calls [`guard`]; the library alone writes where it is told to. Then each folder that is written into has a record,
+//! [`RECORD`]: a line for each file with the SHA-256 of its content, the command, and its name. A file is own as long as its content
+//! is what such a line says.
+
+use super::lock;
+use crate::error::{Error, Result, bail, ensure};
+use sha2::{Digest, Sha256};
+use std::collections::{HashMap, HashSet};
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
+use std::time::SystemTime;
+
+/// The record of a folder.
+pub const RECORD: &str = ".coseg-files";
+/// The first line of a record.
+const FIRST: &str =
+    "SHA-256 and name of each file that coseg wrote here. It writes over no others.\n";
+
+/// What this process knows of records.
+#[derive(Default)]
+struct Known {
+    /// This command, and others whose files it may write over; empty without a guard.
+    commands: Vec<&'static str>,
+    /// Lines of the records, by folder.
+    lines: HashMap<PathBuf, HashSet<String>>,
+    /// Time and size of the files that this process wrote: as long as they stay, nobody else has changed the content.
+    stamps: HashMap<PathBuf, (SystemTime, u64)>,
+    /// Files and folders that may be written over.
+    allowed: HashSet<PathBuf>,
+}
+
+static KNOWN: LazyLock<Mutex<Known>> = LazyLock::new(Mutex::default);
+
+fn known() -> MutexGuard<'static, Known> {
+    KNOWN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// From now on this process, which runs the first one of `commands`, writes over no files but those that these commands wrote.
+pub fn guard(commands: &[&'static str]) {
+    known().commands = commands.to_vec();
+}
+
+/// Lets this process write over `path`, or over all files that lie in the folder `path`.
+pub fn allow(path: impl AsRef<Path>) {
+    known().allowed.insert(path.as_ref().to_owned());
+}
+
+/// Refuses to write over the file at `path`, unless this program wrote it. Commands call this before they start to work.
+///
+/// # Errors
+/// [`Error::Argument`] naming the file; [`Error::Io`] where it cannot be read.
+pub fn check(path: impl AsRef<Path>) -> Result<()> {
+    let path = path.as_ref();
+    let Ok(there) = fs::symlink_metadata(path) else {
+        return Ok(());
+    };
+    let known = known();
+    if known.commands.is_empty() {
+        return Ok(());
+    }
+    let stamp = there.modified().ok().map(|time| (time, there.len()));
+    let is_allowed = |path: &Path| known.allowed.contains(path);
+    if is_allowed(path)
+        || is_allowed(folder(path))
+        || stamp.is_some() && known.stamps.get(path) == stamp.as_ref()
+    {
+        return Ok(());
+    }
+    drop(known);
+    ensure!(there.is_file() && is_recorded(path)?,
+        argument "output"; found "{}, which this command did not write, or which was changed since", path.display();
+        expected "a new file, or one that this command wrote"; help "move it away, or name another output");
+    Ok(())
+}
+
+/// [`check`] for each file in `folder`, if it is there. Hidden files do not count.
+///
+/// # Errors
+/// As [`check`].
+pub fn check_folder(folder: impl AsRef<Path>) -> Result<()> {
+    let folder = folder.as_ref();
+    let mut names = super::names(folder, |name, path| {
+        !name.starts_with('.') && !path.is_dir()
+    });
+    names
+        .drain(..)
+        .try_for_each(|name| check(folder.join(name)))
+}
+
+/// Whether the record of its folder has the file as it is.
+fn is_recorded(path: &Path) -> Result<bool> {
+    let mut content = super::open(path)?;
+    let mut hash = Sha256::new();
+    io::copy(&mut content, &mut hash).map_err(|e| Error::io(path, "read", e))?;
+    let digest = hash.finalize();
+    let lines = read(folder(path))?;
+    let commands = known().commands.clone();
+    let mut own = commands.iter().map(|command| line(path, &digest, command));
+    Ok(own.any(|line| lines.contains(&line)))
+}
+
+/// Notes that a file with this SHA-256 is about to take its place at `path`. The first time in a folder, removes what killed
+/// processes left there.
+pub(super) fn note(path: &Path, digest: &[u8]) -> Result<()> {
+    let folder = folder(path);
+    let mut known = known();
+    let Some(&command) = known.commands.first() else {
+        return Ok(());
+    };
+    if !known.lines.contains_key(folder) {
+        super::atomic::remove_abandoned(folder);
+        let lines = read(folder)?;
+        known.lines.insert(folder.to_owned(), lines);
+    }
+    let record = folder.join(RECORD);
+    let line = line(path, digest, command);
+    let lines = known.lines.entry(folder.to_owned()).or_default();
+    if !lines.insert(line.clone()) && record.is_file() {
+        return Ok(());
+    }
+    let append = |record: &Path| -> io::Result<()> {
+        let mut file = OpenOptions::new().create(true).append(true).open(record)?;
+        let first = if file.metadata()?.len() == 0 {
+            FIRST
+        } else {
+            ""
+        };
+        // One call, which other processes do not split.
+        file.write_all(format!("{first}{line}\n").as_bytes())
+    };
+    append(&record).map_err(|e| Error::io(&record, "write", e))
+}
+
+/// Notes when the file at `path` was written.
+pub(super) fn stamp(path: &Path) {
+    let written = fs::symlink_metadata(path).and_then(|at| Ok((at.modified()?, at.len())));
+    if let Ok(stamp) = written {
+        known().stamps.insert(path.to_owned(), stamp);
+    }
+}
+
+/// Removes the record and the lock of a folder that holds nothing else, and the folder.
+pub fn remove_empty(folder: impl AsRef<Path>) {
+    let folder = folder.as_ref();
+    let ours = [RECORD, lock::FILE];
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    if entries
+        .map(|entry| entry.file_name())
+        .any(|name| !ours.iter().any(|own| name == *own))
+    {
+        return;
+    }
+    // What stays does no harm.
+    for name in ours {
+        let _ = fs::remove_file(folder.join(name));
+    }
+    known().lines.remove(folder);
+    let _ = fs::remove_dir(folder);
+}
+
+/// Removes the files in `folder` that this program wrote, and its folders and itself where nothing else is in them.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn remove_folder(folder: &Path) -> Result<()> {
+    for name in super::names(folder, |name, _| !name.starts_with('.')) {
+        let path = folder.join(name);
+        if path.is_dir() && !path.is_symlink() {
+            remove_folder(&path)?;
+        } else if check(&path).is_ok() {
+            fs::remove_file(&path).map_err(|e| Error::io(&path, "remove", e))?;
+        }
+    }
+    remove_empty(folder);
+    Ok(())
+}
+
+/// The lines of the record of `folder`; none where there is no record.
+fn read(folder: &Path) -> Result<HashSet<String>> {
+    let path = folder.join(RECORD);
+    if fs::symlink_metadata(&path).is_err() {
+        return Ok(HashSet::new());
+    }
+    let text = super::text(&path)?;
+    let Some(lines) = text.strip_prefix(FIRST) else {
+        bail!(&path, "line 1"; found "another text"; expected "the record of the files that coseg wrote";
+            help "move it away; coseg then writes over no file of this folder");
+    };
+    Ok(lines.lines().map(str::to_owned).collect())
+}
+
+fn line(path: &Path, digest: &[u8], command: &str) -> String {
+    let hex: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+    // Escaped, because a name may have line ends.
+    let name = super::file_name(path).unwrap_or_default();
+    format!("{hex} {command} {}", name.escape_debug())
+}
+
+fn folder(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+/// Passes bytes on to a file and hashes them.
+#[derive(Debug)]
+pub struct Hashed {
+    pub(super) file: File,
+    pub(super) hash: Sha256,
+}
+
+impl Write for Hashed {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.file.write(bytes)?;
+        self.hash.update(&bytes[..written]);
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}

@@ -1,0 +1,57 @@
+//! What stage two needs, checked before stage one starts: networks, imported maps, and memory.
+
+use super::lift::reads_features;
+use super::run::has_raw_labels;
+use crate::config::{Association, Config, Variant};
+use crate::data::{Scene, Split};
+use crate::error::Result;
+use crate::features::Extractor;
+use crate::memory;
+use crate::segmentation::encoder::load_spatial;
+use burn::tensor::Device;
+
+/// Opens what stage two reads beside the scene, so that nothing is missing after stage one: weights and imported maps.
+pub(super) fn check_networks(config: &Config, scene: &Scene, device: &Device) -> Result<()> {
+    if reads_features(config) {
+        let extractor = Extractor::open(&config.features, device)?;
+        let mut views = scene.split(Split::Train);
+        views.try_for_each(|view| extractor.expect(&view.name))?;
+    }
+    let mut rows = config.segmentation.rows().iter();
+    if rows.any(|row| row.trains_decoder()) {
+        load_spatial(&config.spatial, config.seed, device)?;
+    }
+    Ok(())
+}
+
+/// Gaussians that stage one starts from; 0 where they come from a file.
+pub(super) fn initial_count(scene: &Scene, config: &Config) -> usize {
+    let building = &config.building;
+    let points = match scene.points.positions.len() {
+        _ if building.gaussians.is_some() => 0,
+        0 => building.random_points,
+        points => points,
+    };
+    points.min(building.max_gaussians.limit().unwrap_or(usize::MAX))
+}
+
+/// Refuses a stage two whose votes and identities exceed the memory. Objects have yet to be counted.
+pub(super) fn check_scores(gaussians: usize, scene: &Scene, config: &Config) -> Result<()> {
+    let is_known = config.data.association == Association::None && has_raw_labels(scene);
+    if !is_known || config.segmentation.rows().is_empty() {
+        return Ok(());
+    }
+    memory::check_scores(gaussians, scene.classes.len(), score_tables(config))
+}
+
+/// Scores of each Gaussian for each class that are in memory together at most, as measured: votes, identities of each variant,
+/// and what training them takes.
+pub(super) fn score_tables(config: &Config) -> usize {
+    let rows = config.segmentation.rows();
+    let training = match rows {
+        _ if rows.contains(&Variant::PerGaussian) => 6,
+        _ if rows.iter().any(|row| row.trains_decoder()) => 3,
+        _ => 0,
+    };
+    2 + rows.len() + training
+}

@@ -1,0 +1,92 @@
+//! Safetensors files that hold their own checksum.
+
+use crate::error::{Result, ensure};
+use safetensors::{Dtype, SafeTensorError, SafeTensors, View};
+use sha2::{Digest, Sha256};
+use std::borrow::Cow;
+use std::collections::HashMap;
+use std::ops::Range;
+use std::path::Path;
+
+/// Tensor with the SHA-256 of the file, computed while its own bytes are 0.
+pub(crate) const NAME: &str = "sha256";
+const EMPTY: [u8; 32] = [0; 32];
+static SHAPE: [usize; 1] = [EMPTY.len()];
+
+/// A tensor of the file, or its checksum.
+enum Part<V> {
+    Tensor(V),
+    Checksum,
+}
+
+impl<V: View> View for Part<V> {
+    fn dtype(&self) -> Dtype {
+        match self {
+            Self::Tensor(tensor) => tensor.dtype(),
+            Self::Checksum => Dtype::U8,
+        }
+    }
+
+    fn shape(&self) -> &[usize] {
+        match self {
+            Self::Tensor(tensor) => tensor.shape(),
+            Self::Checksum => &SHAPE,
+        }
+    }
+
+    fn data(&self) -> Cow<'_, [u8]> {
+        match self {
+            Self::Tensor(tensor) => tensor.data(),
+            Self::Checksum => Cow::Borrowed(&EMPTY),
+        }
+    }
+
+    fn data_len(&self) -> usize {
+        match self {
+            Self::Tensor(tensor) => tensor.data_len(),
+            Self::Checksum => EMPTY.len(),
+        }
+    }
+}
+
+/// The bytes of a safetensors file with these tensors and notes, and its checksum.
+pub(crate) fn sealed<V: View>(
+    tensors: impl IntoIterator<Item = (String, V)>,
+    notes: Option<HashMap<String, String>>,
+) -> Result<Vec<u8>, SafeTensorError> {
+    let tensors = tensors.into_iter().map(|(name, v)| (name, Part::Tensor(v)));
+    let parts = tensors.chain([(NAME.to_owned(), Part::Checksum)]);
+    let mut bytes = safetensors::serialize(parts, notes)?;
+    if let Some(place) = place(&bytes) {
+        let digest = digest(&bytes, &place);
+        bytes[place].copy_from_slice(&digest);
+    }
+    Ok(bytes)
+}
+
+/// Refuses `bytes` of the file `path` that are not those that were written.
+///
+/// # Errors
+/// [`crate::Error::Input`].
+pub(crate) fn check(bytes: &[u8], path: &Path, help: &str) -> Result<()> {
+    let intact = place(bytes).is_some_and(|place| bytes[place.clone()] == digest(bytes, &place));
+    ensure!(intact, path, "checksum"; found "other bytes than were written"; expected "a whole file of this version of coseg";
+        help "{help}");
+    Ok(())
+}
+
+/// Where the checksum stands.
+fn place(bytes: &[u8]) -> Option<Range<usize>> {
+    let (header, metadata) = SafeTensors::read_metadata(bytes).ok()?;
+    let (from, to) = metadata.info(NAME)?.data_offsets;
+    // The header follows its length of eight bytes.
+    let start = header.checked_add(8)?;
+    let place = start.checked_add(from)?..start.checked_add(to)?;
+    (place.len() == EMPTY.len() && place.end <= bytes.len()).then_some(place)
+}
+
+fn digest(bytes: &[u8], place: &Range<usize>) -> [u8; 32] {
+    let hash = Sha256::new().chain_update(&bytes[..place.start]);
+    let hash = hash.chain_update(EMPTY).chain_update(&bytes[place.end..]);
+    hash.finalize().into()
+}

@@ -1,0 +1,4 @@
+//! Tests of what every reader of files promises.
+
+pub mod bit_flips;
+pub mod mutations;

@@ -1,0 +1,229 @@
+//! Every reader of files on thousands of damaged ones: a result or an error, no panic, and an end.
+
+use crate::support::colmap::{self, pinhole};
+use crate::support::damage::Damage;
+use crate::support::onnx::Onnx;
+use crate::support::pictures::{picture, view};
+use crate::support::{plates, small_scene, torch_file};
+use coseg::checkpoint::Checkpoint;
+use coseg::compare::Plan;
+use coseg::config::{Config, FeatureConfig, FeatureSource};
+use coseg::data::{
+    self, Classes, LabelMap, Limits, LoadOptions, Points, ScoreGrid, ScoreMap, Split, read_cameras,
+};
+use coseg::features::Extractor;
+use coseg::objects::Identities;
+use coseg::segmenter::{ClassFile, Contract, Network};
+use coseg::splat::ply;
+use coseg::weights::WeightFile;
+use glam::DVec3;
+use serde_json::json;
+use std::collections::BTreeMap;
+use std::fs;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+/// Mutations of each file.
+const MUTATIONS: usize = 2_000;
+
+/// Reads mutations of the file.
+fn survives<T>(path: &Path, read: impl Fn(&Path) -> T) {
+    let whole = fs::read(path).expect("a file of the corpus");
+    let mut damage = Damage::new(3);
+    for number in 0..MUTATIONS {
+        fs::write(path, damage.mutated(&whole)).expect("write");
+        let read = catch_unwind(AssertUnwindSafe(|| drop(read(path))));
+        assert!(read.is_ok(), "{}: mutation {number}", path.display());
+    }
+    fs::write(path, whole).expect("write");
+}
+
+#[test]
+fn scenes_with_transforms() {
+    let dir = small_scene::scene();
+    let at = |name: &str| dir.path().join(name);
+    let options = LoadOptions::default();
+    data::load(dir.path(), &options).expect("a scene");
+    survives(&at("transforms.json"), |_| data::load(dir.path(), &options));
+    survives(&at("transforms.json"), |file| read_cameras(file, None));
+    survives(&at("classes.json"), Classes::read);
+    survives(&at("images/v1.png"), |_| data::check(dir.path(), &options));
+    let limits = Limits::default();
+    survives(&at("labels/v1.png"), |file| LabelMap::read(file, &limits));
+    survives(&at("points.ply"), |file| {
+        Points::read(file, DVec3::ZERO, &limits)
+    });
+    let photo = at("images/v1.jpg");
+    picture(16, 12, 1).save(&photo).expect("JPEG");
+    small_scene::edit(&dir, |v| {
+        v["frames"][1]["file_path"] = json!("images/v1.jpg")
+    });
+    survives(&photo, |_| data::load(dir.path(), &options));
+}
+
+#[test]
+fn scenes_of_colmap() {
+    for (write, form) in [
+        (colmap::binary as fn(&Path, &_), "bin"),
+        (colmap::text, "txt"),
+    ] {
+        let dir = colmap::scene(write, &pinhole());
+        let options = LoadOptions::default();
+        data::load(dir.path(), &options).expect("a scene");
+        for part in ["cameras", "images"] {
+            let file = dir.path().join(format!("sparse/0/{part}.{form}"));
+            survives(&file, |_| data::load_cameras(dir.path(), &options, None));
+        }
+        let points = dir.path().join(format!("sparse/0/points3D.{form}"));
+        survives(&points, |_| data::load(dir.path(), &options));
+    }
+}
+
+#[test]
+fn drawn_labels() {
+    let dir = small_scene::scene();
+    let square = json!([[2.0, 2.0], [9.0, 2.0], [9.0, 8.0], [2.0, 8.0]]);
+    let shape = json!({ "label": "wall", "points": square, "shape_type": "polygon" });
+    let drawn = json!({ "version": "5.5.0", "shapes": [shape], "imagePath": "v1.png", "imageHeight": 12, "imageWidth": 16 });
+    let coco = json!({
+        "categories": [{ "id": 1, "name": "wall" }],
+        "images": [{ "id": 11, "file_name": "v1.png", "width": 16, "height": 12 }],
+        "annotations": [
+            { "id": 1, "image_id": 11, "category_id": 1, "segmentation": [[2, 2, 9, 2, 9, 8, 2, 8]] },
+            { "id": 2, "image_id": 11, "category_id": 1, "segmentation": { "size": [12, 16], "counts": [30, 12, 150] } },
+        ],
+    });
+    fs::create_dir(dir.path().join("drawn")).expect("folder");
+    for (raw, file, value) in [
+        ("drawn", "drawn/v1.json", drawn),
+        ("coco.json", "coco.json", coco),
+    ] {
+        let file = dir.path().join(file);
+        fs::write(&file, value.to_string()).expect("write");
+        let options = LoadOptions {
+            raw_labels: Some(raw.to_owned()),
+            ..LoadOptions::default()
+        };
+        data::load(dir.path(), &options).expect("a scene");
+        survives(&file, |_| data::load(dir.path(), &options));
+    }
+}
+
+#[test]
+fn gaussians_and_files_of_a_run() {
+    let dir = tempfile::tempdir().expect("folder");
+    let at = |name: &str| dir.path().join(name);
+    let (gaussians, labels) = plates::plates();
+    let rows: Vec<u32> = (0..8).collect();
+    ply::write(
+        &at("scene.ply"),
+        &gaussians.select(&rows),
+        DVec3::ZERO,
+        Some(&labels[..8]),
+    )
+    .expect("write");
+    survives(&at("scene.ply"), |file| ply::read(file, &Limits::default()));
+    let identities = Identities {
+        scores: vec![0.5; 24],
+        classes: 3,
+    };
+    identities
+        .write(&at("identities.safetensors"))
+        .expect("write");
+    survives(&at("identities.safetensors"), Identities::read);
+    let mut checkpoint = Checkpoint::new("building");
+    checkpoint
+        .put("means", &[2, 3], vec![1.0_f32; 6])
+        .expect("fits");
+    checkpoint.save(&at("building.safetensors")).expect("write");
+    survives(&at("building.safetensors"), |file| {
+        Checkpoint::load(file, "building")
+    });
+}
+
+#[test]
+fn settings_and_plans() {
+    let dir = tempfile::tempdir().expect("folder");
+    let at = |name: &str| dir.path().join(name);
+    fs::write(
+        at("config.toml"),
+        Config::default().to_toml().expect("TOML"),
+    )
+    .expect("write");
+    survives(&at("config.toml"), |file| Config::load(Some(file), &[]));
+    let plan = "title = \"t\"\nscenes = [\"builtin\"]\nseeds = 2\n[settings]\nsegmentation.lr = 6e-3\n[[labels]]\nname = \"raw\"\n\
+        [[rows]]\nname = \"vote\"\nvariant = \"vote\"\n";
+    fs::write(at("plan.toml"), plan).expect("write");
+    Plan::read(&at("plan.toml"), None).expect("a plan");
+    survives(&at("plan.toml"), |file| Plan::read(file, None));
+    fs::write(at("net.toml"), Onnx::contract(16, 12)).expect("write");
+    survives(&at("net.toml"), Contract::read);
+    fs::write(at("classes.toml"), "[classes]\nwall = [\"plaster\"]\n").expect("write");
+    survives(&at("classes.toml"), ClassFile::read);
+}
+
+#[test]
+fn networks_and_what_they_write() {
+    let dir = tempfile::tempdir().expect("folder");
+    let at = |name: &str| dir.path().join(name);
+    let net = Onnx::write_sound(dir.path(), 16, 12);
+    let contract = Contract::read(&at("net.toml")).expect("a contract");
+    survives(&net, |file| Network::load(file, contract.clone()));
+    let tensors = BTreeMap::from([("conv.weight".to_owned(), (vec![2, 3], vec![0.5; 6]))]);
+    fs::write(
+        at("net.pth"),
+        torch_file::bytes(&torch_file::state_dict(&tensors, "")),
+    )
+    .expect("write");
+    WeightFile::open(at("net.pth")).expect("weights");
+    survives(&at("net.pth"), |file| WeightFile::open(file));
+    let scores = ScoreMap {
+        grid: ScoreGrid {
+            photo: [12, 8],
+            scale: [0.25; 2],
+            offset: [-0.5; 2],
+        },
+        width: 3,
+        height: 2,
+        classes: 2,
+        id_limit: 10,
+        ids: vec![1, 1, 2, 3, 9, 4, 5, 0, 1, 0, 3, 0],
+        probabilities: vec![200, 255, 128, 130, 100, 99, 55, 0, 127, 0, 80, 0],
+    };
+    scores
+        .write(&at("a.scores"), &Limits::default())
+        .expect("write");
+    survives(&at("a.scores"), |file| {
+        ScoreMap::read(file, &Limits::default())
+    });
+}
+
+#[test]
+fn imported_features() {
+    let dir = tempfile::tempdir().expect("folder");
+    let config = FeatureConfig {
+        source: FeatureSource::Import(dir.path().to_owned()),
+        ..FeatureConfig::default()
+    };
+    let extractor = Extractor::open(&config, &crate::support::device()).expect("a folder");
+    let view = view("v", Split::Train, picture(16, 12, 1), None);
+    let text = "{'descr': '<f4', 'fortran_order': False, 'shape': (2, 2, 3), }";
+    let mut npy = b"\x93NUMPY\x01\0".to_vec();
+    npy.extend((text.len() as u16).to_le_bytes());
+    npy.extend(text.bytes());
+    npy.extend([0.5_f32; 12].iter().flat_map(|v| v.to_le_bytes()));
+    for n in 1..=4 {
+        fs::write(dir.path().join(format!("v.{n}.npy")), &npy).expect("write");
+    }
+    extractor.maps(&view).expect("maps");
+    let file = dir.path().join("v.1.npy");
+    survives(&file, |_| extractor.maps(&view));
+    // 16 nested dictionaries took the parser of such headers for ever.
+    let nested = [&b"\x93NUMPY\x01\0\x10\0"[..], &[b'{'; 16]].concat();
+    fs::write(&file, nested).expect("write");
+    let message = extractor.maps(&view).expect_err("nested").to_string();
+    assert!(
+        message.contains("v.1.npy: header: found nested values"),
+        "{message}"
+    );
+}
