@@ -50,8 +50,8 @@ Settings come from the preset (preset = \"default\", \"paper\" or \"fast\"), the
 data, building, raster, features, unprojection, spatial and segmentation. Relative paths start at the working folder. Times are
 in seconds, lengths in world units, shares from 0 to 1.
 
-Without --data and data.dir, `coseg train` trains the built-in room. Its defaults are building.iterations = 2400,
-building.max_gaussians = 25000 and segmentation.pixel_share = 0.25. The preset \"paper\" keeps its own values, and --config and
+Without --data and data.dir, `coseg train` trains the built-in room. Its defaults are building.iterations = 2400
+and segmentation.pixel_share = 0.25. The preset \"paper\" keeps its own values, and --config and
 --set override all of them.
 
 Examples:

@@ -16,7 +16,6 @@ impl Config {
         let mut config = Self::default();
         if preset != Preset::Paper {
             config.building.iterations = 2_400;
-            config.building.max_gaussians = Budget::AtMost(25_000);
             config.segmentation.pixel_share = 0.25;
         }
         config.changed_by(preset)

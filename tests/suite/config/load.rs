@@ -76,7 +76,7 @@ fn the_built_in_scene_has_defaults_of_its_own_below_all_that_is_given() {
             segmentation.pixel_share,
         )
     };
-    let builtin = (2_400, Budget::AtMost(25_000), 2_000, 0.25);
+    let builtin = (2_400, Budget::Auto, 2_000, 0.25);
     assert_eq!(
         Config::load_for(None, None, &[]).unwrap(),
         Config::builtin_preset(Preset::Default)
