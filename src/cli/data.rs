@@ -147,10 +147,9 @@ impl InfoArgs {
             (Ok(path), Ok(dir)) => path.starts_with(&dir) && path.parent() != Some(&dir),
             _ => false,
         };
-        own::check(path)?;
         ensure!(!is_in_subfolder, argument "--sheet"; found "{}, a file within the scene", path.display();
             expected "a new file, or one outside the scene's subfolders"; help "name another file");
-        Ok(())
+        own::check(path)
     }
 
     fn run(self) -> Result<()> {
