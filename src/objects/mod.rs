@@ -1,8 +1,10 @@
-//! Labels of Gaussians: association of segments across views, votes over raw labels, stored identities, label rendering.
+//! Labels of Gaussians: association of segments across views, votes over raw labels, stored identities, label rendering, edits.
 
 mod association;
 mod calibration;
 mod compactness;
+mod editing;
+mod edits;
 mod identities;
 mod inventory;
 mod label_maps;
@@ -17,6 +19,8 @@ mod vote;
 pub use self::association::{Association, Group, associate};
 pub use self::calibration::{Calibration, LabelErrors};
 pub use self::compactness::NeighbourGraph;
+pub use self::editing::{Edited, Editing};
+pub use self::edits::{Edits, NewObject, Operation, Turn, VERSION as EDITS_VERSION};
 pub use self::identities::Identities;
 pub use self::inventory::{Object, Picked, inventory, pick};
 pub use self::label_maps::{LabelMaps, LabelRule};

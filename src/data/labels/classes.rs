@@ -67,6 +67,21 @@ impl Classes {
         class.map(|class| class.id)
     }
 
+    /// The entry of `id`. A missing one is added as `label ID`.
+    pub(crate) fn entry(&mut self, id: u16) -> &mut Class {
+        let i = self.entries.partition_point(|c| c.id < id);
+        if self.entries.get(i).is_none_or(|c| c.id != id) {
+            let class = Class {
+                id,
+                name: format!("label {id}"),
+                color: class_color(id),
+                object_of: None,
+            };
+            self.entries.insert(i, class);
+        }
+        &mut self.entries[i]
+    }
+
     /// Reads `classes.json`, in either form:
     /// `{"0": "void", "1": "wall", ...}`, where id 0 must be absent or mean 'unlabelled' and is ignored;
     /// `{"ignore": 0, "classes": [{"id": 1, "name": "wall", "color": [r, g, b]}, ...]}` as [`Classes::write`] makes it
@@ -111,10 +126,29 @@ impl Classes {
         atomic::write_bytes(path, self.text().as_bytes())
     }
 
+    /// [`Classes::write`] with the name of the command that writes, which may write over the file again.
+    ///
+    /// # Errors
+    /// [`crate::Error::Io`].
+    pub fn write_by(&self, command: &str, path: &Path) -> Result<()> {
+        atomic::write_bytes(path, self.text_by(Some(command.to_owned())).as_bytes())
+    }
+
+    /// The command that wrote the file, by [`Classes::write_by`]; `None` for other files.
+    pub fn written_by(path: &Path) -> Option<String> {
+        let file: Option<ClassFile> = serde_json::from_str(&files::text(path).ok()?).ok();
+        file?.written_by
+    }
+
     /// The content of the file that [`Classes::write`] writes.
     pub(crate) fn text(&self) -> String {
+        self.text_by(None)
+    }
+
+    fn text_by(&self, command: Option<String>) -> String {
         let file = ClassFile {
             ignore: self.ignore,
+            written_by: command,
             classes: self.entries.iter().map(ClassEntry::from).collect(),
         };
         // Plain data always has a JSON form.
@@ -146,6 +180,8 @@ fn check_unique(path: &Path, ids: impl Iterator<Item = u16>) -> Result<()> {
 #[derive(Serialize, Deserialize)]
 struct ClassFile {
     ignore: u16,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    written_by: Option<String>,
     classes: Vec<ClassEntry>,
 }
 

@@ -100,7 +100,7 @@ impl Separation {
             .iter()
             .filter(|&&id| classes.is_empty() && id != naming.classes.ignore);
         for id in unnamed.copied().collect::<BTreeSet<u16>>() {
-            naming.entry(id);
+            naming.classes.entry(id);
         }
         separated.classes = naming.classes;
         Ok(separated)
