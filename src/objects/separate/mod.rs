@@ -8,6 +8,7 @@ mod components;
 mod ellipsoid;
 mod naming;
 
+use super::color_apart;
 use crate::data::Classes;
 use crate::error::{Result, ensure};
 use crate::segmentation::neighbours::PointIndex;
@@ -103,6 +104,9 @@ impl Separation {
             naming.classes.entry(id);
         }
         separated.classes = naming.classes;
+        let made = separated.pieces.values().flat_map(|ids| &ids[1..]);
+        let made: BTreeSet<u16> = made.copied().collect();
+        color_apart(gaussians, &separated.labels, &mut separated.classes, &made)?;
         Ok(separated)
     }
 
