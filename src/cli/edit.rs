@@ -107,7 +107,7 @@ impl EditArgs {
                 let edits = Edits::read(file)?;
                 (
                     scene.edited(editing, &edits)?,
-                    format!("{} edits", edits.operations.len()),
+                    format!("edits: {}", edits.operations.len()),
                 )
             }
             None => self.by_options(&scene, editing)?,

@@ -30,7 +30,7 @@ fn the_command_applies_edits_to_their_scene_alone() {
     ];
     let said = succeeds(&edit);
     assert!(
-        said.contains("86 of 111") && said.contains("2 edits"),
+        said.contains("86 of 111") && said.contains("edits: 2"),
         "{said}"
     );
     let read = |name: &str| ply::read(&out.join(name), &Limits::default()).unwrap();
