@@ -9,7 +9,7 @@ use coseg::config::Association;
 use coseg::data::formats::transforms;
 use coseg::data::{MapGeometry, Split};
 use coseg::error::Result;
-use coseg::objects::vote;
+use coseg::objects::{color_apart, vote};
 use coseg::pipeline::{Associated, HeldOut, Inputs, associate};
 use coseg::raster::Settings;
 use coseg::splat::ply;
@@ -65,10 +65,13 @@ impl AssociateArgs {
             }
         }
         transforms::write_cameras(&out.join("cameras.json"), &cameras_of(&scene))?;
-        classes.write(&out.join("classes.json"))?;
         let train = scene.split(Split::Train);
         let identities = vote(&ply.gaussians, train, classes, &settings, &device)?.identities();
         let ids = identities.ids(classes);
+        let mut colored = classes.clone();
+        let all = classes.entries.iter().map(|class| class.id).collect();
+        color_apart(&ply.gaussians, &ids, &mut colored, &all)?;
+        colored.write(&out.join("classes.json"))?;
         ply::write(
             &out.join("scene.ply"),
             &ply.gaussians,

@@ -1,12 +1,12 @@
-//! `coseg edit`: objects of a labelled scene kept, removed, turned, moved and painted.
+//! `coseg edit`: objects of a labelled scene kept, removed, turned, moved and painted; edits of the viewer applied.
 
-use super::object_scene::{ObjectScene, ObjectSceneArgs};
+use super::object_scene::{ObjectScene, ObjectSceneArgs, OutArgs};
 use super::terminal;
 use super::values::numbers;
 use clap::Args;
 use coseg::error::{Result, ensure};
-use coseg::objects::Object;
-use coseg::splat::{Gaussians, Motion};
+use coseg::objects::{Edited, Editing, Edits, Object};
+use coseg::splat::Motion;
 use glam::{DQuat, DVec3};
 use std::path::PathBuf;
 
@@ -18,16 +18,17 @@ it (chair=0.02:-0.98:0.17,30): few COLMAP scenes have an upright axis. The axis 
 box, and view-dependent colours turn with their object. The new file keeps its labels; classes.json and cameras.json are
 copied beside it.
 
+--edits applies what was done in a page of `coseg view` and saved there: names, colours, labels of single Gaussians,
+deletions and moves (docs/edits.md). It belongs to one scene file, and no other is accepted.
+
 A scene has nothing where no photo looked, such as on the floor below a sofa that you remove.
 
 Examples:
   coseg edit --scene runs/room/scene.ply --out without/scene.ply --remove sofa,table
   coseg edit --scene runs/room/scene.ply --out lamp/scene.ply --keep lamp
   coseg edit --scene runs/room/scene.ply --out moved/scene.ply --turn chair=z,90 --move chair=0.5,0,0
-  coseg edit --scene runs/room/scene.ply --out painted/scene.ply --paint";
-
-/// The farthest that objects move, in diagonals of the scene: positions are f32.
-const MAX_MOVE: f64 = 100.0;
+  coseg edit --scene runs/room/scene.ply --out painted/scene.ply --paint
+  coseg edit --scene runs/room --edits edits.json --out mended";
 
 /// Arguments of `coseg edit`.
 #[derive(Args, Debug)]
@@ -35,9 +36,11 @@ const MAX_MOVE: f64 = 100.0;
 pub struct EditArgs {
     #[command(flatten)]
     input: ObjectSceneArgs,
-    /// PLY file to write
-    #[arg(long, value_name = "FILE.ply")]
-    out: PathBuf,
+    #[command(flatten)]
+    out: OutArgs,
+    /// Apply the edits that the viewer saved
+    #[arg(long, value_name = "FILE.json", conflicts_with_all = ["keep", "remove", "turn", "moves"])]
+    edits: Option<PathBuf>,
     /// Keep only these objects; may be repeated
     #[arg(long, value_name = "OBJECT,...", value_delimiter = ',')]
     keep: Vec<String>,
@@ -90,44 +93,81 @@ fn vector(text: &str, separator: char) -> Option<DVec3> {
 impl EditArgs {
     /// Edits and writes.
     pub fn run(self) -> Result<()> {
+        ensure!(self.changes_something(), argument "coseg edit"; found "no operation";
+            expected "--edits, --keep, --remove, --turn, --move or --paint";
+            help "say what to change; `coseg edit --help` has examples");
         let mut scene = self.input.read()?;
-        let kept = scene.ids(&self.keep, "--keep")?;
-        let removed = scene.ids(&self.remove, "--remove")?;
-        self.input.check_out(&self.out, &scene, &scene.classes)?;
-        let stays =
-            |id: u16| (self.keep.is_empty() || kept.contains(&id)) && !removed.contains(&id);
-        let motions = self.motions(&scene, &stays)?;
-        for (rows, motion) in &motions {
-            motion.apply(&mut scene.ply.gaussians, rows);
-        }
-        let rows: Vec<u32> = (0..)
-            .zip(&scene.labels)
-            .filter(|&(_, &id)| stays(id))
-            .map(|(row, _)| row)
-            .collect();
-        ensure!(!rows.is_empty(), argument "--keep, --remove"; found "no Gaussian left"; expected "one or more";
-            help "keep an object, or remove fewer");
-        let labels: Vec<u16> = rows.iter().map(|&row| scene.labels[row as usize]).collect();
-        let mut gaussians = scene.ply.gaussians.select(&rows);
+        let gaussians = std::mem::take(&mut scene.ply.gaussians);
+        let editing = Editing::new(gaussians, scene.labels.clone(), scene.classes.clone());
+        let (edited, done) = match &self.edits {
+            Some(file) => {
+                let edits = Edits::read(file)?;
+                (
+                    scene.edited(editing, &edits)?,
+                    format!("edits: {}", edits.operations.len()),
+                )
+            }
+            None => self.by_options(&scene, editing)?,
+        };
+        let out = self.out.check(&self.input, &scene, &edited.classes)?;
+        let mut gaussians = edited.gaussians;
         if self.paint {
-            let colors: Vec<_> = labels.iter().map(|&id| scene.color(id)).collect();
+            let color = |&id: &u16| {
+                edited
+                    .classes
+                    .legend_color(id)
+                    .map(|v| f32::from(v) / 255.0)
+            };
+            let colors: Vec<_> = edited.labels.iter().map(color).collect();
             gaussians = gaussians.painted(&colors);
         }
-        scene.write(&self.out, &gaussians, &labels, &scene.classes)?;
+        scene.write(&out, &gaussians, &edited.labels, &edited.classes)?;
+        let painted = if self.paint {
+            "; painted in the colours of their labels"
+        } else {
+            ""
+        };
         terminal::say(&format!(
-            "{}: {} of {} Gaussians; turns and moves: {}",
-            self.out.display(),
-            rows.len(),
+            "{}: {} of {} Gaussians; {done}{painted}",
+            out.display(),
+            edited.labels.len(),
             scene.labels.len(),
-            motions.len()
         ));
         Ok(())
+    }
+
+    fn changes_something(&self) -> bool {
+        let lists = [
+            self.keep.is_empty(),
+            self.remove.is_empty(),
+            self.turn.is_empty(),
+            self.moves.is_empty(),
+        ];
+        self.paint || self.edits.is_some() || lists.contains(&false)
+    }
+
+    /// What --keep, --remove, --turn and --move make of the scene, and a few words about it.
+    fn by_options(&self, scene: &ObjectScene, mut editing: Editing) -> Result<(Edited, String)> {
+        let kept = scene.ids(&self.keep, "--keep")?;
+        let removed = scene.ids(&self.remove, "--remove")?;
+        let stays =
+            |id: u16| (self.keep.is_empty() || kept.contains(&id)) && !removed.contains(&id);
+        let motions = self.motions(scene, &editing, &stays)?;
+        for (rows, motion) in &motions {
+            editing.displace(rows, motion);
+        }
+        for object in scene.objects.iter().filter(|object| !stays(object.id)) {
+            editing.remove(&object.rows);
+        }
+        let done = format!("turns and moves: {}", motions.len());
+        Ok((editing.finish("--keep, --remove")?, done))
     }
 
     /// Rows and motions of the objects that stay: first turns, then moves, in the order of the command line.
     fn motions(
         &self,
         scene: &ObjectScene,
+        editing: &Editing,
         stays: &dyn Fn(u16) -> bool,
     ) -> Result<Vec<(Vec<u32>, Motion)>> {
         let still = Motion {
@@ -154,10 +194,9 @@ impl EditArgs {
                 ..still
             })?;
         }
-        let farthest = MAX_MOVE * diagonal(&scene.ply.gaussians);
         for (what, translation) in &self.moves {
-            ensure!(farthest <= 0.0 || translation.length() <= farthest,
-                argument "--move"; found "{what}={translation}"; expected "at most {farthest:.3e} world units";
+            ensure!(editing.is_near(*translation),
+                argument "--move"; found "{what}={translation}"; expected "at most {:.3e} world units", editing.farthest();
                 help "move by less: positions that far away lose digits");
             add(what, "--move", &|_| Motion {
                 translation: *translation,
@@ -166,16 +205,4 @@ impl EditArgs {
         }
         Ok(motions)
     }
-}
-
-/// Diagonal of the box around all centres.
-fn diagonal(gaussians: &Gaussians) -> f64 {
-    let centres = gaussians
-        .means
-        .iter()
-        .map(|mean| DVec3::from(mean.map(f64::from)));
-    let corners = centres
-        .map(|c| (c, c))
-        .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
-    corners.map_or(0.0, |(low, high)| (high - low).length())
 }

@@ -1,11 +1,11 @@
 //! A labelled PLY scene with the names of its labels: what commands about objects work on.
 
-use super::scene_file::{CLASSES, classes_beside, copy_cameras, read_scene, scene_path};
+use super::scene_file::{CLASSES, SCENE, classes_beside, copy_cameras, read_scene, scene_path};
 use clap::Args;
-use coseg::data::{Classes, LoadOptions, atomic, check_output_file};
+use coseg::data::{Classes, LoadOptions, atomic, check_output_file, locate};
 use coseg::error::{Error, Result, bail, ensure, invalid};
-use coseg::files::extension;
-use coseg::objects::{Object, inventory};
+use coseg::files::{extension, own, sha256};
+use coseg::objects::{Edited, Editing, Edits, Object, inventory};
 use coseg::splat::ply::PlyScene;
 use coseg::splat::{Gaussians, ply};
 use glam::DVec3;
@@ -44,26 +44,66 @@ impl ObjectSceneArgs {
         let ply = read_scene(&path)?;
         ObjectScene::new(path, ply, self.classes.as_ref())
     }
+}
 
-    /// Checks that a scene with labels of `classes` can be written to `out`. `out` must be a .ply file and must overwrite neither
-    /// an input nor the class table of other labels.
-    pub fn check_out(&self, out: &Path, scene: &ObjectScene, classes: &Classes) -> Result<()> {
+/// Arguments that name what a command writes.
+#[derive(Args, Debug)]
+pub struct OutArgs {
+    /// PLY file to write, or a folder for a scene.ply
+    #[arg(long, value_name = "FILE.ply|DIR")]
+    out: PathBuf,
+    /// Write over the scene itself, or over the class table of other labels
+    #[arg(long)]
+    force: bool,
+}
+
+impl OutArgs {
+    /// The file to write, where a scene with labels of `classes` may be written there. It must be a .ply file. Without --force it
+    /// must overwrite neither an input nor a file that this command did not write.
+    pub fn check(
+        &self,
+        input: &ObjectSceneArgs,
+        scene: &ObjectScene,
+        classes: &Classes,
+    ) -> Result<PathBuf> {
+        let is_folder = self.out.is_dir() || extension(&self.out).is_empty();
+        let out = if is_folder {
+            self.out.join(SCENE)
+        } else {
+            self.out.clone()
+        };
         let names = out.with_file_name(CLASSES);
-        let is_read = |path: &PathBuf| atomic::same_file(path, out);
-        if is_read(&scene.path) || self.classes.as_ref().is_some_and(is_read) || out == names {
+        let is_written = |path: &PathBuf| atomic::same_file(path, &out);
+        if input.classes.as_ref().is_some_and(is_written)
+            || out == names
+            || is_written(&scene.path) && !self.force
+        {
             bail!(argument "--out"; found "{}", out.display();
-                expected "another file than the scene and its classes.json"; help "name a new file");
+                expected "another file than the scene and its classes.json";
+                help "name a new file, or write over the scene by --force");
         }
-        if let Some(folder) = out.parent() {
-            check_output_file("--out", out, (folder, &LoadOptions::default()))?;
-        }
-        ensure!(extension(out) == "ply", argument "--out"; found "{}", out.display(); expected "a .ply file";
+        let folder = out.parent().unwrap_or_else(|| Path::new(""));
+        check_output_file("--out", &out, (folder, &LoadOptions::default()))?;
+        ensure!(extension(&out) == "ply", argument "--out"; found "{}", out.display(); expected "a .ply file";
             help "end the name in .ply; other tools convert that to their formats");
-        ensure!(!names.exists() || Classes::read(&names)? == *classes,
-            &names, "classes"; found "another class table"; expected "that of the scene's labels, or no file";
-            help "write into another folder");
-        Ok(())
+        if self.force {
+            own::allow(&out);
+            // The class table of a folder with photos is the truth of that scene.
+            if locate(folder, &LoadOptions::default()).is_err() {
+                own::allow(&names);
+            }
+        }
+        own::check(&out)?;
+        if !has_table(&names, classes)? {
+            own::check(&names)?;
+        }
+        Ok(out)
     }
+}
+
+/// Whether the file `names` is there and has `classes`.
+fn has_table(names: &Path, classes: &Classes) -> Result<bool> {
+    Ok(names.exists() && Classes::read(names)? == *classes)
 }
 
 impl ObjectScene {
@@ -83,6 +123,12 @@ impl ObjectScene {
         })
     }
 
+    /// The scene after `edits`, which must belong to its file.
+    pub fn edited(&self, mut editing: Editing, edits: &Edits) -> Result<Edited> {
+        edits.apply(&mut editing, &sha256(&self.path)?, self.ply.origin)?;
+        editing.finish("--edits")
+    }
+
     /// Writes a scene made from this one, with `classes` as classes.json and a copy of the cameras beside it.
     pub fn write(
         &self,
@@ -93,8 +139,7 @@ impl ObjectScene {
     ) -> Result<()> {
         ply::write(out, gaussians, self.ply.origin, Some(labels))?;
         let names = out.with_file_name(CLASSES);
-        // The same table, where there is one.
-        if !classes.is_empty() && !names.exists() {
+        if !classes.is_empty() && !has_table(&names, classes)? {
             classes.write(&names)?;
         }
         copy_cameras(&self.path, out)
@@ -113,11 +158,6 @@ impl ObjectScene {
     /// The name of a label, where one is known.
     pub fn name(&self, id: u16) -> Option<&str> {
         self.classes.known_name(id)
-    }
-
-    /// The colour of a label in legends, sRGB 0..1.
-    pub fn color(&self, id: u16) -> [f32; 3] {
-        self.classes.legend_color(id).map(|v| f32::from(v) / 255.0)
     }
 
     /// The object with the id `what`, or all objects with that name or, for associated objects, that class: `chair` finds

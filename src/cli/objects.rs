@@ -91,8 +91,8 @@ impl ObjectsArgs {
             .unwrap_or(0)
             .max(4);
         terminal::say(&format!(
-            "{:>5}  {:width$}  {:>9}  {:^26}  {:^23}",
-            "id", "name", "Gaussians", "centre", "size"
+            "{:>5}  {:width$}  {:>9}  {:>8} {:>8} {:>8}  {:>7} {:>7} {:>7}",
+            "id", "name", "Gaussians", "centre x", "y", "z", "size x", "y", "z"
         ));
         for o in &scene.objects {
             let name = shown(scene, o.id);
@@ -140,12 +140,15 @@ impl ObjectsArgs {
                 )
             }
             (Some(p), false) => {
-                let at = three(world(p.point), 0);
+                let at = world(p.point);
                 format!(
-                    "{frame} {x},{y}: {} {}, {:.0} % of the pixel, at {at}",
+                    "{frame} {x},{y}: {} {}, {:.0} % of the pixel, at x {:.2}, y {:.2}, z {:.2}",
                     p.id,
                     shown(scene, p.id),
-                    100.0 * p.weight
+                    100.0 * p.weight,
+                    at.x,
+                    at.y,
+                    at.z
                 )
             }
         };

@@ -1,11 +1,10 @@
 //! `coseg separate`: things of one label that do not touch become objects of their own.
 
-use super::object_scene::ObjectSceneArgs;
+use super::object_scene::{ObjectSceneArgs, OutArgs};
 use super::terminal;
 use clap::Args;
 use coseg::error::Result;
 use coseg::objects::Separation;
-use std::path::PathBuf;
 
 const HELP: &str = "\
 A scene that was trained on classes has one label for all chairs. Gaussians of one label that touch, directly or through
@@ -24,9 +23,8 @@ Examples:
 pub struct SeparateArgs {
     #[command(flatten)]
     input: ObjectSceneArgs,
-    /// File to write
-    #[arg(long, value_name = "FILE.ply")]
-    out: PathBuf,
+    #[command(flatten)]
+    out: OutArgs,
     /// Separate only these labels, ids or names [default: all]
     #[arg(long, value_name = "OBJECT,...", value_delimiter = ',')]
     only: Vec<String>,
@@ -53,8 +51,8 @@ impl SeparateArgs {
         rules.level = self.level.unwrap_or(rules.level);
         let gaussians = &scene.ply.gaussians;
         let found = rules.apply(gaussians, &scene.labels, &scene.classes, wanted)?;
-        self.input.check_out(&self.out, &scene, &found.classes)?;
-        scene.write(&self.out, gaussians, &found.labels, &found.classes)?;
+        let out = self.out.check(&self.input, &scene, &found.classes)?;
+        scene.write(&out, gaussians, &found.labels, &found.classes)?;
         let before = scene.objects.len();
         let mut after = before;
         for (id, pieces) in &found.pieces {
@@ -63,7 +61,7 @@ impl SeparateArgs {
             let name = name.map_or_else(|| format!("label {id}"), str::to_owned);
             terminal::say(&format!("{name}: {} pieces", pieces.len()));
         }
-        let out = self.out.display();
+        let out = out.display();
         terminal::say(&format!("{out}: {after} labels, {before} before"));
         Ok(())
     }

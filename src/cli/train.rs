@@ -13,7 +13,7 @@ use coseg::data;
 use coseg::data::formats::transforms;
 use coseg::data::{LoadOptions, Split, atomic};
 use coseg::error::{Result, bail};
-use coseg::files::own;
+use coseg::files::{own, sha256};
 use coseg::pipeline;
 use coseg::pipeline::{Outcome, VariantOutcome};
 use coseg::report::{Command, Metrics, Report, held_out_views};
@@ -33,7 +33,7 @@ Stage one builds Gaussians from the photos. Stage two learns from the raw label 
 The run folder gets
   scene.ply      the Gaussians in the 3DGS convention, with a label column
   report.html    curves, pictures, tables; one page that needs nothing else
-  viewer.html    the scene, to walk through in a browser, up to 128 MB (111 bytes a Gaussian); `coseg view` writes larger ones
+  viewer.html    the scene, to walk through in a browser, up to 128 MB (116 bytes a Gaussian); `coseg view` writes larger ones
   metrics.json   the same figures for programs
   classes.json   id, name and colour of each class
   cameras.json   the views as a transforms.json, for render and objects
@@ -225,7 +225,7 @@ fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<String> {
     }
     let cameras = cameras_of(scene);
     transforms::write_cameras(&run.file(CAMERAS), &cameras)?;
-    let page_bytes = Viewer::bytes(gaussians);
+    let page_bytes = Viewer::bytes(gaussians, ids.is_some());
     if page_bytes > MAX_PAGE_BYTES {
         // The page of an earlier result.
         atomic::remove(run.file(VIEWER))?;
@@ -240,6 +240,7 @@ fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<String> {
         title: &scene_name(&outcome.config),
         scene: &run.path().display().to_string(),
         names: None,
+        sha256: &sha256(&run.file(SCENE))?,
         gaussians,
         origin: scene.origin,
         labels: ids.as_deref(),

@@ -8,16 +8,17 @@ use super::values::{alpha_max, numbers};
 use clap::Args;
 use coseg::data::{Limits, read_cameras};
 use coseg::error::{Result, ensure};
-use coseg::files::{extension, file_name, own};
+use coseg::files::{extension, file_name, own, sha256};
 use coseg::splat::ply;
 use coseg::viewer::Viewer;
 use glam::DVec3;
 use std::path::{Path, PathBuf};
 
 const HELP: &str = "\
-The page works offline and needs WebGL 2. It takes 111 bytes for each Gaussian of SH degree 3. It shows colours, labels,
-or both. Click on an object to choose it; hide it, show it alone, turn it or move it. The page shows the `coseg edit`
-command that writes this as a new file.
+The page works offline and needs WebGL 2. It takes 116 bytes for each Gaussian of SH degree 3. It shows colours, labels,
+or both. Click on an object to choose it; hide it, show it alone, turn it or move it. Mend labels: name, colour, merge
+and delete objects, and select Gaussians by brush, lasso or box for another object or a new one. Save them: the page
+downloads edits.json, and the page shows the `coseg edit --edits` command that writes the result as a new file.
 
   FILE.html#view=NAME&mode=labels   starts at the view NAME, percent-encoded; modes are colour, both and labels
 
@@ -74,6 +75,7 @@ impl ViewArgs {
             title: &title(&path),
             scene: &self.scene.display().to_string(),
             names: names.as_deref(),
+            sha256: &sha256(&path)?,
             gaussians: &ply.gaussians,
             origin: ply.origin,
             labels: ply.labels.as_deref(),

@@ -11,6 +11,7 @@ pub(crate) use self::limits::check_limit;
 
 use crate::error::{Error, Result, bail, ensure, invalid};
 use serde::de::DeserializeOwned;
+use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, Read};
@@ -48,6 +49,17 @@ pub(crate) fn text(path: &Path) -> Result<String> {
     let read = file.take(MAX_TEXT_BYTES).read_to_string(&mut text);
     read.map_err(|e| Error::io(path, "read", e))?;
     Ok(text)
+}
+
+/// SHA-256 of the content of a file, 64 hexadecimal digits in small letters.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn sha256(path: &Path) -> Result<String> {
+    let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
+    let mut digest = Sha256::new();
+    std::io::copy(&mut file, &mut digest).map_err(|e| Error::io(path, "read", e))?;
+    Ok(format!("{:x}", digest.finalize()))
 }
 
 /// A JSON file; `expected` describes its form in errors.

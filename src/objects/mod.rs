@@ -1,8 +1,11 @@
-//! Labels of Gaussians: association of segments across views, votes over raw labels, stored identities, label rendering.
+//! Labels of Gaussians: association of segments across views, votes over raw labels, stored identities, label rendering, edits.
 
 mod association;
 mod calibration;
+mod coloring;
 mod compactness;
+mod editing;
+mod edits;
 mod identities;
 mod inventory;
 mod label_maps;
@@ -16,12 +19,15 @@ mod vote;
 
 pub use self::association::{Association, Group, associate};
 pub use self::calibration::{Calibration, LabelErrors};
+pub use self::coloring::color_apart;
 pub use self::compactness::NeighbourGraph;
+pub use self::editing::{Edited, Editing};
+pub use self::edits::{Edits, NewObject, Operation, Turn, VERSION as EDITS_VERSION};
 pub use self::identities::Identities;
 pub use self::inventory::{Object, Picked, inventory, pick};
 pub use self::label_maps::{LabelMaps, LabelRule};
 pub(crate) use self::largest::first_largest;
-pub use self::pooled_vote::{PooledVote, PooledVotes, pooled_vote};
+pub use self::pooled_vote::{PooledVote, PooledVotes, pooled_vote, superpoints};
 pub use self::renderer::{Frame, RenderOptions, Renderer};
 pub use self::semantics::{Semantics, has_truth};
 pub use self::separate::{Separated, Separation};

@@ -75,6 +75,14 @@ impl PooledVotes {
     }
 }
 
+/// The superpoints of a scene at the smallest scale of the pooled vote.
+///
+/// # Errors
+/// [`crate::Error::NonFinite`] when a centre is not finite.
+pub fn superpoints(gaussians: &Gaussians) -> Result<Superpoints> {
+    Ok(SurfaceGraph::new(gaussians, NEIGHBOURS)?.superpoints(SCALES[0], MIN_GAUSSIANS))
+}
+
 /// The pooled vote of a scene.
 #[derive(Clone, Debug)]
 pub struct PooledVote {

@@ -47,7 +47,8 @@ impl<'a> Trainer<'a> {
         let scene = PrunedScene {
             leaves: self.parameters.leaves(),
             sh_degree: self.schedule.sh_degree(self.iteration),
-            raster: self.config.raster.clone(),
+            settings: self.settings,
+            background: self.config.raster.background,
         };
         let mut rng = stream(self.config.seed, Purpose::Pruning, self.iteration as u64);
         let trained = self.views(self.schedule.trained(self.iteration));

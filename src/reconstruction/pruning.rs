@@ -1,7 +1,7 @@
 //! Which Gaussians a scene can do without: what each adds to the pictures, and how many of them some views need.
 //!
-//! The colour of a pixel is an affine function of the alpha of each Gaussian. Leaving Gaussian `i` out changes it by exactly
-//! `dC = -alpha_i dC/d(alpha_i)`, in terms of the logit `o` of the opacity `-dC/do / sigmoid(-o)`. So the backward pass of the
+//! The colour of a pixel is an affine function of the alpha of each Gaussian, but for pixels that end early. Leaving Gaussian `i` out
+//! changes it by `dC = -alpha_i dC/d(alpha_i)`, in terms of the logit `o` of the opacity `-dC/do / sigmoid(-o)`. So the backward pass of the
 //! rasterizer gives sums of `-dC` over the pixels, weighted by the gradient that it is given. With random signs as that gradient, the
 //! square of the sum is an unbiased estimate of the sum of `|dC|^2` (Hutchinson 1989). This is the sensitivity that PUP-3DGS (Hanson et al.
 //! 2025) and Speedy-Splat (Hanson et al. 2025) approximate, without an approximation in the alpha.
@@ -31,7 +31,8 @@ const HALVINGS: usize = 5;
 pub(crate) struct PrunedScene {
     pub leaves: Leaves,
     pub sh_degree: usize,
-    pub raster: RasterConfig,
+    pub settings: Settings,
+    pub background: [f32; 3],
 }
 
 /// A view and the colour behind the scene in it.
@@ -60,7 +61,8 @@ impl PrunedScene {
         Self {
             leaves: Parameters::new(gaussians.clone(), moments.clone(), moments, &device).leaves(),
             sh_degree: gaussians.sh_degree,
-            raster: raster.clone(),
+            settings: Settings::from(raster),
+            background: raster.background,
         }
     }
 
@@ -70,7 +72,7 @@ impl PrunedScene {
         let mut judge = |&view: &&'a View| {
             let random = rng.random();
             let background = if view.image.is_transparent() {
-                self.raster.background
+                self.background
             } else {
                 random
             };
@@ -100,7 +102,7 @@ impl PrunedScene {
         // Where alpha' is capped, its gradient is masked.
         let settings = Settings {
             alpha_max: 1.0,
-            ..Settings::from(&self.raster)
+            ..self.settings
         };
         let logits = self.leaves.opacity_logits.clone().inner();
         let logits = logits.clamp_max(MAX_LOGIT);
@@ -160,9 +162,9 @@ impl PrunedScene {
         left_out.iter().for_each(|&i| values[i as usize] = LEFT_OUT);
         let logits = upload(values, logits.dims(), &logits.device());
         let mut sum = 0.0;
-        let settings = Settings::from(&self.raster);
         for judge in judges {
-            let image = read("image", self.image(judge, logits.clone(), &settings)?)?;
+            let image = self.image(judge, logits.clone(), &self.settings)?;
+            let image = read("image", image)?;
             let view = judge.view;
             let photo = view.rgb()?;
             let score = match &view.mask {
@@ -267,7 +269,10 @@ mod tests {
             background: [0.2, 0.4, 0.6],
             ..RasterConfig::default()
         };
-        PrunedScene::new(&gaussians, &raster, device)
+        let mut scene = PrunedScene::new(&gaussians, &raster, device);
+        // A pixel that ends early is no affine function of what it does not reach.
+        scene.settings.t_min = 0.0;
+        scene
     }
 
     /// The picture of `judge` without Gaussian `i`.
@@ -281,7 +286,7 @@ mod tests {
         let n = values.len();
         let settings = Settings {
             alpha_max: 1.0,
-            ..Settings::from(&scene.raster)
+            ..scene.settings
         };
         let image = scene.image(judge, upload(values, [n], &device), &settings);
         let image = read("image", image.expect("finite")).expect("readable");

@@ -10,8 +10,7 @@ use std::path::Path;
 
 /// Pixels across a character, and from its top to its bottom.
 pub(super) const GLYPH: usize = 8;
-/// Colour of unlabelled pixels.
-pub const UNLABELLED: [u8; 3] = [38, 38, 42];
+pub use crate::data::labels::palette::UNLABELLED;
 /// Colour of ids that are not in the class table.
 const UNKNOWN: [u8; 3] = [255, 0, 200];
 /// Colours of [`label_error`]: right, wrong, truth unlabelled.

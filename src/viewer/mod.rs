@@ -1,14 +1,14 @@
-//! A scene as one offline HTML page: walk through it in a browser with WebGL 2, show labels, and choose, hide, turn and move
-//! objects. The page shows the `coseg edit` command that writes these changes as a new file.
+//! A scene as one offline HTML page: walk through it in a browser with WebGL 2, show labels, and mend them: name, colour, merge,
+//! split, delete and move objects. The page saves this as a file that `coseg edit --edits` applies ([`crate::objects::Edits`]).
 //!
 //! Pictures equal those of [`crate::raster::render`] except for the rounding of `packing.rs`, half floats in blending, and
 //! Gaussians behind a transmittance of 1e-4, which the page blends too.
 
 mod packing;
 
-use crate::data::{Classes, NamedCamera, Split, atomic};
+use crate::data::{Class, Classes, NamedCamera, Split, atomic};
 use crate::error::{Error, Result, bail, ensure};
-use crate::objects::{Object, inventory};
+use crate::objects::{Object, inventory, superpoints};
 use crate::splat::Gaussians;
 use crate::splat::camera::{Camera, level_up};
 use base64::Engine;
@@ -22,16 +22,29 @@ const PART_BYTES: usize = 3 << 25;
 const MIN_COSINE: f64 = 0.9986;
 
 /// The parts of the page's program, in order.
-const SCRIPT: [&str; 10] = [
+const SCRIPT: [&str; 23] = [
     include_str!("page/vector.js"),
     include_str!("page/scene.js"),
+    include_str!("page/state.js"),
+    include_str!("page/palette.js"),
+    include_str!("page/edits.js"),
     include_str!("page/camera.js"),
     include_str!("page/order.js"),
+    include_str!("page/projection.js"),
     include_str!("page/pick.js"),
+    include_str!("page/depth.js"),
+    include_str!("page/selection.js"),
     include_str!("page/renderer.js"),
     include_str!("page/navigation.js"),
     include_str!("page/command.js"),
+    include_str!("page/list.js"),
+    include_str!("page/details.js"),
+    include_str!("page/tools.js"),
+    include_str!("page/toolbar.js"),
+    include_str!("page/keys.js"),
+    include_str!("page/hint.js"),
     include_str!("page/panel.js"),
+    include_str!("page/editor.js"),
     include_str!("page/main.js"),
 ];
 
@@ -44,6 +57,8 @@ pub struct Viewer<'a> {
     pub scene: &'a str,
     /// The value of `--classes` in them, where classes.json is not beside the scene.
     pub names: Option<&'a str>,
+    /// SHA-256 of the scene file, see [`crate::files::sha256`]: saved edits name it.
+    pub sha256: &'a str,
     /// The scene.
     pub gaussians: &'a Gaussians,
     /// The point that was subtracted from every position of the scene, world units.
@@ -66,6 +81,8 @@ struct Header<'a> {
     title: &'a str,
     path: &'a str,
     names: Option<&'a str>,
+    sha256: &'a str,
+    origin: DVec3,
     gaussians: usize,
     bytes: usize,
     degree: usize,
@@ -74,7 +91,18 @@ struct Header<'a> {
     extent: Extent,
     start: View<'a>,
     objects: Vec<Entry<'a>>,
+    /// Classes that no Gaussian has.
+    absent: Vec<Absent<'a>>,
+    /// The label of unlabelled Gaussians.
+    ignore: u16,
     cameras: Vec<View<'a>>,
+}
+
+#[derive(Serialize)]
+struct Absent<'a> {
+    id: u16,
+    name: &'a str,
+    color: [u8; 3],
 }
 
 /// A box without the outermost 1 % on each side, relative to the origin.
@@ -115,11 +143,12 @@ impl Viewer<'_> {
     }
 
     /// Bytes of the page that depend on `gaussians`.
-    pub fn bytes(gaussians: &Gaussians) -> usize {
-        packing::bytes(gaussians).div_ceil(3) * 4
+    pub fn bytes(gaussians: &Gaussians, has_labels: bool) -> usize {
+        packing::bytes(gaussians, has_labels).div_ceil(3) * 4
     }
 
-    /// The page: 111 bytes for each Gaussian of SH degree 3, and about 60 kB.
+    /// The page: 116 bytes for each Gaussian of SH degree 3 (111 without labels), and about 100 kB. Superpoints are computed for
+    /// scenes with labels.
     ///
     /// # Errors
     /// [`Error::Argument`] for no Gaussian, fields or labels of another length, or an `alpha_max` or `up` out of range;
@@ -145,7 +174,11 @@ impl Viewer<'_> {
                 places[row as usize] = place;
             }
         }
-        let columns = packing::columns(self.gaussians, &places);
+        let superpoints = self
+            .labels
+            .map(|_| superpoints(self.gaussians))
+            .transpose()?;
+        let columns = packing::columns(self.gaussians, &places, superpoints.as_ref());
         let parts: String = columns.chunks(PART_BYTES).map(part).collect();
         let header = json(&self.header(&all[0], &objects, columns.len()))?;
         let shaders = json(&serde_json::json!({
@@ -185,11 +218,17 @@ impl Viewer<'_> {
             None => upright(level_up(&cameras)),
         };
         let start = self.without_cameras(all, up);
+        let is_absent = |class: &&Class| {
+            self.labels.is_some() && objects.binary_search_by_key(&class.id, |o| o.id).is_err()
+        };
+        let absent = self.classes.entries.iter().filter(is_absent);
         let views = self.cameras.iter().zip(&cameras);
         Header {
             title: self.title,
             path: self.scene,
             names: self.names,
+            sha256: self.sha256,
+            origin: self.origin,
             gaussians: self.gaussians.len(),
             bytes,
             degree: self.gaussians.sh_degree,
@@ -201,6 +240,14 @@ impl Viewer<'_> {
             },
             start: view("", Split::Train, &start),
             objects: objects.iter().map(entry).collect(),
+            absent: absent
+                .map(|class| Absent {
+                    id: class.id,
+                    name: &class.name,
+                    color: class.color,
+                })
+                .collect(),
+            ignore: self.classes.ignore,
             cameras: views
                 .map(|(named, camera)| view(&named.name, named.split, camera))
                 .collect(),

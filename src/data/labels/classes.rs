@@ -67,6 +67,21 @@ impl Classes {
         class.map(|class| class.id)
     }
 
+    /// The entry of `id`. A missing one is added as `label ID`.
+    pub(crate) fn entry(&mut self, id: u16) -> &mut Class {
+        let i = self.entries.partition_point(|c| c.id < id);
+        if self.entries.get(i).is_none_or(|c| c.id != id) {
+            let class = Class {
+                id,
+                name: format!("label {id}"),
+                color: class_color(id),
+                object_of: None,
+            };
+            self.entries.insert(i, class);
+        }
+        &mut self.entries[i]
+    }
+
     /// Reads `classes.json`, in either form:
     /// `{"0": "void", "1": "wall", ...}`, where id 0 must be absent or mean 'unlabelled' and is ignored;
     /// `{"ignore": 0, "classes": [{"id": 1, "name": "wall", "color": [r, g, b]}, ...]}` as [`Classes::write`] makes it

@@ -5,29 +5,46 @@ use std::sync::LazyLock;
 /// Levels of each channel of the candidate colours, 0 to 255.
 const LEVELS: usize = 11;
 /// Colours before they repeat.
-const LENGTH: usize = 255;
+pub(crate) const PALETTE_LENGTH: usize = 255;
+/// Colours that stand for something else, and how far off all others stay in OKLab: black (void, and behind a scene), white
+/// (paper), grey (behind a scene), and what is unlabelled in pictures.
+const RESERVED: [([u8; 3], f64); 4] = [
+    ([0; 3], 0.3),
+    ([255; 3], 0.12),
+    ([128; 3], 0.1),
+    (UNLABELLED, 0.12),
+];
+/// The colour of unlabelled pixels in pictures.
+pub const UNLABELLED: [u8; 3] = [38, 38, 42];
 
-/// The colour of a class id, 8-bit sRGB; ids 255 apart share one. Never black or white.
+/// The colour of a class id, 8-bit sRGB; ids 255 apart share one. None looks like black, white, grey, or unlabelled pixels.
 pub fn class_color(id: u16) -> [u8; 3] {
     static PALETTE: LazyLock<Vec<[u8; 3]>> = LazyLock::new(palette);
     PALETTE[usize::from(id) % PALETTE.len()]
 }
 
-/// Farthest-point order of a grid of sRGB colours in OKLab. Each colour is farthest from black (void), white (paper) and all
-/// colours before it. Ties go to the first in grid order.
+/// Farthest-point order of a grid of sRGB colours in OKLab without those near reserved ones. Each colour is farthest from black,
+/// white and all colours before it. Ties go to the first in grid order.
 fn palette() -> Vec<[u8; 3]> {
-    let candidates: Vec<([u8; 3], [f64; 3])> = (0..LEVELS.pow(3))
+    let candidates = (0..LEVELS.pow(3))
         .map(|i| [i / (LEVELS * LEVELS), i / LEVELS % LEVELS, i % LEVELS])
         .map(|levels| levels.map(|l| (l * 255 / (LEVELS - 1)) as u8))
-        .map(|rgb| (rgb, oklab(rgb)))
+        .map(|rgb| (rgb, oklab(rgb)));
+    let reserved = RESERVED.map(|(rgb, apart)| (oklab(rgb), apart));
+    let candidates: Vec<([u8; 3], [f64; 3])> = candidates
+        .filter(|(_, lab)| {
+            reserved
+                .iter()
+                .all(|(other, apart)| distance(lab, other) >= *apart)
+        })
         .collect();
-    let ends = [oklab([0; 3]), oklab([255; 3])];
+    let [(black, _), (white, _), ..] = reserved;
     let mut nearest: Vec<f64> = candidates
         .iter()
-        .map(|(_, lab)| distance(lab, &ends[0]).min(distance(lab, &ends[1])))
+        .map(|(_, lab)| distance(lab, &black).min(distance(lab, &white)))
         .collect();
-    let mut colors = Vec::with_capacity(LENGTH);
-    for _ in 0..LENGTH {
+    let mut colors = Vec::with_capacity(PALETTE_LENGTH);
+    for _ in 0..PALETTE_LENGTH {
         let best = (1..nearest.len()).fold(
             0,
             |best, i| if nearest[i] > nearest[best] { i } else { best },
@@ -39,6 +56,11 @@ fn palette() -> Vec<[u8; 3]> {
         }
     }
     colors
+}
+
+/// How different two sRGB colours look: their distance in OKLab.
+pub(crate) fn difference(a: [u8; 3], b: [u8; 3]) -> f64 {
+    distance(&oklab(a), &oklab(b))
 }
 
 fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
@@ -100,5 +122,15 @@ mod tests {
             }
         }
         assert_eq!(class_color(7), class_color(7 + 255));
+    }
+
+    #[test]
+    fn no_colour_stands_for_something_else() {
+        for id in 0..=254 {
+            for (reserved, apart) in RESERVED {
+                let found = difference(class_color(id), reserved);
+                assert!(found >= apart, "{id}: {found} from {reserved:?}");
+            }
+        }
     }
 }

@@ -8,6 +8,7 @@ mod components;
 mod ellipsoid;
 mod naming;
 
+use super::color_apart;
 use crate::data::Classes;
 use crate::error::{Result, ensure};
 use crate::segmentation::neighbours::PointIndex;
@@ -100,9 +101,12 @@ impl Separation {
             .iter()
             .filter(|&&id| classes.is_empty() && id != naming.classes.ignore);
         for id in unnamed.copied().collect::<BTreeSet<u16>>() {
-            naming.entry(id);
+            naming.classes.entry(id);
         }
         separated.classes = naming.classes;
+        let made = separated.pieces.values().flat_map(|ids| &ids[1..]);
+        let made: BTreeSet<u16> = made.copied().collect();
+        color_apart(gaussians, &separated.labels, &mut separated.classes, &made)?;
         Ok(separated)
     }
 

@@ -1,6 +1,6 @@
 //! Ids and names for the pieces of a label.
 
-use crate::data::{Class, Classes, ObjectOf, class_color};
+use crate::data::{Class, Classes, ObjectOf};
 use crate::error::{Result, ensure};
 use std::collections::{BTreeSet, HashMap, HashSet};
 
@@ -50,7 +50,7 @@ impl Naming {
         ensure!(pieces - 1 <= self.free.len(), limit "label ids for the pieces of label {id}";
             found "{pieces} pieces"; expected "{} ids that are free", self.free.len();
             help "separate fewer labels, or call more pieces strays");
-        let whole = self.entry(id).clone();
+        let whole = self.classes.entry(id).clone();
         let base = base_name(&whole);
         let object_of = Some(ObjectOf {
             class: whole.object_of.map_or(id, |of| of.class),
@@ -58,34 +58,18 @@ impl Naming {
         });
         if base == whole.name {
             let name = self.next_name(base);
-            self.entry(id).name = name;
+            self.classes.entry(id).name = name;
         }
         let mut ids = vec![id];
         ids.extend((1..pieces).filter_map(|_| self.free.pop()));
         for &next in &ids[1..] {
             let name = self.next_name(base);
-            self.entry(next).name = name;
+            self.classes.entry(next).name = name;
         }
         for &piece in &ids {
-            self.entry(piece).object_of = object_of;
+            self.classes.entry(piece).object_of = object_of;
         }
         Ok(ids)
-    }
-
-    /// The entry of `id` in the table. A missing one is added as `label ID`.
-    pub fn entry(&mut self, id: u16) -> &mut Class {
-        let entries = &mut self.classes.entries;
-        let i = entries.partition_point(|c| c.id < id);
-        if entries.get(i).is_none_or(|c| c.id != id) {
-            let class = Class {
-                id,
-                name: format!("label {id}"),
-                color: class_color(id),
-                object_of: None,
-            };
-            entries.insert(i, class);
-        }
-        &mut entries[i]
     }
 
     fn next_name(&mut self, base: &str) -> String {

@@ -2,7 +2,6 @@
 
 const MODES = { colour: 0, both: 0.6, labels: 1 };
 const BACKGROUNDS = [[0, 0, 0], [0.5, 0.5, 0.5], [1, 1, 1]];
-const HOVERED = 500_000; // up to this number of Gaussians, the object under the pointer is shown all the time
 const FRAME = 1000 / 60; // milliseconds of a step without a frame before it
 const SLOW = 60; // milliseconds of a frame above which moving pictures are drawn smaller
 
@@ -15,30 +14,32 @@ function plain(text) {
   }
 }
 
-class Page {
+class Page extends Editor {
   constructor() {
-    this.scene = Scene.embedded();
+    const bare = /[#&]bare\b/.test(location.hash);
+    super(Scene.embedded(), !bare);
+    this.bare = bare;
     this.canvas = document.getElementById("picture");
     this.shaders = JSON.parse(document.getElementById("shaders").textContent);
     this.renderer = new Renderer(this.canvas, this.scene, this.shaders);
     this.outliveContext();
     this.order = new DepthOrder(this.scene);
-    this.objects = this.scene.untouched();
-    this.chosen = -1;
-    this.moving = false;
     this.mode = "colour";
     this.background = BACKGROUNDS[0];
     this.coarse = 1;
     /** Whether the order belongs to another picture. */
     this.stale = true;
+    /** Whether the renderer has yet to see what is edited, chosen or selected. */
+    this.partsStale = true;
     this.up = this.scene.up;
     const { low, high } = this.scene.extent;
     /** World units a second, and how far off the middle of things is until something is picked. */
     this.speed = Math.max(Math.hypot(...minus(high, low)) / 6, 1e-3);
     this.reach = 2 * this.speed;
-    this.bare = /[#&]bare\b/.test(location.hash);
     document.body.classList.toggle("bare", this.bare);
-    this.panel = new Panel(this.scene, this);
+    this.tools = new Tools(this);
+    this.details = new Details(this);
+    this.panel = new Panel(this);
     new ResizeObserver(() => this.resized()).observe(this.canvas.parentElement);
     window.addEventListener("hashchange", () => location.reload());
     this.fromAddress();
@@ -55,6 +56,7 @@ class Page {
     });
     this.canvas.addEventListener("webglcontextrestored", () => {
       this.renderer = new Renderer(this.canvas, this.scene, this.shaders);
+      this.partsStale = true;
       this.draw();
     });
   }
@@ -80,29 +82,10 @@ class Page {
 
   listen() {
     this.navigation = new Navigation(this.canvas, this);
-    const hint = document.getElementById("hint");
-    let last = 0;
-    this.canvas.addEventListener("pointermove", (e) => {
-      if (e.buttons) hint.textContent = "";
-      if (e.buttons || this.scene.gaussians > HOVERED || !this.scene.labelled || e.timeStamp - last < 60) return;
-      last = e.timeStamp;
-      const [x, y] = this.navigation.place(e);
-      const found = this.pickAt(x, y);
-      hint.textContent = found ? called(this.scene.objects[found.object]) : "";
-      hint.style.translate = `${x + 14}px ${y + 14}px`;
-    });
-    this.canvas.addEventListener("pointerleave", () => (hint.textContent = ""));
-    const keys = { Digit1: "colour", Digit2: "both", Digit3: "labels" };
-    window.addEventListener("keydown", (e) => {
-      if (takesText(e.target) || e.ctrlKey || e.metaKey || e.altKey) return;
-      if (keys[e.code]) this.setMode(keys[e.code]);
-      if (e.code === "Escape") this.choose(-1);
-      if (e.code === "KeyH" && this.chosen >= 0) this.show(this.chosen, !this.objects[this.chosen].shown);
-      if (e.code === "KeyB") this.nextBackground();
-      if (e.code === "KeyL") {
-        this.fitted.level(this.up);
-        this.changed();
-      }
+    this.keys = new Keys(this);
+    this.hint = new Hint(this);
+    window.addEventListener("beforeunload", (e) => {
+      if (!this.edits.isSaved) e.preventDefault();
     });
     this.resized();
   }
@@ -121,7 +104,7 @@ class Page {
   /** Draws in the next frame. */
   ask() {
     this.stale = true;
-    if (this.asked || this.bare) return;
+    if (this.asked || this.bare || !this.navigation) return;
     this.asked = true;
     requestAnimationFrame((now) => {
       this.asked = false;
@@ -151,7 +134,8 @@ class Page {
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
     this.sort();
     this.renderer.setOrder(this.order);
-    this.renderer.setObjects(this.objects, this.bare ? -1 : this.chosen);
+    if (this.partsStale) this.renderer.setParts(this.state, this.selection, this.bare ? new Set() : this.chosen);
+    this.partsStale = false;
     const scale = moving ? this.coarse : 1;
     const [w, h] = [width, height].map((v) => Math.max(1, Math.round(v * scale)));
     this.renderer.draw(camera.fitted(w, h), MODES[this.mode], this.background);
@@ -172,24 +156,42 @@ class Page {
   }
 
   sort() {
-    this.order.sort(this.fitted, this.objects);
+    this.order.sort(this.fitted, this.state);
+    this.surface = null;
     this.stale = false;
+  }
+
+  /** Gaussians that a shape can take, see `candidates` of selection.js. */
+  candidates(limit) {
+    if (this.stale) this.sort();
+    this.surface ??= new DepthGrid(this.scene, this.order, this.state, this.fitted);
+    return candidates(this.scene, this.order, this.state, this.fitted, this.surface, limit, this.chosen);
   }
 
   pickAt(x, y) {
     if (this.stale) this.sort();
-    return pick(this.scene, this.order, this.objects, this.fitted, x, y);
+    return pick(this.scene, this.order, this.state, this.fitted, x, y);
   }
 
-  clicked(x, y) {
+  /** Chooses what is at a point; with Shift too, with Alt no longer. */
+  clicked(x, y, { shiftKey, altKey }) {
     if (!this.scene.labelled) return;
-    const found = this.pickAt(x, y);
-    this.choose(found && found.object !== this.chosen ? found.object : -1);
+    const found = this.pickAt(x, y)?.object ?? null;
+    const how = altKey ? "subtract" : shiftKey ? "add" : "new";
+    const isAlone = this.chosen.size === 1 && this.chosen.has(found);
+    if (how !== "new") this.choose(found, how);
+    else this.choose(isAlone ? null : found);
+  }
+
+  /** What a click or a shape in the middle of the picture does, for keys. */
+  takeMiddle(event) {
+    if (this.tools.isActive) this.tools.takeMiddle(event);
+    else this.clicked(this.fitted.width / 2, this.fitted.height / 2, event);
   }
 
   /** Moves the chosen object with the pointer, if it is what is held: along the floor, with shift up and down. */
   dragged(held, from, to, e) {
-    if (!this.moving || held?.object !== this.chosen || e.buttons !== 1) return false;
+    if (!this.moving || !held || !this.chosen.has(held.object) || e.buttons !== 1) return false;
     const camera = this.fitted;
     const { point } = held;
     const depth = camera.depth(point);
@@ -204,23 +206,21 @@ class Page {
       const screen = ((from[1] - to[1]) * depth) / camera.fy / steep;
       way = add(times(((to[0] - from[0]) * depth) / camera.fx, unit(camera.right)), times(screen, ahead));
     }
-    const state = this.objects[this.chosen];
-    state.offset = add(state.offset, way);
+    if (held.drags) this.edits.extend(way);
+    else this.push({ op: "move", object: held.object, shift: way });
+    held.drags = true;
     held.point = add(point, way);
-    this.panel.update();
-    this.ask();
+    this.refresh();
     return true;
   }
 
-  choose(i) {
-    if (i !== this.chosen) this.moving = false;
-    this.chosen = i;
-    this.refresh();
-    this.panel.reveal(i);
+  /** A drag has ended. */
+  released(held) {
+    if (held?.drags) this.edits.finish();
   }
 
-  setMoving(moving) {
-    this.moving = moving;
+  /** The selection has changed. */
+  selected() {
     this.refresh();
   }
 
@@ -230,40 +230,19 @@ class Page {
     this.refresh();
   }
 
-  show(i, shown) {
-    this.objects[i].shown = shown;
-    this.refresh();
-  }
-
-  /** One object alone, or all. */
-  showOnly(i) {
-    this.objects.forEach((object, j) => (object.shown = i === null || i === j));
-    this.refresh();
-  }
-
-  moveTo(i, offset) {
-    this.objects[i].offset = offset;
-    this.refresh();
-  }
-
-  turnTo(i, degrees) {
-    this.objects[i].degrees = degrees;
-    this.refresh();
-  }
-
-  /** Everything as it was. */
-  putBack() {
-    this.objects = this.scene.untouched();
-    this.refresh();
-  }
-
   nextBackground() {
     this.background = BACKGROUNDS[(BACKGROUNDS.indexOf(this.background) + 1) % BACKGROUNDS.length];
     this.ask();
   }
 
+  level() {
+    this.fitted.level(this.up);
+    this.changed();
+  }
+
   refresh() {
-    this.panel.update();
+    this.partsStale = true;
+    this.panel?.update();
     this.ask();
   }
 }

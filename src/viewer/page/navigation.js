@@ -12,8 +12,9 @@ const takesText = (target) => target.matches?.("select, textarea, input:not([typ
 class Navigation {
   /**
    * @param {HTMLCanvasElement} canvas
-   * @param {object} view what is moved: camera(), changed() where the camera has moved, pickAt(x, y), clicked(x, y), dragged(held,
-   *   from, to, event), whether it moved what is held instead of the camera; up, reach, speed
+   * @param {object} view what is moved: camera(), changed() where the camera has moved, pickAt(x, y), clicked(x, y, event),
+   *   dragged(held, from, to, event), whether it moved what is held instead of the camera; released(held); up, reach, speed; tools,
+   *   which take the first button, or one finger, while they are active
    */
   constructor(canvas, view) {
     this.canvas = canvas;
@@ -54,6 +55,13 @@ class Navigation {
     this.canvas.setPointerCapture(e.pointerId);
     const at = this.place(e);
     this.pointers.set(e.pointerId, at);
+    // A second finger moves the camera instead.
+    this.drawing = this.view.tools.isActive && this.pointers.size === 1 && e.button <= 0;
+    if (this.drawing) {
+      this.view.tools.begin(at, e);
+      return;
+    }
+    this.view.tools.cancel();
     this.start = at;
     this.moved = this.pointers.size > 1 || e.button > 0;
     this.pivot = this.hold(at);
@@ -61,8 +69,16 @@ class Navigation {
 
   drag(e) {
     const before = this.pointers.get(e.pointerId);
-    if (!before) return;
     const at = this.place(e);
+    if (!before) {
+      this.view.tools.hover(at);
+      return;
+    }
+    if (this.drawing) {
+      this.pointers.set(e.pointerId, at);
+      this.view.tools.drag(at);
+      return;
+    }
     this.moved ||= Math.hypot(at[0] - this.start[0], at[1] - this.start[1]) > STILL;
     if (!this.moved) return;
     if (this.pointers.size === 2) {
@@ -79,7 +95,13 @@ class Navigation {
   release(e) {
     const at = this.pointers.get(e.pointerId);
     this.pointers.delete(e.pointerId);
-    if (at && !this.moved && e.type === "pointerup") this.view.clicked(...at);
+    if (!at) return;
+    if (this.drawing) {
+      this.drawing = false;
+      if (e.type === "pointerup") this.view.tools.end();
+      else this.view.tools.cancel();
+    } else if (!this.moved && e.type === "pointerup") this.view.clicked(...at, e);
+    else this.view.released(this.held);
   }
 
   orbit(dx, dy) {
@@ -127,7 +149,7 @@ class Navigation {
 
   /** Whether the picture is about to change again. */
   isMoving(now) {
-    return (this.pointers.size > 0 && this.moved) || now - (this.rolled ?? -Infinity) < 150;
+    return (this.pointers.size > 0 && this.moved && !this.drawing) || now - (this.rolled ?? -Infinity) < 150;
   }
 
   /** Moves for `seconds` by the keys that are held; returns whether any are. */

@@ -15,23 +15,23 @@ class DepthOrder {
   }
 
   /** Sorts what is shown and lies before the camera. */
-  sort(camera, objects) {
+  sort(camera, state) {
     const { geometry, gaussians } = this.scene;
-    // The depth of a point of each object: four numbers.
-    const planes = new Float64Array(4 * objects.length);
-    objects.forEach(({ pose }, i) => {
+    const { parts, partOf } = state;
+    // The depth of a point of each part: four numbers.
+    const planes = new Float64Array(4 * parts.length);
+    parts.forEach(({ pose }, i) => {
       planes.set(apply(transpose(pose.rotation), camera.forward), 4 * i);
       planes[4 * i + 3] = dot(camera.forward, minus(pose.shift, camera.center));
     });
-    const shown = Uint8Array.from(objects, (object) => object.shown);
+    const shown = Uint8Array.from(parts, (part) => state.isShown(part));
     const depths = new Float32Array(this.keys.buffer);
     let count = 0;
     for (let i = 0, at = 0; i < gaussians; i++, at += FLOATS) {
-      const object = geometry[at + OBJECT];
-      const p = 4 * object;
+      const p = 4 * partOf[i];
       const depth =
         planes[p] * geometry[at] + planes[p + 1] * geometry[at + 1] + planes[p + 2] * geometry[at + 2] + planes[p + 3];
-      if (depth > NEAR && shown[object]) {
+      if (depth > NEAR && shown[partOf[i]]) {
         // Bits of positive floats are ordered as they are.
         depths[i] = depth;
         this.ids[count++] = i;

@@ -1,6 +1,7 @@
 // Draws the Gaussians with WebGL 2: sorted quads blended back to front into half floats.
 
-const OBJECTS_WIDE = 256; // in a row of their texture, as in splat.vert
+const PARTS_WIDE = 256; // in a row of their texture, as in splat.vert
+const SELECTED = 0x80000000; // added to the part of a selected Gaussian, as in splat.vert
 
 class Renderer {
   constructor(canvas, scene, shaders) {
@@ -22,8 +23,9 @@ class Renderer {
     const size = [TEXTURE_WIDTH, rows];
     this.geometry = this.texture(gl.RGBA32F, gl.RGBA, gl.FLOAT, ...size, scene.geometry);
     this.colours = this.texture(gl.RGBA32UI, gl.RGBA_INTEGER, gl.UNSIGNED_INT, ...size, scene.colours);
-    this.objectSize = [TEXELS * OBJECTS_WIDE, Math.ceil(scene.objects.length / OBJECTS_WIDE)];
-    this.objects = this.texture(gl.RGBA32F, gl.RGBA, gl.FLOAT, ...this.objectSize, null);
+    this.parts = gl.createTexture();
+    this.partSize = [TEXTURE_WIDTH, Math.ceil(scene.gaussians / TEXTURE_WIDTH)];
+    this.partOf = this.texture(gl.R32UI, gl.RED_INTEGER, gl.UNSIGNED_INT, ...this.partSize, null);
 
     this.order = gl.createBuffer();
     this.vertices = gl.createVertexArray();
@@ -99,16 +101,24 @@ class Renderer {
     this.count = order.length;
   }
 
-  /** Where objects are, and which is chosen (-1 for none). */
-  setObjects(objects, chosen) {
+  /** Where parts are, their colours and which are chosen; the part of each Gaussian, and whether it is selected. */
+  setParts(state, selection, chosen) {
     const { gl } = this;
-    const values = new Float32Array(FLOATS * OBJECTS_WIDE * this.objectSize[1]);
-    objects.forEach(({ pose: { rotation, shift } }, i) => {
+    const size = [TEXELS * PARTS_WIDE, Math.ceil(state.parts.length / PARTS_WIDE)];
+    const values = new Float32Array(FLOATS * PARTS_WIDE * size[1]);
+    state.parts.forEach(({ object, pose: { rotation, shift } }, i) => {
       for (let k = 0; k < 3; k++) values.set([...row(rotation, k), shift[k]], FLOATS * i + 4 * k);
-      values.set([...times(1 / 255, this.scene.objects[i].color), i === chosen ? 1 : 0], FLOATS * i + 12);
+      const color = state.objects.get(object)?.color ?? [0, 0, 0];
+      values.set([...times(1 / 255, color), chosen.has(object) ? 1 : 0], FLOATS * i + 12);
     });
-    gl.bindTexture(gl.TEXTURE_2D, this.objects);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ...this.objectSize, gl.RGBA, gl.FLOAT, values);
+    gl.deleteTexture(this.parts);
+    this.parts = this.texture(gl.RGBA32F, gl.RGBA, gl.FLOAT, ...size, values);
+
+    const words = new Uint32Array(this.partSize[0] * this.partSize[1]);
+    words.set(state.partOf);
+    if (selection.count) selection.flags.forEach((flag, i) => flag && (words[i] += SELECTED));
+    gl.bindTexture(gl.TEXTURE_2D, this.partOf);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ...this.partSize, gl.RED_INTEGER, gl.UNSIGNED_INT, words);
   }
 
   /** Draws what `camera` sees; its image is `scale` of the canvas. `painted` is the share of the labels' colours. */
@@ -121,11 +131,11 @@ class Renderer {
     gl.clear(gl.COLOR_BUFFER_BIT);
     const { program, uniforms } = this.splats;
     gl.useProgram(program);
-    [this.geometry, this.colours, this.objects].forEach((texture, i) => {
+    [this.geometry, this.colours, this.parts, this.partOf].forEach((texture, i) => {
       gl.activeTexture(gl.TEXTURE0 + i);
       gl.bindTexture(gl.TEXTURE_2D, texture);
     });
-    ["geometry", "colours", "objects"].forEach((name, i) => gl.uniform1i(uniforms[name], i));
+    ["geometry", "colours", "parts", "partOf"].forEach((name, i) => gl.uniform1i(uniforms[name], i));
     gl.uniformMatrix3fv(uniforms.rotation, true, camera.rotation);
     gl.uniform3fv(uniforms.center, camera.center);
     gl.uniform2f(uniforms.focal, camera.fx, camera.fy);
@@ -134,6 +144,7 @@ class Renderer {
     gl.uniform1i(uniforms.degree, scene.degree);
     gl.uniform1f(uniforms.painted, painted);
     gl.uniform3f(uniforms.chosen, 1, 0.85, 0.35);
+    gl.uniform3f(uniforms.selected, 1, 0.2, 0.75);
     gl.uniform1f(uniforms.alphaMax, scene.alpha_max);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);

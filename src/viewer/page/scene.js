@@ -8,30 +8,20 @@ const TEXTURE_WIDTH = 2048; // as in splat.vert
 
 /** A Gaussian's row in `geometry`: centre and opacity, then three axes as long as their standard deviations. */
 const OPACITY = 3;
-const OBJECT = 7;
+/** The id of the one object of a scene without labels. */
+const WHOLE = -1;
 
 /** Cosine beyond which an axis of the world is upright. */
 const UPRIGHT = 0.999999;
 const AXES = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
 
 class Scene {
-  /** What objects turn about, counter-clockwise from above: up, as `coseg edit` takes it, a letter where it is an axis. */
+  /** What objects turn about, counter-clockwise from above: up, with its name. */
   get upright() {
     const axis = Object.keys(AXES).find((name) => Math.abs(dot(AXES[name], this.up)) > UPRIGHT);
-    const sign = axis && Math.sign(dot(AXES[axis], this.up));
-    const direction = axis ? times(sign, AXES[axis]) : unit(this.up.map((v) => Number(rounded(v, 4))));
-    const argument = sign > 0 ? axis : this.up.map((v) => rounded(v, 4)).join(":");
-    return { name: axis ? `${sign > 0 ? "" : "\u2212"}${axis}` : "up", argument, direction };
-  }
-
-  /** Objects as they are in the file. */
-  untouched() {
-    return this.objects.map((object) => new ObjectState(object, this.upright));
-  }
-
-  /** Whether Gaussians have labels; without them all are one nameless object. */
-  get labelled() {
-    return this.objects[0].id !== null;
+    if (!axis) return { name: "up", direction: unit(this.up) };
+    const sign = Math.sign(dot(AXES[axis], this.up));
+    return { name: `${sign > 0 ? "" : "\u2212"}${axis}`, direction: times(sign, AXES[axis]) };
   }
 
   /**
@@ -40,6 +30,9 @@ class Scene {
    */
   constructor(header, buffer) {
     Object.assign(this, header);
+    /** Whether Gaussians have labels; without them all are one nameless object. */
+    this.labelled = this.objects[0].id !== null;
+    if (!this.labelled) this.objects[0].id = WHOLE;
     const n = this.gaussians;
     const terms = (this.degree + 1) ** 2 - 1;
     let at = 0;
@@ -49,11 +42,14 @@ class Scene {
       return column;
     };
     const means = take(Float32Array, 3);
+    /** The group of neighbours on one surface of each Gaussian. */
+    this.superpoints = this.labelled ? take(Uint32Array, 1) : null;
     const scales = take(Int16Array, 3);
     const base = take(Int16Array, 3);
     const rotations = take(Int16Array, 4);
     const opacities = take(Uint16Array, 1);
-    const labels = take(Uint16Array, 1);
+    /** The place of each Gaussian's object in the list. */
+    this.places = take(Uint16Array, 1);
     const spread = take(Int16Array, 1);
     const rest = take(Int8Array, 3 * terms);
 
@@ -71,7 +67,6 @@ class Scene {
       }
       this.geometry[row + OPACITY] = opacities[i] / 65535;
       this.setAxes(row, rotations, 4 * i, scales, 3 * i);
-      this.geometry[row + OBJECT] = labels[i];
       this.geometry[row + 11] = terms ? Math.exp(spread[i] * LOG_STEP) / 127 : 0;
       const bytesAt = 4 * row - 3 * terms * i;
       for (let k = 3 * terms * i; k < 3 * terms * (i + 1); k++) bytes[bytesAt + k] = rest[k];
@@ -118,25 +113,4 @@ function decoded(text) {
   const bytes = new Uint8Array(characters.length);
   for (let i = 0; i < bytes.length; i++) bytes[i] = characters.charCodeAt(i);
   return bytes;
-}
-
-/** What the user has done to an object: turned about what is upright through the middle of its box, then moved. */
-class ObjectState {
-  constructor({ low, high }, axis) {
-    this.shown = true;
-    this.offset = [0, 0, 0];
-    this.degrees = 0;
-    this.pivot = times(0.5, add(low, high));
-    this.axis = axis;
-  }
-
-  get turned() {
-    return this.degrees !== 0;
-  }
-
-  /** Its points are at rotation x + shift. */
-  get pose() {
-    const rotation = rotationAbout(this.axis.direction, (this.degrees * Math.PI) / 180);
-    return { rotation, shift: add(this.offset, minus(this.pivot, apply(rotation, this.pivot))) };
-  }
 }

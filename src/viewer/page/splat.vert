@@ -7,7 +7,8 @@ precision highp usampler2D;
 
 uniform sampler2D geometry;
 uniform usampler2D colours;
-uniform sampler2D objects;  // of each a rotation row by row with a shift, and its label's colour with 1 for the chosen one
+uniform sampler2D parts;    // of each a rotation row by row with a shift, and its label's colour with 1 for chosen ones
+uniform usampler2D partOf;  // of each Gaussian; the highest bit is set where it is selected
 uniform mat3 rotation;
 uniform vec3 center;
 uniform vec2 focal;
@@ -15,7 +16,8 @@ uniform vec2 principal;
 uniform vec2 size;
 uniform int degree;
 uniform float painted;      // share of the label's colour
-uniform vec3 chosen;        // what the chosen object is tinted with
+uniform vec3 chosen;        // what chosen objects are tinted with
+uniform vec3 selected;      // and selected Gaussians
 
 layout(location = 0) in uint splat;
 
@@ -24,12 +26,12 @@ flat out vec3 conic;        // slope, and the reciprocals of the spread along x 
 flat out vec4 shade;        // colour and opacity
 
 const int WIDTH = 2048;
-const int OBJECTS_WIDE = 256;
+const int PARTS_WIDE = 256;
 const float LOW_PASS = 0.3;
 const float ALPHA_MIN = 1.0 / 255.0;
 
-vec4 ofObject(int object, int k) {
-    return texelFetch(objects, ivec2(4 * (object % OBJECTS_WIDE) + k, object / OBJECTS_WIDE), 0);
+vec4 ofPart(int part, int k) {
+    return texelFetch(parts, ivec2(4 * (part % PARTS_WIDE) + k, part / PARTS_WIDE), 0);
 }
 
 ivec2 texel(int k) {
@@ -89,10 +91,11 @@ void main() {
     vec4 centre = texelFetch(geometry, texel(0), 0);
     vec4 axes[3] = vec4[3](
         texelFetch(geometry, texel(1), 0), texelFetch(geometry, texel(2), 0), texelFetch(geometry, texel(3), 0));
-    int object = int(axes[0].w + 0.5);
-    vec4 rows[3] = vec4[3](ofObject(object, 0), ofObject(object, 1), ofObject(object, 2));
-    vec4 label = ofObject(object, 3);
-    mat3 back = mat3(rows[0].xyz, rows[1].xyz, rows[2].xyz);  // columns: the object's turn undone
+    uint word = texelFetch(partOf, ivec2(int(splat) % WIDTH, int(splat) / WIDTH), 0).x;
+    int part = int(word & 0x7fffffffu);
+    vec4 rows[3] = vec4[3](ofPart(part, 0), ofPart(part, 1), ofPart(part, 2));
+    vec4 label = ofPart(part, 3);
+    mat3 back = mat3(rows[0].xyz, rows[1].xyz, rows[2].xyz);  // columns: the part's turn undone
     vec3 toward = centre.xyz * back + vec3(rows[0].w, rows[1].w, rows[2].w) - center;
     vec3 p = rotation * toward;
     mat3 turned = rotation * transpose(back);
@@ -134,5 +137,6 @@ void main() {
     conic = vec3(B / Y, inversesqrt(given), inversesqrt(Y));
     vec3 colour = painted < 1.0 ? colourFrom(back * normalize(toward), axes[1].w) : vec3(0.0);
     colour = mix(colour, label.rgb, painted);
-    shade = vec4(mix(colour, chosen, 0.4 * label.w), opacity);
+    colour = mix(colour, chosen, 0.4 * label.w);
+    shade = vec4(mix(colour, selected, (word >> 31) > 0u ? 0.65 : 0.0), opacity);
 }

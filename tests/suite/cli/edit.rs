@@ -53,6 +53,8 @@ fn the_program_lists_picks_and_edits() {
             .all(|word| list.contains(word)),
         "{list}"
     );
+    let axes = ["centre x", " y ", " z ", "size x"];
+    assert!(axes.iter().all(|axis| list.contains(axis)), "{list}");
     let json = json_of(&["objects", "--scene", utf8(&path)]);
     assert_eq!(
         (json[1]["name"].as_str(), json[1]["gaussians"].as_u64()),
@@ -74,7 +76,11 @@ fn the_program_lists_picks_and_edits() {
         "--pixel",
         &pixel,
     ];
-    assert!(succeeds(&at).contains("2 green"), "{}", succeeds(&at));
+    let said = succeeds(&at);
+    assert!(
+        said.contains("2 green") && said.contains("at x 10000"),
+        "{said}"
+    );
     let json = json_of(&at);
     assert_eq!(json["id"].as_u64(), Some(2));
     near(&json["point"], ORIGIN + DVec3::new(0.0, 0.3, 0.0), 0.31);
@@ -137,10 +143,11 @@ fn the_program_lists_picks_and_edits() {
             assert!(near, "about {axis}: {got:?} for {mean:?}");
         }
     }
-    edit(&[]);
+    edit(&["--keep", "red,green,blue,wall"]);
     assert_eq!(read(&out), (before, labels));
 
-    edit(&["--keep", "red,wall", "--paint"]);
+    let said = edit(&["--keep", "red,wall", "--paint"]);
+    assert!(said.contains("painted"), "{said}");
     let (painted, left) = read(&out);
     let classes = Classes::read(&folder.path().join("classes.json")).unwrap();
     let want: Vec<[f32; 3]> = left
@@ -241,7 +248,23 @@ fn mistakes_about_objects_say_what_there_is() {
         message.contains("--move") && message.contains("at most"),
         "{message}"
     );
-    let onto = fails(&["edit", "--scene", utf8(&path), "--out", utf8(&path)], 1);
+    let message = edit(&[], 1);
+    assert!(
+        message.contains("no operation") && message.contains("--edits"),
+        "{message}"
+    );
+    let onto = fails(
+        &[
+            "edit",
+            "--scene",
+            utf8(&path),
+            "--out",
+            utf8(&path),
+            "--keep",
+            "red",
+        ],
+        1,
+    );
     assert!(
         onto.contains("--out") && onto.contains("another file"),
         "{onto}"
@@ -257,6 +280,8 @@ fn mistakes_about_objects_say_what_there_is() {
             utf8(&path),
             "--out",
             utf8(&taken),
+            "--remove",
+            "red",
             &names[0],
             &names[1],
         ];
@@ -285,6 +310,8 @@ fn mistakes_about_objects_say_what_there_is() {
             utf8(&path),
             "--out",
             utf8(&other.with_file_name("a.ply")),
+            "--keep",
+            "red",
         ],
         1,
     );

@@ -7,6 +7,7 @@ pub mod bench;
 pub mod commands;
 pub mod compare;
 pub mod edit;
+pub mod edits;
 pub mod features;
 pub mod foreign_files;
 pub mod hostile;

@@ -5,6 +5,7 @@ pub mod compactness;
 #[cfg(feature = "wgpu")]
 pub mod device_labels;
 pub mod edit;
+pub mod edits;
 pub mod object_classes;
 pub mod renderer;
 pub mod segments;

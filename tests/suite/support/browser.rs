@@ -38,7 +38,10 @@ fn browse(browser: &str, path: &Path, address: &str, what: &str) -> String {
         "file://{}#{address}",
         path.canonicalize().unwrap().display()
     );
+    // What a page keeps in the browser must not reach another test.
+    let profile = tempfile::tempdir().unwrap();
     let output = Command::new(browser)
+        .arg(format!("--user-data-dir={}", profile.path().display()))
         .args([
             "--headless",
             "--no-sandbox",

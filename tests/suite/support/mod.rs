@@ -9,6 +9,8 @@ pub mod comparison;
 pub mod damage;
 #[cfg(feature = "wgpu")]
 pub mod device_tensors;
+#[cfg(unix)]
+pub mod devtools;
 pub mod dino_reference;
 pub mod dino_weights;
 pub mod feature_maps;

@@ -1,4 +1,8 @@
 //! Tests of `coseg::viewer`.
 
+#[cfg(unix)]
+pub mod mends;
 pub mod page;
+#[cfg(unix)]
+pub mod panel;
 pub mod viewer_edits;

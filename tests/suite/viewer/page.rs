@@ -53,6 +53,7 @@ fn viewer<'a>(
         title: "a </script><b>bold</b> title {{script}}",
         scene: "it's",
         names: None,
+        sha256: "00ff",
         gaussians,
         origin: ORIGIN,
         labels,
@@ -98,13 +99,14 @@ fn unpacked(page: &str) -> (Gaussians, Vec<u16>) {
         header["gaussians"].as_u64().unwrap() as usize,
         header["degree"].as_u64().unwrap() as usize,
     );
+    let labelled = !header["objects"][0]["id"].is_null();
     let bytes = columns(page);
     assert_eq!(header["bytes"], bytes.len());
     let rest = 3 * ((degree + 1).pow(2) - 1);
     assert_eq!(
         bytes.len(),
-        n * (38 + rest),
-        "83 bytes a Gaussian of degree 3"
+        n * (38 + rest) + if labelled { 4 * n } else { 0 },
+        "83 bytes a Gaussian of degree 3, and its superpoint"
     );
     let mut left = bytes.as_slice();
     let mut take = |width: usize| left.split_off(..width * n).unwrap();
@@ -112,6 +114,7 @@ fn unpacked(page: &str) -> (Gaussians, Vec<u16>) {
         .chunks_exact(4)
         .map(|b| f32::from_le_bytes(b.try_into().unwrap()))
         .collect();
+    take(if labelled { 4 } else { 0 });
     let mut shorts = |width: usize| -> Vec<i16> {
         take(2 * width)
             .chunks_exact(2)
@@ -242,13 +245,14 @@ fn scenes_without_labels_cameras_or_degrees_have_a_page_too() {
 fn the_size_of_a_page_is_known_before_it_is_made() {
     for degree in [0, 2, 3] {
         let cloud = cloud(2_000).with_sh_degree(degree);
-        let rest = page_of(&cloud, None, &Classes::default()).len() - Viewer::bytes(&cloud);
+        let rest = page_of(&cloud, None, &Classes::default()).len() - Viewer::bytes(&cloud, false);
         assert!(
-            (40_000..90_000).contains(&rest),
+            (60_000..120_000).contains(&rest),
             "{rest} bytes besides, degree {degree}"
         );
     }
-    assert_eq!(Viewer::bytes(&cloud(300)), 300 * (35 + 48) / 3 * 4);
+    assert_eq!(Viewer::bytes(&cloud(300), false), 300 * (35 + 48) / 3 * 4);
+    assert_eq!(Viewer::bytes(&cloud(300), true), 300 * (39 + 48) / 3 * 4);
 }
 
 #[test]
@@ -382,7 +386,7 @@ fn the_pointer_turns_the_picture_and_chooses_what_it_shows() {
         const at = [0, 3, 6].map((r) => d.reduce((s, v, k) => s + v * c.rotation[r + k], 0)); \
         return [c.fx * at[0] / at[2] + c.cx, c.fy * at[1] / at[2] + c.cy]; }; \
         const said = []; const [x, y] = spot([0, 0.3, 0]); \
-        send('pointerdown', x, y); send('pointerup', x, y); said.push(page.scene.objects[page.chosen].name); \
+        send('pointerdown', x, y); send('pointerup', x, y); said.push([...page.chosen].map((id) => page.state.object(id).name).join()); \
         const [u, v] = spot([0, 0, -1]); send('pointerdown', u, v); \
         const near = page.navigation.pivot.map((w, k) => 0.7 * w + 0.3 * page.fitted.center[k]); const before = spot(near); \
         for (let i = 1; i <= 6; i++) send('pointermove', u + i, v + i); send('pointerup', u + 6, v + 6); \

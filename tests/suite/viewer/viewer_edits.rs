@@ -1,4 +1,4 @@
-//! What is done to objects in the viewer's page, and the `coseg edit` line that it writes of it.
+//! What is done to objects in the viewer's page, and the `coseg edit` line and the file that it writes of it.
 
 use crate::support::browser::{after, browser, drawn, psnr, scripted};
 use crate::support::plates::{self, plates, scene as plates_scene};
@@ -28,9 +28,13 @@ fn page(dir: &Path, more: &[&str]) -> PathBuf {
     page
 }
 
-/// Runs the line that the page writes after `script`; what it makes has to look as the page does.
+/// Runs the line that the page writes after `script`, beside the file that it saves; what it makes has to look as the page does.
 fn edited(browser: &str, dir: &Path, page: &Path, script: &str) -> (String, PlyScene) {
     let line = after(browser, page, script, "command");
+    let telling =
+        format!("{script} document.getElementById('said').textContent = page.edits.text();");
+    let edits = after(browser, page, &telling, "said");
+    std::fs::write(dir.join("edits.json"), &edits).unwrap();
     let run = Command::new("sh")
         .args([
             "-c",
@@ -65,7 +69,7 @@ fn edited(browser: &str, dir: &Path, page: &Path, script: &str) -> (String, PlyS
     let found = psnr(&drawn(browser, &scripted(page, script), &view, size), &want);
     assert!(found > 55.0, "{line}: {found}");
     assert!(psnr(&drawn(browser, page, &view, size), &want) < 30.0);
-    (line, edited)
+    (line + &edits, edited)
 }
 
 #[test]
@@ -81,14 +85,14 @@ fn the_command_that_the_page_writes_does_what_the_page_shows() {
     ];
     Classes::from_names(0, names).write(&classes).unwrap();
     let page = page(dir.path(), &["--classes", utf8(&classes)]);
-    let script = "page.show(0, false); page.show(3, false); page.moveTo(2, [0.25, -1, 0]); page.turnTo(1, 90); \
-        page.moveTo(1, [0, 0, 1]); page.draw();";
+    let script = "page.choose(1); page.choose(4, 'add'); page.remove(); page.moveTo(3, [0.25, -1, 0]); page.turnTo(2, 90); \
+        page.moveTo(2, [0, 0, 1]); page.choose(null); page.draw();";
     let (line, edited) = edited(&browser, dir.path(), &page, script);
     assert!(
-        line.starts_with("coseg edit ") && line.contains("--remove 1,wall"),
+        line.starts_with("coseg edit ") && line.contains("--edits edits.json"),
         "{line}"
     );
-    assert!(line.contains("--turn 2=y,90"), "{line}");
+    assert!(line.contains(r#""axis":[0,1,0],"degrees":90"#), "{line}");
     assert_eq!(edited.labels.unwrap(), [vec![2; 25], vec![3; 25]].concat());
     let (before, _) = plates();
     for (row, mean) in edited.gaussians.means.iter().enumerate() {
@@ -111,16 +115,15 @@ fn objects_turn_about_an_up_that_is_no_axis_of_the_world() {
     let Some(browser) = browser() else { return };
     let dir = tempfile::tempdir().unwrap();
     let page = page(dir.path(), &["--up", "0.3,-0.9,0.1"]);
-    let script = "page.show(3, false); page.turnTo(1, 70); page.draw();";
+    let script = "page.choose(4); page.remove(); page.turnTo(2, 70); page.draw();";
     let (line, edited) = edited(&browser, dir.path(), &page, script);
-    assert!(line.contains("=0.3145:-0.9435:0.1048,70"), "{line}");
+    assert!(line.contains(r#""degrees":70"#), "{line}");
     let turn = DQuat::from_axis_angle(DVec3::new(0.3, -0.9, 0.1).normalize(), 70_f64.to_radians());
     let (before, _) = plates();
     let middle = DVec3::new(0.0, 0.3, 0.0);
     for (row, mean) in edited.gaussians.means.iter().enumerate().take(50).skip(25) {
         let want = turn * (DVec3::from(before.means[row].map(f64::from)) - middle) + middle;
         let got = DVec3::from(mean.map(f64::from)) + edited.origin;
-        // The line tells up by four digits.
-        assert!(got.distance(want) < 1e-4, "{row}: {got} {want}");
+        assert!(got.distance(want) < 1e-5, "{row}: {got} {want}");
     }
 }

@@ -1,0 +1,150 @@
+// What is chosen in the scene, and what is done to it. The page below draws it.
+
+class Editor {
+  /** `kept`: whether the browser keeps edits across a reload. */
+  constructor(scene, kept) {
+    this.scene = scene;
+    this.edits = new Edits(scene, kept, () => this.edited());
+    /** Ids of chosen objects, in the order in which they were chosen. */
+    this.chosen = new Set();
+    this.selection = new Selection(scene.gaussians);
+    /** Whether the chosen object moves with the pointer. */
+    this.moving = false;
+  }
+
+  get state() {
+    return this.edits.state;
+  }
+
+  /** Objects that are gone are no longer chosen, nor deleted Gaussians selected. */
+  edited() {
+    for (const id of this.chosen) if (!this.state.objects.get(id)?.count) this.chosen.delete(id);
+    this.selection.restrict(this.state);
+    if (this.chosen.size !== 1) this.moving = false;
+    this.refresh();
+  }
+
+  /** Chooses an object alone, adds it ("add"; again drops it), or takes it out ("subtract"). Null means nothing. */
+  choose(id, how = "new") {
+    const had = this.chosen.has(id);
+    if (how === "new") this.chosen.clear();
+    if (how === "subtract" || (how === "add" && had)) this.chosen.delete(id);
+    else if (id !== null) this.chosen.add(id);
+    this.selection.clear();
+    this.moving = false;
+    this.refresh();
+    this.panel.list.reveal();
+  }
+
+  /** Esc: the selection goes first, then the tool, then what is chosen. */
+  back() {
+    if (this.tools.shape) this.tools.cancel();
+    else if (this.selection.count) this.selection.clear();
+    else if (this.tools.isActive) this.tools.choose("objects");
+    else this.choose(null);
+    this.refresh();
+  }
+
+  setMoving(moving) {
+    this.moving = moving && this.chosen.size === 1;
+    this.refresh();
+  }
+
+  /** Does one more thing, if it changes anything. */
+  push(operation) {
+    if (this.scene.labelled) this.edits.push(operation);
+  }
+
+  /** Shows or hides objects. */
+  show(ids, shown) {
+    const changed = ids.filter((id) => this.state.object(id).shown !== shown);
+    if (changed.length) this.push({ op: "view", shown: shown ? changed : [], hidden: shown ? [] : changed });
+  }
+
+  /** Hides what is chosen, or shows it where all of it is hidden. */
+  toggle() {
+    const ids = [...this.chosen];
+    this.show(ids, !ids.some((id) => this.state.object(id).shown));
+  }
+
+  /** These objects alone, or all. */
+  showOnly(ids) {
+    const wanted = ({ id }) => ids === null || ids.has(id);
+    const shown = this.state.present.filter((object) => wanted(object) && !object.shown);
+    const hidden = this.state.present.filter((object) => !wanted(object) && object.shown);
+    const idsOf = (objects) => objects.map(({ id }) => id);
+    if (shown.length + hidden.length) this.push({ op: "view", shown: idsOf(shown), hidden: idsOf(hidden) });
+  }
+
+  /** An empty name changes nothing. */
+  rename(object, text) {
+    const name = text.trim();
+    if (name && name !== called(this.state.object(object))) this.push({ op: "rename", object, name });
+    else this.refresh();
+  }
+
+  recolor(object, color) {
+    this.push({ op: "recolor", object, color });
+  }
+
+  /** The selected Gaussians, or else the chosen objects, become part of the object `id`. */
+  putInto(id) {
+    if (!this.state.objects.has(id)) return;
+    const objects = [...this.chosen].filter((other) => other !== id);
+    if (this.selection.count) this.push({ op: "assign", gaussians: this.selection.rows(), object: id });
+    else if (objects.length) this.push({ op: "merge", objects, into: id });
+    else return;
+    this.choose(id);
+  }
+
+  /** The selected Gaussians become an object of their own, to be named. */
+  split() {
+    const object = this.state.freeId();
+    if (!this.selection.count || object === null) return;
+    const taken = new Set([...this.state.objects.values()].map(({ name }) => name));
+    let number = 1;
+    while (taken.has(`object ${number}`)) number++;
+    const color = freshColor(this.state.present.map((other) => other.color));
+    const made = { name: `object ${number}`, color };
+    this.push({ op: "assign", gaussians: this.selection.rows(), object, new: made });
+    this.tools.choose("objects");
+    this.choose(object);
+    this.details.name.select();
+  }
+
+  /** Deletes the selected Gaussians, or else the chosen objects; the last Gaussian stays. */
+  remove() {
+    const left = this.state.present.filter(({ id }) => !this.chosen.has(id)).length;
+    if (this.selection.count) {
+      const total = this.state.present.reduce((sum, { count }) => sum + count, 0);
+      if (this.selection.count < total) this.push({ op: "delete_gaussians", gaussians: this.selection.rows() });
+    } else if (this.chosen.size && left) this.push({ op: "delete_objects", objects: [...this.chosen] });
+  }
+
+  /** Takes the whole of each superpoint that is touched, of objects that are chosen if any are. */
+  grow() {
+    const { superpoints } = this.scene;
+    if (!superpoints || !this.selection.count) return;
+    const touched = new Set(this.selection.rows().map((row) => superpoints[row]));
+    superpoints.forEach((superpoint, row) => {
+      const id = this.state.objectOf(row);
+      const isFree = id !== null && (!this.chosen.size || this.chosen.has(id));
+      if (isFree && touched.has(superpoint)) this.selection.set(row, 1);
+    });
+    this.refresh();
+  }
+
+  /** Shifts an object to an offset from where it was at first. */
+  moveTo(object, offset) {
+    const shift = minus(offset, this.state.object(object).offset);
+    if (shift.some((v) => v !== 0)) this.push({ op: "move", object, shift });
+  }
+
+  /** Turns an object to an angle from how it was at first. */
+  turnTo(object, angle) {
+    const degrees = angle - this.state.object(object).degrees;
+    const pivot = add(this.state.middle(object), this.scene.origin);
+    const turn = { axis: this.scene.upright.direction, degrees, pivot };
+    if (degrees) this.push({ op: "move", object, turn, shift: [0, 0, 0] });
+  }
+}

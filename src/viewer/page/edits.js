@@ -1,0 +1,115 @@
+// What was done, in order: undone and done again, kept in the browser, and saved as edits.json.
+
+const VERSION = 1; // of edits.json, as in src/objects/edits
+
+class Edits {
+  /** `changed` is called after each change. With `kept`, the browser keeps the edits across a reload. */
+  constructor(scene, kept, changed) {
+    this.scene = scene;
+    this.changed = changed;
+    this.key = kept && scene.labelled ? `coseg edits ${scene.sha256}` : null;
+    this.done = [];
+    this.undone = [];
+    /** What the last saved file holds. */
+    this.saved = [];
+    /** Why edits are not kept, if they are not. */
+    this.trouble = "";
+    this.state = new State(scene);
+    this.restore();
+  }
+
+  /** Does one more thing. */
+  push(operation) {
+    this.state.apply(operation);
+    this.done.push(operation);
+    this.undone = [];
+    this.finish();
+  }
+
+  /** Shifts further by the last operation, a move that a drag began. */
+  extend(shift) {
+    const last = this.done.at(-1);
+    this.state.apply({ op: "move", object: last.object, shift });
+    last.shift = add(last.shift, shift);
+  }
+
+  undo() {
+    if (!this.done.length) return;
+    this.undone.push(this.done.pop());
+    this.state = State.after(this.scene, this.done);
+    this.finish();
+  }
+
+  redo() {
+    if (!this.undone.length) return;
+    const operation = this.undone.pop();
+    this.state.apply(operation);
+    this.done.push(operation);
+    this.finish();
+  }
+
+  /** Undoes everything, which can be done again. */
+  discard() {
+    while (this.done.length) this.undone.push(this.done.pop());
+    this.state = new State(this.scene);
+    this.finish();
+  }
+
+  finish() {
+    this.keep();
+    this.changed();
+  }
+
+  /** What belongs into a file: hiding does not. */
+  get operations() {
+    return this.done.filter(({ op }) => op !== "view");
+  }
+
+  get isSaved() {
+    const now = this.operations;
+    return now.length === this.saved.length && now.every((operation, i) => operation === this.saved[i]);
+  }
+
+  /** The content of edits.json. */
+  text() {
+    const lines = this.operations.map((operation) => `    ${JSON.stringify(operation)}`).join(",\n");
+    const list = lines ? `[\n${lines}\n  ]` : "[]";
+    return `{\n  "version": ${VERSION},\n  "scene": "${this.scene.sha256}",\n  "operations": ${list}\n}\n`;
+  }
+
+  /** Downloads edits.json. */
+  save() {
+    const url = URL.createObjectURL(new Blob([this.text()], { type: "application/json" }));
+    element("a", { href: url, download: "edits.json" }).click();
+    setTimeout(() => URL.revokeObjectURL(url), 60_000);
+    this.saved = this.operations;
+    this.finish();
+  }
+
+  keep() {
+    if (!this.key) return;
+    try {
+      const saved = this.isSaved;
+      if (this.done.length) localStorage.setItem(this.key, JSON.stringify({ done: this.done, saved }));
+      else localStorage.removeItem(this.key);
+      this.trouble = "";
+    } catch {
+      // Private windows keep nothing, and a page keeps 5 MB at most.
+      this.trouble = "The browser does not keep these edits: save them before you leave.";
+    }
+  }
+
+  /** Takes up what was kept. What does not fit the scene is dropped. */
+  restore() {
+    if (!this.key) return;
+    try {
+      const { done, saved } = JSON.parse(localStorage.getItem(this.key) ?? '{"done": [], "saved": true}');
+      this.state = State.after(this.scene, done);
+      this.done = done;
+      this.saved = saved ? this.operations : [null];
+    } catch {
+      this.state = new State(this.scene);
+      this.trouble = "Edits of an earlier visit could not be read.";
+    }
+  }
+}

@@ -1,0 +1,72 @@
+// Keys. Every action has one, and none is taken from a field that takes text.
+
+const KEYS = {
+  Digit1: (page) => page.setMode("colour"),
+  Digit2: (page) => page.setMode("both"),
+  Digit3: (page) => page.setMode("labels"),
+  KeyB: (page) => page.nextBackground(),
+  KeyL: (page) => page.level(),
+  Escape: (page) => page.back(),
+};
+
+/** Those of a scene with labels. */
+const EDITING_KEYS = {
+  KeyV: (page) => page.tools.choose("objects"),
+  KeyP: (page) => page.tools.choose("brush"),
+  KeyO: (page) => page.tools.choose("lasso"),
+  KeyX: (page) => page.tools.choose("box"),
+  BracketLeft: (page) => page.tools.resize(1 / 1.25),
+  BracketRight: (page) => page.tools.resize(1.25),
+  KeyF: () => document.getElementById("search").focus(),
+  F2: (page) => page.details.name.select(),
+  KeyT: (page) => page.details.target.focus(),
+  KeyH: (page) => page.toggle(),
+  KeyM: (page) => page.setMoving(!page.moving),
+  KeyN: (page) => page.split(),
+  KeyG: (page) => page.grow(),
+  Delete: (page) => page.remove(),
+  Backspace: (page) => page.remove(),
+};
+
+class Keys {
+  constructor(page) {
+    this.page = page;
+    window.addEventListener("keydown", (e) => this.press(e));
+  }
+
+  press(e) {
+    const { page } = this;
+    if (takesText(e.target)) {
+      if (e.code === "Escape") this.leave(e.target);
+      // Enter ends a name or a choice, and the keys of the page work again.
+      if (e.code === "Enter" && e.target === page.details.target) page.details.put.click();
+      if (e.code === "Enter" && (e.target.type === "text" || e.target === page.details.target)) page.canvas.focus();
+      return;
+    }
+    if ((e.ctrlKey || e.metaKey) && e.code === "KeyZ" && !e.altKey) {
+      e.preventDefault();
+      if (e.shiftKey) page.edits.redo();
+      else page.edits.undo();
+      return;
+    }
+    if (e.ctrlKey || e.metaKey || e.altKey) return;
+    if (e.target === page.canvas && (e.code === "Space" || e.code === "Enter")) {
+      e.preventDefault();
+      page.takeMiddle(e);
+      return;
+    }
+    const action = KEYS[e.code] ?? (page.scene.labelled ? EDITING_KEYS[e.code] : undefined);
+    if (!action) return;
+    // The key is not typed into what it leads to.
+    e.preventDefault();
+    action(page);
+  }
+
+  /** A field that is left by Esc has what it had before. */
+  leave(field) {
+    if (field.id === "search") field.value = "";
+    this.page.panel.update();
+    field.blur();
+    this.page.canvas.focus({ preventScroll: true });
+  }
+}

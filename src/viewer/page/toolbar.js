@@ -1,0 +1,50 @@
+// The buttons over the picture: tools, their options, undo and redo.
+
+class Toolbar {
+  constructor(page) {
+    this.page = page;
+    const at = (id) => document.getElementById(id);
+    this.buttons = [...document.querySelectorAll("[data-tool]")];
+    for (const button of this.buttons) button.onclick = () => page.tools.choose(button.dataset.tool);
+    this.ways = [...document.querySelectorAll("[data-how]")];
+    for (const button of this.ways) {
+      button.onclick = () => {
+        page.tools.how = button.dataset.how;
+        page.refresh();
+      };
+    }
+    [this.undo, this.redo] = [at("undo"), at("redo")];
+    this.undo.onclick = () => page.edits.undo();
+    this.redo.onclick = () => page.edits.redo();
+    [this.options, this.radius, this.depth, this.depthText] = [at("options"), at("radius"), at("depth"), at("depth-text")];
+    this.radius.oninput = () => {
+      page.tools.radius = Number(this.radius.value);
+      page.refresh();
+    };
+    this.depth.oninput = () => {
+      page.tools.slider = Number(this.depth.value);
+      page.refresh();
+    };
+    this.within = at("within");
+    at("toolbar").hidden = !page.scene.labelled;
+    this.digits = digitsOf(page.scene.extent);
+  }
+
+  update() {
+    const { tools, edits } = this.page;
+    for (const button of this.buttons) button.setAttribute("aria-pressed", String(button.dataset.tool === tools.tool));
+    for (const button of this.ways) button.setAttribute("aria-pressed", String(button.dataset.how === tools.how));
+    this.undo.disabled = !edits.done.length;
+    this.redo.disabled = !edits.undone.length;
+    this.options.hidden = !tools.isActive;
+    this.radius.parentElement.hidden = tools.tool !== "brush";
+    this.radius.value = tools.radius;
+    this.depth.value = tools.slider;
+    const limit = tools.limit === Infinity ? "no limit" : rounded(tools.limit, this.digits);
+    this.depthText.textContent = limit;
+    const names = [...this.page.chosen].map((id) => called(this.page.state.object(id)));
+    this.within.textContent = names.length ? `within ${names.join(", ")}` : "";
+    this.within.hidden = !names.length;
+    this.depth.setAttribute("aria-valuetext", `${limit} behind the surface`);
+  }
+}

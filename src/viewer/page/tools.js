@@ -1,0 +1,124 @@
+// Brush, lasso and box: they select Gaussians of the surface that the picture shows.
+
+const TOOLS = ["objects", "brush", "lasso", "box"];
+const RADII = [4, 200]; // pixels of the brush
+const NO_LIMIT = 100; // of the depth slider
+
+class Tools {
+  /** `page` is the page of main.js. */
+  constructor(page) {
+    this.page = page;
+    this.tool = "objects";
+    /** What a shape does without Shift and Alt: "new", "add" or "subtract". */
+    this.how = "new";
+    this.radius = 24;
+    this.slider = 33;
+    this.overlay = document.getElementById("overlay");
+    this.shape = null;
+    page.canvas.addEventListener("pointerleave", () => this.shape || this.clear());
+  }
+
+  get isActive() {
+    return this.tool !== "objects";
+  }
+
+  /** How far behind the surface Gaussians are taken, world units: 0.1 % to 100 % of the scene, or no limit. */
+  get limit() {
+    const { low, high } = this.page.scene.extent;
+    if (this.slider >= NO_LIMIT) return Infinity;
+    return Math.hypot(...minus(high, low)) * 10 ** (-3 + 0.03 * this.slider);
+  }
+
+  choose(tool) {
+    this.cancel();
+    this.tool = tool;
+    document.body.classList.toggle("drawing", this.isActive);
+    this.page.refresh();
+  }
+
+  resize(factor) {
+    this.radius = Math.max(RADII[0], Math.min(RADII[1], Math.round(this.radius * factor)));
+    this.page.refresh();
+  }
+
+  /** Begins a shape; without modifiers it replaces what is selected. */
+  begin(at, { shiftKey, altKey }) {
+    const how = altKey ? "subtract" : shiftKey ? "add" : this.how;
+    const { selection } = this.page;
+    if (how === "new") selection.clear();
+    this.flag = how === "subtract" ? 0 : 1;
+    this.found = this.page.candidates(this.limit);
+    this.shape = [at];
+    if (this.tool === "brush") this.brush(at, at);
+    this.draw(at);
+  }
+
+  drag(at) {
+    if (!this.shape) return;
+    if (this.tool === "brush") this.brush(this.shape.at(-1), at);
+    this.shape = this.tool === "box" ? [this.shape[0], at] : [...this.shape, at];
+    this.draw(at);
+  }
+
+  end() {
+    if (!this.shape) return;
+    const corners = this.corners();
+    if (corners) this.take((spot) => insidePolygon(spot, corners));
+    this.cancel();
+    this.page.selected();
+  }
+
+  /** Gives a shape up. What a brush has taken stays. */
+  cancel() {
+    this.shape = null;
+    this.found = null;
+    this.clear();
+  }
+
+  corners() {
+    const [[x, y], [u, v]] = [this.shape[0], this.shape.at(-1)];
+    if (this.tool === "box") return [[x, y], [u, y], [u, v], [x, v]];
+    return this.tool === "lasso" ? this.shape : null;
+  }
+
+  brush(from, to) {
+    this.take((spot) => nearLine(spot, from, to, this.radius));
+    this.page.selected();
+  }
+
+  take(isInside) {
+    for (const { row, x, y } of this.found) if (isInside([x, y])) this.page.selection.set(row, this.flag);
+  }
+
+  /** Without a pointer: what is under the brush in the middle of the picture. */
+  takeMiddle(event) {
+    const { width, height } = this.page.fitted;
+    const middle = [width / 2, height / 2];
+    this.begin(middle, event);
+    this.brush(middle, middle);
+    this.cancel();
+    this.hover(middle);
+    this.page.selected();
+  }
+
+  /** Shows the brush at the pointer. */
+  hover(at) {
+    if (this.tool === "brush") this.draw(at);
+  }
+
+  draw([x, y]) {
+    const marks = [];
+    if (this.tool === "brush") marks.push(["circle", { cx: x, cy: y, r: this.radius }]);
+    const corners = this.shape && this.corners();
+    if (corners) marks.push(["polygon", { points: corners.map((corner) => corner.join(",")).join(" ") }]);
+    this.overlay.replaceChildren(...marks.map(([kind, values]) => {
+      const made = document.createElementNS(this.overlay.namespaceURI, kind);
+      for (const [name, value] of Object.entries(values)) made.setAttribute(name, value);
+      return made;
+    }));
+  }
+
+  clear() {
+    this.overlay.replaceChildren();
+  }
+}

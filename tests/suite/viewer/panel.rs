@@ -1,0 +1,157 @@
+//! The panel of the viewer's page: the list of objects, fields, and what fits a phone.
+
+use crate::support::browser::browser;
+use crate::support::devtools::Tab;
+use coseg::data::Classes;
+use coseg::splat::Gaussians;
+use coseg::viewer::Viewer;
+use glam::DVec3;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// A page of `count` balls in a row, one object each, seen from before them.
+fn balls(dir: &Path, count: u16) -> PathBuf {
+    let n = usize::from(count);
+    let gaussians = Gaussians {
+        means: (0..n)
+            .map(|i| [i as f32 - 0.5 * n as f32, 0.0, 0.0])
+            .collect(),
+        log_scales: vec![[-1.2; 3]; n],
+        rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
+        opacity_logits: vec![5.0; n],
+        sh: vec![0.4; 3 * n],
+        sh_degree: 0,
+    };
+    let labels: Vec<u16> = (1..=count).collect();
+    let classes = Classes::from_names(0, labels.iter().map(|&id| (id, format!("ball {id}"))));
+    let page = dir.join("page.html");
+    Viewer {
+        title: "balls",
+        scene: "balls.ply",
+        names: None,
+        sha256: "00ff",
+        gaussians: &gaussians,
+        origin: DVec3::ZERO,
+        labels: Some(&labels),
+        classes: &classes,
+        cameras: &[],
+        up: None,
+        alpha_max: 0.99,
+    }
+    .write(&page)
+    .unwrap();
+    page
+}
+
+const NAMES: &str = "[...document.querySelectorAll('#objects .name')].map((e) => e.textContent)";
+
+#[test]
+fn objects_are_in_natural_order_and_found() {
+    let Some(browser) = browser() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let mut tab = Tab::open(&browser, &balls(dir.path(), 12), [1000, 700]);
+    let names: Vec<String> = (1..=12).map(|i| format!("ball {i}")).collect();
+    assert_eq!(tab.value(NAMES), json!(names));
+    tab.value("page.rename(11, 'Apple'); page.rename(3, 'zebra')");
+    let listed: Vec<String> = serde_json::from_value(tab.value(NAMES)).unwrap();
+    assert_eq!(
+        (listed[0].as_str(), listed[11].as_str()),
+        ("Apple", "zebra")
+    );
+    tab.key("KeyF", 0);
+    tab.type_text("ALL 1");
+    assert_eq!(tab.value(NAMES), json!(["ball 1", "ball 10", "ball 12"]));
+    tab.type_text("nobody");
+    assert_eq!(tab.value(NAMES), json!([]));
+    assert_eq!(tab.value("document.getElementById('none').hidden"), false);
+    // Esc leaves the field empty, and keys are keys again.
+    tab.key("Escape", 0);
+    assert_eq!(tab.value(&format!("{NAMES}.length")), 12);
+    tab.key("KeyP", 0);
+    assert_eq!(tab.text("page.tools.tool"), "brush");
+}
+
+#[test]
+fn hiding_keeps_the_chosen_row_in_sight_and_no_name_at_the_pointer() {
+    let Some(browser) = browser() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let mut tab = Tab::open(&browser, &balls(dir.path(), 60), [1000, 640]);
+    let place = "(() => { const c = page.fitted; const d = [9, 0, 0].map((v, k) => v - c.center[k]); \
+        const at = [0, 3, 6].map((r) => d.reduce((s, v, k) => s + v * c.rotation[r + k], 0)); \
+        return [c.fx * at[0] / at[2] + c.cx, c.fy * at[1] / at[2] + c.cy]; })()";
+    let ball: [f64; 2] = serde_json::from_value(tab.value(place)).unwrap();
+    tab.drag(&[ball], 0);
+    std::thread::sleep(std::time::Duration::from_millis(100));
+    tab.hover([ball[0] + 1.0, ball[1]]);
+    let hint = "document.getElementById('hint').textContent";
+    assert_eq!(tab.text(hint), "ball 40");
+    tab.value("page.rename(40, 'ball 40 b')");
+    let in_sight = "(() => { const list = document.getElementById('objects').getBoundingClientRect(); \
+        const row = document.querySelector('li.chosen').getBoundingClientRect(); \
+        return row.height > 10 && row.top >= list.top - 1 && row.bottom <= Math.min(list.bottom, innerHeight) + 1; })()";
+    let settled = |tab: &mut Tab| {
+        tab.value(
+            "new Promise((r) => requestAnimationFrame(() => requestAnimationFrame(() => r(1))))",
+        )
+    };
+    settled(&mut tab);
+    assert_eq!(tab.value(in_sight), true);
+    tab.hover([ball[0], ball[1] + 1.0]);
+    tab.key("KeyH", 0);
+    assert_eq!(tab.text(hint), "");
+    settled(&mut tab);
+    assert_eq!(tab.value(in_sight), true);
+    assert_eq!(tab.value("page.state.object(40).shown"), false);
+}
+
+#[test]
+fn esc_leaves_a_number_field_as_it_was() {
+    let Some(browser) = browser() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let mut tab = Tab::open(&browser, &balls(dir.path(), 3), [1000, 700]);
+    tab.value("page.choose(2); page.details.shift[1].select()");
+    tab.type_text("4");
+    tab.key("Escape", 0);
+    assert_eq!(tab.text("document.activeElement.id"), "picture");
+    assert_eq!(tab.value("page.edits.done.length"), 0);
+    assert_eq!(tab.text("page.details.shift[1].value"), "0");
+    tab.value("page.details.shift[1].select()");
+    tab.type_text("4");
+    tab.key("Enter", 0);
+    assert_eq!(tab.value("page.state.object(2).offset"), json!([0, 4, 0]));
+    tab.value("page.details.name.select()");
+    tab.type_text("x");
+    tab.key("Escape", 0);
+    assert_eq!(tab.text("page.state.object(2).name"), "ball 2");
+}
+
+#[test]
+fn a_finger_hits_every_control_of_a_phone() {
+    let Some(browser) = browser() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let mut tab = Tab::open(&browser, &balls(dir.path(), 5), [390, 844]);
+    tab.resize([390, 844], true);
+    let small = "[...document.querySelectorAll('button, input, select, summary')].filter((e) => e.checkVisibility()) \
+        .map((e) => [e, (e.type === 'checkbox' ? e.parentElement : e).getBoundingClientRect()]) \
+        .filter(([, box]) => box.width < 44 || box.height < 44) \
+        .map(([e, box]) => `${e.id || e.textContent || e.ariaLabel} ${box.width} x ${box.height}`)";
+    let wide = "document.documentElement.scrollWidth > innerWidth || \
+        document.querySelector('aside').scrollWidth > document.querySelector('aside').clientWidth";
+    for script in [
+        "1",
+        "page.choose(2)",
+        "page.choose(3, 'add')",
+        "page.tools.choose('brush')",
+        "page.rename(2, 'a')",
+        "page.selection.set(1, 1); page.refresh()",
+    ] {
+        tab.value(script);
+        assert_eq!(tab.value(small), json!([]), "{script}");
+        assert_eq!(tab.value(wide), false, "{script}");
+    }
+    let over: Value = tab.value(
+        "(() => { const boxes = [...document.querySelectorAll('#toolbar > div, #fold')].map((e) => e.getBoundingClientRect()); \
+         return boxes.some((a, i) => boxes.slice(i + 1).some((b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom)); })()",
+    );
+    assert_eq!(over, false, "nothing lies over something else");
+}
