@@ -7,7 +7,6 @@ use crate::seal;
 use burn::store::pytorch_reader::{DType as TorchType, PytorchReader};
 use half::{bf16, f16};
 use safetensors::{Dtype, SafeTensors, View};
-use sha2::{Digest, Sha256};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 use std::fmt::Display;
@@ -15,17 +14,6 @@ use std::path::{Path, PathBuf};
 
 /// Keys under which training scripts nest their weights.
 const STATE_DICT_KEYS: [&str; 3] = ["model_state_dict", "state_dict", "model"];
-
-/// SHA-256 of a file, in hexadecimal digits.
-///
-/// # Errors
-/// [`Error::Io`] when it cannot be read.
-pub(crate) fn file_digest(path: &Path) -> Result<String> {
-    let mut file = files::open(path)?;
-    let mut hash = Sha256::new();
-    std::io::copy(&mut file, &mut hash).map_err(|e| Error::io(path, "read", e))?;
-    Ok(format!("{:x}", hash.finalize()))
-}
 
 /// A tensor in host memory.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -86,7 +86,7 @@ Examples:
   coseg bench --run runs/living                speed on this machine
   coseg compare configs/tables/table1.toml --data-root scenes --out runs/table1
 
-No command writes over a file that it did not write itself; `train --resume` may write over the files of its run.
+No command writes over files that it did not write, except `train --resume` in its run, and `edit` and `separate` with --force.
 Exit code: 0 success, 1 an error that says what to do, 2 a mistake on the command line, 130 stopped by Ctrl-C.";
 
 /// The subcommands.
@@ -112,7 +112,7 @@ pub enum Command {
     Objects(objects::ObjectsArgs),
     /// Split a label into objects that do not touch
     Separate(separate::SeparateArgs),
-    /// Keep, remove, turn and move objects of a labelled scene
+    /// Keep, remove, turn, move and paint objects of a labelled scene, or apply edits of the viewer
     Edit(edit::EditArgs),
     /// Leave out the Gaussians that the photos of a scene do not need
     Prune(prune::PruneArgs),

@@ -52,7 +52,7 @@ pub struct OutArgs {
     /// PLY file to write, or a folder for a scene.ply
     #[arg(long, value_name = "FILE.ply|DIR")]
     out: PathBuf,
-    /// Write over the scene itself, or over the class table of other labels
+    /// Write over the scene itself and over files that this command did not write, photos and their classes excepted
     #[arg(long)]
     force: bool,
 }
@@ -74,14 +74,12 @@ impl OutArgs {
         };
         let names = out.with_file_name(CLASSES);
         let is_written = |path: &PathBuf| atomic::same_file(path, &out);
-        if input.classes.as_ref().is_some_and(is_written)
-            || out == names
-            || is_written(&scene.path) && !self.force
-        {
+        if input.classes.as_ref().is_some_and(is_written) || out == names {
             bail!(argument "--out"; found "{}", out.display();
-                expected "another file than the scene and its classes.json";
-                help "name a new file, or write over the scene by --force");
+                expected "another file than the class table"; help "name a new file");
         }
+        ensure!(self.force || !is_written(&scene.path), argument "--out"; found "{}", out.display();
+            expected "another file than the scene"; help "name a new file, or write over the scene by --force");
         let folder = out.parent().unwrap_or_else(|| Path::new(""));
         check_output_file("--out", &out, (folder, &LoadOptions::default()))?;
         ensure!(extension(&out) == "ply", argument "--out"; found "{}", out.display(); expected "a .ply file";
@@ -93,17 +91,32 @@ impl OutArgs {
                 own::allow(&names);
             }
         }
-        own::check(&out)?;
-        if !has_table(&names, classes)? {
-            own::check(&names)?;
-        }
+        ensure!(has_table(&names, classes)? || own::check(&names).is_ok(),
+            &names, "classes"; found "another class table"; expected "that of the scene's labels, or no file";
+            help "write into another folder, or write over it by --force, except in a folder with photos");
+        ensure!(own::check(&out).is_ok(), argument "--out"; found "{}, which this command did not write", out.display();
+            expected "a new file, or one that this command wrote"; help "name another file, or write over it by --force");
         Ok(out)
     }
 }
 
-/// Whether the file `names` is there and has `classes`.
+/// Whether the file `names` is there and has `classes`, or neither is.
 fn has_table(names: &Path, classes: &Classes) -> Result<bool> {
-    Ok(names.exists() && Classes::read(names)? == *classes)
+    if !names.exists() {
+        return Ok(classes.is_empty());
+    }
+    Ok(Classes::read(names)? == *classes)
+}
+
+/// Makes the file `names` say what the labels of a new scene mean. Without `classes` an older file goes.
+pub fn write_classes(classes: &Classes, names: &Path) -> Result<()> {
+    if has_table(names, classes)? {
+        return Ok(());
+    }
+    if classes.is_empty() {
+        return atomic::remove(names);
+    }
+    classes.write(names)
 }
 
 impl ObjectScene {
@@ -138,10 +151,7 @@ impl ObjectScene {
         classes: &Classes,
     ) -> Result<()> {
         ply::write(out, gaussians, self.ply.origin, Some(labels))?;
-        let names = out.with_file_name(CLASSES);
-        if !classes.is_empty() && !has_table(&names, classes)? {
-            classes.write(&names)?;
-        }
+        write_classes(classes, &out.with_file_name(CLASSES))?;
         copy_cameras(&self.path, out)
     }
 

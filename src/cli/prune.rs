@@ -1,9 +1,11 @@
 //! `coseg prune`: a scene without the Gaussians that its photos do not need.
 
 use super::labelled::LabelledArgs;
-use super::scene_file::{classes_beside, copy_cameras, scene_path};
+use super::object_scene::write_classes;
+use super::scene_file::{CLASSES, classes_beside, copy_cameras, scene_path};
 use super::terminal;
 use clap::{ArgGroup, Args};
+use coseg::data::Classes;
 use coseg::error::{Result, ensure};
 use coseg::pipeline::{Keep, prune, score_images};
 use coseg::splat::ply;
@@ -40,6 +42,9 @@ impl PruneArgs {
         let device = self.input.device()?;
         let (scene, ply) = self.input.read(&config, &device, &[])?;
         let from = scene_path(&self.input.scene)?;
+        let classes = classes_beside(&from, None)?;
+        ensure!(!ply.gaussians.is_empty(), &from, "element vertex"; found "no Gaussian"; expected "one or more";
+            help "name a scene that is not empty");
         let pruning = prune(&ply.gaussians, &scene, keep, &config, &device)?;
         let gaussians = ply.gaussians.select(&pruning.kept);
         let labels = ply.labels.as_ref().map(|labels| {
@@ -48,10 +53,12 @@ impl PruneArgs {
         });
         let path = self.input.out.join("scene.ply");
         ply::write(&path, &gaussians, ply.origin, labels.as_deref())?;
-        let classes = classes_beside(&from, None)?;
-        if labels.is_some() && !classes.is_empty() {
-            classes.write(&self.input.out.join("classes.json"))?;
-        }
+        let classes = if labels.is_some() {
+            classes
+        } else {
+            Classes::default()
+        };
+        write_classes(&classes, &self.input.out.join(CLASSES))?;
         copy_cameras(&from, &path)?;
         terminal::say(&format!(
             "{}: {} of {} Gaussians, PSNR of training views {:.2} dB, {:.2} dB before",

@@ -3,7 +3,7 @@
 use coseg::config::Config;
 use coseg::data::{Classes, Limits, NamedCamera, Scene, View, atomic};
 use coseg::error::{Error, Result, ensure, invalid};
-use coseg::files::extension;
+use coseg::files::{extension, own};
 use coseg::splat::ply;
 use coseg::splat::ply::PlyScene;
 use std::path::{Path, PathBuf};
@@ -126,11 +126,15 @@ pub fn rendering_beside(scene: &Path) -> Config {
     })
 }
 
-/// Copies the cameras beside the scene `from` beside the scene `to`, unless that has some.
+/// Copies the cameras beside the scene `from` beside the scene `to`. Without any, those of an earlier scene go. Cameras that this
+/// program did not write stay.
 pub fn copy_cameras(from: &Path, to: &Path) -> Result<()> {
     let [source, target] = [from, to].map(|scene| scene.with_file_name(CAMERAS));
-    if !source.is_file() || target.exists() {
+    if atomic::same_file(&source, &target) || own::check(&target).is_err() {
         return Ok(());
+    }
+    if !source.is_file() {
+        return atomic::remove(&target);
     }
     let bytes = std::fs::read(&source).map_err(|e| Error::io(&source, "read", e))?;
     atomic::write_bytes(&target, &bytes)

@@ -27,8 +27,8 @@ use crate::backend::device::upload;
 use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::View;
 use crate::error::{Error, Result, bail, invalid};
+use crate::files::sha256;
 use crate::segmenter::Tap;
-use crate::weights::file_digest;
 use burn::tensor::{Device, Tensor};
 use image::RgbImage;
 use std::path::PathBuf;
@@ -84,14 +84,14 @@ impl Extractor {
                 let path = weights("MobileNetV2")?;
                 let net = mobilenet::MobileNetV2::load(path, &device)?;
                 let name = format!("mobilenetv2 {}", path.display());
-                let key = format!("{} {}", mobilenet::VERSION, file_digest(path)?);
+                let key = format!("{} {}", mobilenet::VERSION, sha256(path)?);
                 (name, Some(key), Source::MobileNetV2(Box::new(net)))
             }
             FeatureSource::Dino => {
                 let path = weights("DINO")?;
                 let net = dino::Vit::load(path, &device)?;
                 let name = format!("dino {}", path.display());
-                let key = format!("{} {} norm true", dino::VERSION, file_digest(path)?);
+                let key = format!("{} {} norm true", dino::VERSION, sha256(path)?);
                 (name, Some(key), Source::Dino(Box::new(net)))
             }
             FeatureSource::Segmenter(tensor) => {

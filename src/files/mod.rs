@@ -56,7 +56,7 @@ pub(crate) fn text(path: &Path) -> Result<String> {
 /// # Errors
 /// [`Error::Io`].
 pub fn sha256(path: &Path) -> Result<String> {
-    let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
+    let mut file = open(path)?;
     let mut digest = Sha256::new();
     std::io::copy(&mut file, &mut digest).map_err(|e| Error::io(path, "read", e))?;
     Ok(format!("{:x}", digest.finalize()))

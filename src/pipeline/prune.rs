@@ -9,8 +9,7 @@ use crate::reconstruction::pruning::{PrunedScene, evenly};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 
-/// Training views that the Gaussians are measured in, and those that judge the result, at most.
-const MEASURED_VIEWS: usize = 96;
+/// Training views that judge the result, at most. The Gaussians are measured in all of them.
 const JUDGES: usize = 16;
 
 /// How many Gaussians stay.
@@ -18,7 +17,7 @@ const JUDGES: usize = 16;
 pub enum Keep {
     /// This share of them, above 0, at most 1.
     Share(f64),
-    /// As few as lower the mean PSNR of training views by no more than this, dB.
+    /// As few as lower the mean PSNR of training views by no more than this, dB, to a 256th.
     Within(f64),
 }
 
@@ -38,9 +37,8 @@ pub fn prune(
     let views: Vec<&View> = scene.split(Split::Train).collect();
     let pruned = PrunedScene::new(gaussians, &config.raster, device);
     let mut rng = stream(config.seed, Purpose::Pruning, 0);
-    let judges = pruned.judges(&evenly(&views, JUDGES), &mut rng);
-    let measured = pruned.judges(&evenly(&views, MEASURED_VIEWS), &mut rng);
-    let costs = pruned.costs(&measured, &mut rng)?;
+    let judges = evenly(&views, JUDGES);
+    let costs = pruned.costs(&views, &mut rng)?;
     match keep {
         Keep::Share(share) => {
             let count = (share * costs.len() as f64).round().max(1.0) as usize;

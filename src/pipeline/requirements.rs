@@ -24,15 +24,19 @@ pub(super) fn check_networks(config: &Config, scene: &Scene, device: &Device) ->
     Ok(())
 }
 
-/// Gaussians that stage one starts from; 0 where they come from a file.
-pub(super) fn initial_count(scene: &Scene, config: &Config) -> usize {
+/// Stage one leaves at least one in this many of the Gaussians that it starts from, but for strange scenes.
+const PRUNED_TO: usize = 8;
+
+/// Gaussians that stage one leaves at least; 0 where they come from a file.
+pub(super) fn least_count(scene: &Scene, config: &Config) -> usize {
     let building = &config.building;
     let points = match scene.points.positions.len() {
         _ if building.gaussians.is_some() => 0,
         0 => building.random_points,
         points => points,
     };
-    points.min(building.max_gaussians.limit().unwrap_or(usize::MAX))
+    let most = building.max_gaussians.limit().unwrap_or(usize::MAX);
+    points.min(most) / PRUNED_TO
 }
 
 /// Refuses a stage two whose votes and identities exceed the memory. Objects have yet to be counted.

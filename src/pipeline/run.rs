@@ -5,7 +5,7 @@ use super::encode::Inputs;
 use super::evaluate::score_images;
 use super::lift::{Pruned, lift};
 use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
-use super::requirements::{check_networks, check_scores, initial_count, score_tables};
+use super::requirements::{check_networks, check_scores, least_count, score_tables};
 use super::variant_outcome::VariantOutcome;
 use super::variants::train_variants;
 use crate::config::{Association, Config, LabelLoss, LabelsBy, Prior, Variant};
@@ -183,8 +183,7 @@ pub fn run_on(
     if has_raw_labels(&scene) && !config.segmentation.rows().is_empty() {
         check_networks(config, &scene, device)?;
     }
-    // What stage one starts from, which its growth only adds to.
-    check_scores(initial_count(&scene, config), &scene, config)?;
+    check_scores(least_count(&scene, config), &scene, config)?;
     let files = RunFiles::new(out);
     let reconstruction = reconstruct(&scene, config, &files, device, progress)?;
     let complete = reconstruction.complete;

@@ -3,7 +3,8 @@
 //! Some training views are held back for three quarters of the run. Before each reset of opacities, and a few times after
 //! densification has ended, a review leaves out the Gaussians that the held-back views hardly miss. Growth may then make at most
 //! [`GROWTH`] times as many as stayed. It ends when the views that are trained on are reproduced much better than those held back:
-//! from then on more Gaussians would learn single photos, not the scene.
+//! from then on more Gaussians would learn single photos, not the scene. With fewer than twelve training views none is held back, and
+//! the reviews ask all of them.
 
 use super::Trainer;
 use super::pruning::{PrunedScene, evenly};
@@ -12,6 +13,9 @@ use crate::data::View;
 use crate::error::Result;
 use crate::progress::Review;
 use crate::random::{Purpose, stream};
+use rand::Rng;
+use rand::seq::index::sample;
+use rand_chacha::ChaCha8Rng;
 
 /// The PSNR of held-back views that a review may take, dB. Training goes on afterwards and wins it back.
 const LOSS: f64 = 0.05;
@@ -20,7 +24,7 @@ const GROWTH: f64 = 4.0;
 /// Growth ends when the PSNR of views that are trained on is this far above that of held-back ones, dB.
 const MAX_GAP: f64 = 3.0;
 /// Training views that a review measures the Gaussians in, at most.
-const MEASURED_VIEWS: usize = 48;
+const MEASURED_VIEWS: usize = 96;
 
 impl<'a> Trainer<'a> {
     /// No more Gaussians than this after a densification.
@@ -29,11 +33,12 @@ impl<'a> Trainer<'a> {
             Budget::Unlimited => usize::MAX,
             Budget::AtMost(limit) => limit,
             Budget::Auto => {
-                let last = self.reviews.last();
-                let kept = last.map_or(self.initial, |review| review.kept);
-                let learns_photos =
-                    last.is_some_and(|review| review.psnr_trained > review.psnr_before + MAX_GAP);
-                if learns_photos || !self.schedule.grows(self.iteration) {
+                let kept = self
+                    .reviews
+                    .last()
+                    .map_or(self.initial, |review| review.kept);
+                let has_ended = self.reviews.iter().any(Review::learns_photos);
+                if has_ended || !self.schedule.grows(self.iteration) {
                     kept
                 } else {
                     (GROWTH * kept as f64) as usize
@@ -44,20 +49,28 @@ impl<'a> Trainer<'a> {
 
     /// Leaves out what the held-back views do not miss.
     pub(super) fn review(&mut self) -> Result<Review> {
+        let mut rng = stream(self.config.seed, Purpose::Pruning, self.iteration as u64);
         let scene = PrunedScene {
             leaves: self.parameters.leaves(),
             sh_degree: self.schedule.sh_degree(self.iteration),
             settings: self.settings,
-            background: self.config.raster.background,
+            background: self.background_of_reviews(&mut rng),
         };
-        let mut rng = stream(self.config.seed, Purpose::Pruning, self.iteration as u64);
         let trained = self.views(self.schedule.trained(self.iteration));
-        let trained = scene.judges(&evenly(&trained, MEASURED_VIEWS), &mut rng);
-        let held_back = scene.judges(&self.views(self.schedule.judges()), &mut rng);
-        let costs = scene.costs(&trained, &mut rng)?;
+        let count = trained.len().min(MEASURED_VIEWS);
+        let measured: Vec<&View> = sample(&mut rng, trained.len(), count)
+            .into_iter()
+            .map(|i| trained[i])
+            .collect();
+        let mut costs = scene.costs(&measured, &mut rng)?;
+        if measured.len() < trained.len() {
+            // Other views may show what none of these do.
+            let unseen = costs.iter_mut().filter(|cost| **cost == 0.0);
+            unseen.for_each(|cost| *cost = f64::INFINITY);
+        }
+        let held_back = self.views(self.schedule.judges());
         let pruning = scene.prune(&costs, &held_back, LOSS)?;
-        let every = trained.len().div_ceil(held_back.len());
-        let compared: Vec<_> = trained.into_iter().step_by(every).collect();
+        let compared = evenly(&trained, held_back.len());
         let review = Review {
             iteration: self.iteration,
             gaussians: costs.len(),
@@ -73,7 +86,24 @@ impl<'a> Trainer<'a> {
         Ok(review)
     }
 
+    /// A random colour where training has random ones, so that surfaces of the usual colour are missed too.
+    fn background_of_reviews(&self, rng: &mut ChaCha8Rng) -> [f32; 3] {
+        let is_transparent = self.train.iter().any(|view| view.image.is_transparent());
+        if self.config.building.random_background && !is_transparent {
+            rng.random()
+        } else {
+            self.config.raster.background
+        }
+    }
+
     fn views(&self, indices: &[usize]) -> Vec<&'a View> {
         indices.iter().map(|&i| self.train[i]).collect()
+    }
+}
+
+impl Review {
+    /// Whether the views that are trained on are reproduced much better than those held back.
+    fn learns_photos(&self) -> bool {
+        self.psnr_trained > self.psnr_before + MAX_GAP
     }
 }

@@ -25,7 +25,7 @@ const MAX_LOGIT: f64 = 7.0;
 /// A logit that renders nothing.
 const LEFT_OUT: f32 = -30.0;
 /// Halvings of the interval in which the share of Gaussians to leave out is searched.
-const HALVINGS: usize = 5;
+const HALVINGS: usize = 8;
 
 /// Gaussians on a device, and how they are rendered.
 pub(crate) struct PrunedScene {
@@ -33,13 +33,6 @@ pub(crate) struct PrunedScene {
     pub sh_degree: usize,
     pub settings: Settings,
     pub background: [f32; 3],
-}
-
-/// A view and the colour behind the scene in it.
-#[derive(Clone, Copy)]
-pub(crate) struct Judge<'a> {
-    view: &'a View,
-    background: [f32; 3],
 }
 
 /// The Gaussians that stay.
@@ -66,30 +59,15 @@ impl PrunedScene {
         }
     }
 
-    /// `views` with random colours behind the scene, so that surfaces of the usual colour count too. Photos with transparent
-    /// pixels keep the usual one.
-    pub fn judges<'a>(&self, views: &[&'a View], rng: &mut ChaCha8Rng) -> Vec<Judge<'a>> {
-        let mut judge = |&view: &&'a View| {
-            let random = rng.random();
-            let background = if view.image.is_transparent() {
-                self.background
-            } else {
-                random
-            };
-            Judge { view, background }
-        };
-        views.iter().map(&mut judge).collect()
-    }
-
-    /// Estimates of what the pictures of `judges` lose without each Gaussian: the sum over views, pixels and channels of the squared
+    /// Estimates of what the pictures of `views` lose without each Gaussian: the sum over views, pixels and channels of the squared
     /// change, `[N]`.
     ///
     /// # Errors
     /// [`crate::Error::Device`] when the device does not return the gradients.
-    pub fn costs(&self, judges: &[Judge<'_>], rng: &mut ChaCha8Rng) -> Result<Vec<f64>> {
+    pub fn costs(&self, views: &[&View], rng: &mut ChaCha8Rng) -> Result<Vec<f64>> {
         let mut costs = vec![0.0; self.leaves.opacity_logits.dims()[0]];
-        for judge in judges {
-            let changes = self.changes(judge, random_signs(judge.view, rng))?;
+        for view in views {
+            let changes = self.changes(view, random_signs(view, rng))?;
             for (cost, change) in costs.iter_mut().zip(changes) {
                 *cost += f64::from(change).powi(2);
             }
@@ -98,7 +76,7 @@ impl PrunedScene {
     }
 
     /// What each Gaussian adds to the sum of the values of a picture times `weights` (`[H, W, 3]`), `[N]`.
-    fn changes(&self, judge: &Judge<'_>, weights: Vec<f32>) -> Result<Vec<f32>> {
+    fn changes(&self, view: &View, weights: Vec<f32>) -> Result<Vec<f32>> {
         // Where alpha' is capped, its gradient is masked.
         let settings = Settings {
             alpha_max: 1.0,
@@ -107,7 +85,7 @@ impl PrunedScene {
         let logits = self.leaves.opacity_logits.clone().inner();
         let logits = logits.clamp_max(MAX_LOGIT);
         let tracked = Tensor::from_inner(logits.clone()).require_grad();
-        let image = self.image(judge, tracked.clone(), &settings)?;
+        let image = self.image(view, tracked.clone(), &settings)?;
         let weights = upload(weights, image.dims(), &logits.device());
         let mut gradients = sum_all(image * Tensor::from_inner(weights)).backward();
         let gradient = tracked.grad_remove(&mut gradients);
@@ -115,19 +93,19 @@ impl PrunedScene {
         read("changes of the pictures", gradient / sigmoid(logits.neg()))
     }
 
-    /// Leaves out as many of the cheapest Gaussians as lower the mean PSNR of `judges` by no more than `loss` dB.
+    /// Leaves out as many of the cheapest Gaussians as lower the mean PSNR of `views` by no more than `loss` dB.
     ///
     /// # Errors
     /// Those of [`crate::data::Photo::pixels`], and [`crate::Error::Device`] when the device does not return the pictures.
-    pub fn prune(&self, costs: &[f64], judges: &[Judge<'_>], loss: f64) -> Result<Pruning> {
+    pub fn prune(&self, costs: &[f64], views: &[&View], loss: f64) -> Result<Pruning> {
         let order = cheapest_first(costs);
-        let before = self.psnr(judges, &[])?;
+        let before = self.psnr(views, &[])?;
         let mut after = before;
         let mut left_out = 0;
         let mut step = order.len() / 2;
         for _ in 0..HALVINGS {
             let tried = left_out + step;
-            let psnr = self.psnr(judges, &order[..tried])?;
+            let psnr = self.psnr(views, &order[..tried])?;
             if psnr >= before - loss {
                 left_out = tried;
                 after = psnr;
@@ -145,27 +123,26 @@ impl PrunedScene {
     ///
     /// # Errors
     /// As [`Self::prune`].
-    pub fn keep(&self, costs: &[f64], judges: &[Judge<'_>], count: usize) -> Result<Pruning> {
+    pub fn keep(&self, costs: &[f64], views: &[&View], count: usize) -> Result<Pruning> {
         let order = cheapest_first(costs);
         let (left_out, kept) = order.split_at(order.len().saturating_sub(count));
         Ok(Pruning {
             kept: in_order(kept),
-            before: self.psnr(judges, &[])?,
-            after: self.psnr(judges, left_out)?,
+            before: self.psnr(views, &[])?,
+            after: self.psnr(views, left_out)?,
         })
     }
 
-    /// Mean PSNR of `judges` without the Gaussians `left_out`, dB.
-    pub fn psnr(&self, judges: &[Judge<'_>], left_out: &[u32]) -> Result<f64> {
+    /// Mean PSNR of `views` without the Gaussians `left_out`, dB.
+    pub fn psnr(&self, views: &[&View], left_out: &[u32]) -> Result<f64> {
         let logits = self.leaves.opacity_logits.clone().inner();
         let mut values = read("opacity logits", logits.clone())?;
         left_out.iter().for_each(|&i| values[i as usize] = LEFT_OUT);
         let logits = upload(values, logits.dims(), &logits.device());
         let mut sum = 0.0;
-        for judge in judges {
-            let image = self.image(judge, logits.clone(), &self.settings)?;
+        for view in views {
+            let image = self.image(view, logits.clone(), &self.settings)?;
             let image = read("image", image)?;
-            let view = judge.view;
             let photo = view.rgb()?;
             let score = match &view.mask {
                 Some(mask) => psnr(&mask.used(&image, 3), &mask.used(&photo, 3)),
@@ -173,15 +150,10 @@ impl PrunedScene {
             };
             sum += score.unwrap_or(0.0);
         }
-        Ok(sum / judges.len().max(1) as f64)
+        Ok(sum / views.len().max(1) as f64)
     }
 
-    fn image(
-        &self,
-        judge: &Judge<'_>,
-        logits: Tensor<1>,
-        settings: &Settings,
-    ) -> Result<Tensor<3>> {
+    fn image(&self, view: &View, logits: Tensor<1>, settings: &Settings) -> Result<Tensor<3>> {
         let leaves = &self.leaves;
         let input = RasterInput {
             means: leaves.means.clone(),
@@ -193,7 +165,7 @@ impl PrunedScene {
             features: None,
             screen: None,
         };
-        Ok(rasterize(input, &judge.view.camera, settings, judge.background)?.image)
+        Ok(rasterize(input, &view.camera, settings, self.background)?.image)
     }
 }
 
@@ -275,8 +247,8 @@ mod tests {
         scene
     }
 
-    /// The picture of `judge` without Gaussian `i`.
-    fn without(scene: &PrunedScene, judge: &Judge<'_>, i: Option<usize>) -> Vec<f64> {
+    /// The picture of `view` without Gaussian `i`.
+    fn without(scene: &PrunedScene, view: &View, i: Option<usize>) -> Vec<f64> {
         let logits = scene.leaves.opacity_logits.clone().inner();
         let device = logits.device();
         let mut values: Vec<f32> = read("logits", logits.clamp_max(MAX_LOGIT)).expect("readable");
@@ -288,14 +260,13 @@ mod tests {
             alpha_max: 1.0,
             ..scene.settings
         };
-        let image = scene.image(judge, upload(values, [n], &device), &settings);
+        let image = scene.image(view, upload(values, [n], &device), &settings);
         let image = read("image", image.expect("finite")).expect("readable");
         image.into_iter().map(f64::from).collect()
     }
 
-    fn judges<'a>(scene: &PrunedScene, photos: &'a Scene) -> Vec<Judge<'a>> {
-        let views: Vec<&View> = photos.split(Split::Train).collect();
-        scene.judges(&views, &mut stream(2, Purpose::Pruning, 0))
+    fn train(photos: &Scene) -> Vec<&View> {
+        photos.split(Split::Train).collect()
     }
 
     #[test]
@@ -306,12 +277,12 @@ mod tests {
                 continue;
             };
             let scene = gaussians(&photos, &device);
-            for judge in judges(&scene, &photos) {
-                let signs = random_signs(judge.view, &mut stream(1, Purpose::Pruning, 0));
-                let all = without(&scene, &judge, None);
-                let changes = scene.changes(&judge, signs.clone()).expect("finite");
+            for view in train(&photos) {
+                let signs = random_signs(view, &mut stream(1, Purpose::Pruning, 0));
+                let all = without(&scene, view, None);
+                let changes = scene.changes(view, signs.clone()).expect("finite");
                 for (i, &change) in changes.iter().enumerate() {
-                    let left = without(&scene, &judge, Some(i));
+                    let left = without(&scene, view, Some(i));
                     let terms = all.iter().zip(&left).zip(&signs);
                     let want: f64 = terms.map(|((a, b), &s)| (a - b) * f64::from(s)).sum();
                     let error = (f64::from(change) - want).abs();
@@ -326,19 +297,19 @@ mod tests {
         const DRAWS: u64 = 400;
         let photos = photos();
         let scene = gaussians(&photos, &Device::ndarray());
-        let judges = judges(&scene, &photos);
-        let all = without(&scene, &judges[0], None);
+        let views = train(&photos);
+        let all = without(&scene, views[0], None);
         let n = scene.leaves.opacity_logits.dims()[0];
         let mut mean = vec![0.0; n];
         for draw in 0..DRAWS {
             let mut rng = stream(1, Purpose::Pruning, draw);
-            let costs = scene.costs(&judges[..1], &mut rng).expect("finite");
+            let costs = scene.costs(&views[..1], &mut rng).expect("finite");
             mean.iter_mut()
                 .zip(costs)
                 .for_each(|(m, c)| *m += c / DRAWS as f64);
         }
         for (i, mean) in mean.into_iter().enumerate() {
-            let left = without(&scene, &judges[0], Some(i));
+            let left = without(&scene, views[0], Some(i));
             let want: f64 = all.iter().zip(&left).map(|(a, b)| (a - b).powi(2)).sum();
             // The deviation of a draw is at most sqrt(2) of its mean.
             let bound = 4.0 * (2.0 / DRAWS as f64).sqrt() * want + 1e-6;
@@ -350,13 +321,13 @@ mod tests {
     fn what_no_view_sees_is_left_out_first() {
         let photos = photos();
         let scene = gaussians(&photos, &Device::ndarray());
-        let judges = judges(&scene, &photos);
+        let views = train(&photos);
         let mut rng = stream(1, Purpose::Pruning, 0);
-        let costs = scene.costs(&judges, &mut rng).expect("finite");
-        let exact = scene.prune(&costs, &judges, 0.0).expect("rendered");
+        let costs = scene.costs(&views, &mut rng).expect("finite");
+        let exact = scene.prune(&costs, &views, 0.0).expect("rendered");
         assert!(exact.after >= exact.before);
         assert!(exact.kept.len() <= costs.len() - costs.len() / 4 + costs.len() / 32);
-        let lossy = scene.prune(&costs, &judges, 1.0).expect("rendered");
+        let lossy = scene.prune(&costs, &views, 1.0).expect("rendered");
         assert!(lossy.kept.len() < exact.kept.len());
         assert!(lossy.after >= lossy.before - 1.0 && lossy.after < lossy.before);
         assert!(lossy.kept.is_sorted() && lossy.kept.iter().all(|i| i % 4 != 0));

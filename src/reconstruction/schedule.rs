@@ -161,7 +161,7 @@ impl Schedule {
         step.is_multiple_of(interval.max(1)) || step == self.config.iterations
     }
 
-    /// Index among the training views at `step`: each epoch is a shuffle of all views.
+    /// Index among the training views at `step`: each epoch is a shuffle of the views that are trained on.
     pub fn view(&self, seed: u64, step: usize) -> usize {
         let mut order = self.trained(step).to_vec();
         let views = order.len().max(1);

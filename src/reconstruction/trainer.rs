@@ -186,8 +186,8 @@ impl<'a> Trainer<'a> {
         })
     }
 
-    /// One iteration. After an error nothing has changed, with one exception. When a GPU fails in densification or in a reset, only
-    /// the last checkpoint can be used.
+    /// One iteration. After an error nothing has changed, with one exception. Where a review, a densification or a reset fails, only the
+    /// last checkpoint can be used.
     ///
     /// # Errors
     /// [`Error::NonFinite`] naming tensor, row, view and iteration when the loss or a gradient is not finite; [`Error::Limit`]

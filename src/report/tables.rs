@@ -110,8 +110,9 @@ pub(super) fn reviews(report: &Report<'_>) -> Markup {
     html! {
         @if !reviews.is_empty() {
             p {
-                "Each review left out the Gaussians that training views, held back for the purpose, hardly miss. Their number could "
-                "grow again while densification went on, until the views trained on were more than 3 dB better than those held back."
+                "Some training views were held back from training for a time. Each review left out the Gaussians that these views "
+                "hardly need. Afterwards new ones could come while densification went on, until the views trained on were more than "
+                "3 dB better than those held back."
             }
             (table(&head, body))
         }

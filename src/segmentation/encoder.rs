@@ -6,8 +6,9 @@ use super::sampling::Hierarchy;
 use crate::backend::device::upload;
 use crate::config::{SpatialConfig, SpatialSource};
 use crate::error::{Error, Result, ensure, invalid};
+use crate::files::sha256;
 use crate::ops::SparseMatrix;
-use crate::weights::{HostTensor, WeightFile, file_digest};
+use crate::weights::{HostTensor, WeightFile};
 use burn::tensor::{Device, Tensor};
 use glam::{DQuat, DVec3};
 use rand::{Rng, SeedableRng};
@@ -224,7 +225,7 @@ pub fn load_spatial(
 pub(crate) fn spatial_digest(config: &SpatialConfig) -> Result<Option<String>> {
     match &config.source {
         SpatialSource::Builtin => Ok(Some(format!("{:x}", Sha256::digest(BUILTIN)))),
-        SpatialSource::Pretrained(path) => file_digest(path).map(Some),
+        SpatialSource::Pretrained(path) => sha256(path).map(Some),
         SpatialSource::Random => Ok(None),
     }
 }

@@ -76,9 +76,9 @@ class Editor {
     if (shown.length + hidden.length) this.push({ op: "view", shown: idsOf(shown), hidden: idsOf(hidden) });
   }
 
-  /** An empty name changes nothing. */
+  /** An empty name changes nothing. `coseg edit` refuses control characters. */
   rename(object, text) {
-    const name = text.trim();
+    const name = text.replace(/\p{Cc}/gu, " ").trim();
     if (name && name !== called(this.state.object(object))) this.push({ op: "rename", object, name });
     else this.refresh();
   }

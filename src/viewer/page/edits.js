@@ -26,11 +26,12 @@ class Edits {
     this.finish();
   }
 
-  /** Shifts further by the last operation, a move that a drag began. */
-  extend(shift) {
-    const last = this.done.at(-1);
-    this.state.apply({ op: "move", object: last.object, shift });
-    last.shift = add(last.shift, shift);
+  /** Shifts further by `move`, which a drag began. False where it is not the last operation any more: a key undid it. */
+  extend(move, shift) {
+    if (this.done.at(-1) !== move || this.saved.includes(move)) return false;
+    this.state.apply({ op: "move", object: move.object, shift });
+    move.shift = add(move.shift, shift);
+    return true;
   }
 
   undo() {

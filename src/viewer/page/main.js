@@ -206,9 +206,10 @@ class Page extends Editor {
       const screen = ((from[1] - to[1]) * depth) / camera.fy / steep;
       way = add(times(((to[0] - from[0]) * depth) / camera.fx, unit(camera.right)), times(screen, ahead));
     }
-    if (held.drags) this.edits.extend(way);
-    else this.push({ op: "move", object: held.object, shift: way });
-    held.drags = true;
+    if (!held.move || !this.edits.extend(held.move, way)) {
+      held.move = { op: "move", object: held.object, shift: way };
+      this.push(held.move);
+    }
     held.point = add(point, way);
     this.refresh();
     return true;
@@ -216,7 +217,7 @@ class Page extends Editor {
 
   /** A drag has ended. */
   released(held) {
-    if (held?.drags) this.edits.finish();
+    if (held?.move) this.edits.finish();
   }
 
   /** The selection has changed. */

@@ -126,6 +126,7 @@ fn trained_gaussians_come_from_a_run() {
     for setting in [
         "building.iterations=3",
         "building.random_points=200",
+        "building.max_gaussians=unlimited",
         "segmentation.rows=raw",
     ] {
         train.extend(["--set", setting]);

@@ -72,9 +72,11 @@ fn commands_write_over_their_own_files_alone() {
     );
     let page = out.join("page.html");
     run("view", &[], &page, &page);
-    for command in ["edit", "separate"] {
+    for (command, option) in [("edit", "--paint"), ("separate", "--level=0.1")] {
         let file = out.join(command).join("scene.ply");
-        refuses(&to(command, &file).each_ref().map(|word| &**word), &file);
+        let words = to(command, &file);
+        let words = words.iter().map(|word| &**word).chain([option]);
+        refuses(&words.collect::<Vec<_>>(), &file);
     }
     let sheet = out.join("sheet.png");
     let info = ["data", "info", utf8(&data), "--sheet", utf8(&sheet)];

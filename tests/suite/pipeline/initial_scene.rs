@@ -80,6 +80,7 @@ fn given_gaussians_are_trained_further() {
     let (mut config, out) = beginning_with(folder.path(), &plates);
     let before = whole(&config, &out.join("before")).test.psnr.unwrap();
     config.building.iterations = 40;
+    config.building.max_gaussians = Budget::Unlimited;
     config.building.sh_degree = 1;
     let outcome = whole(&config, &out.join("after"));
     let after = outcome.test.psnr.unwrap();
