@@ -108,20 +108,16 @@ impl Progress for Bars {
                     None => self.print(point, point.seconds),
                 }
             }
-            Event::Reviewed(review) => {
-                if self.bar.is_none() {
-                    terminal::note(&format!(
-                        "{} {}/{}  {} of {} Gaussians stay, held-back PSNR {:.2} to {:.2} dB",
-                        self.stage,
-                        review.iteration,
-                        self.iterations,
-                        review.kept,
-                        review.gaussians,
-                        review.psnr_before,
-                        review.psnr_after
-                    ));
-                }
-            }
+            Event::Reviewed(review) if self.bar.is_none() => terminal::note(&format!(
+                "{} {}/{}  {} of {} Gaussians stay, held-back PSNR {:.2} to {:.2} dB",
+                self.stage,
+                review.iteration,
+                self.iterations,
+                review.kept,
+                review.gaussians,
+                review.psnr_before,
+                review.psnr_after
+            )),
             Event::Finished => {
                 self.print_end();
                 self.clear();
