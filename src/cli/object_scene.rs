@@ -52,7 +52,7 @@ pub struct OutArgs {
     /// PLY file to write, or a folder for a scene.ply
     #[arg(long, value_name = "FILE.ply|DIR")]
     out: PathBuf,
-    /// Write over the scene itself and over files that this command did not write, photos and their classes excepted
+    /// Write over the scene itself, or over files that this command did not write
     #[arg(long)]
     force: bool,
 }
@@ -76,7 +76,7 @@ impl OutArgs {
         let is_written = |path: &PathBuf| atomic::same_file(path, &out);
         if input.classes.as_ref().is_some_and(is_written) || out == names {
             bail!(argument "--out"; found "{}", out.display();
-                expected "another file than the class table"; help "name a new file");
+                expected "another file than the scene and its classes.json"; help "name a new file");
         }
         ensure!(self.force || !is_written(&scene.path), argument "--out"; found "{}", out.display();
             expected "another file than the scene"; help "name a new file, or write over the scene by --force");

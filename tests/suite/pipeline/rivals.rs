@@ -2,7 +2,7 @@
 
 use crate::support::device;
 use crate::support::plates;
-use coseg::config::{BuildingConfig, Config, LabelSource, SegmentationConfig, Variant};
+use coseg::config::{Budget, BuildingConfig, Config, LabelSource, SegmentationConfig, Variant};
 use coseg::pipeline::{Outcome, VariantOutcome, run};
 use coseg::progress::Silent;
 
@@ -19,6 +19,7 @@ fn trained(rows: &[Variant], iterations: usize) -> Outcome {
         building: BuildingConfig {
             iterations: 40,
             random_points: 400,
+            max_gaussians: Budget::Unlimited,
             ..BuildingConfig::default()
         },
         segmentation: SegmentationConfig {

@@ -1,6 +1,6 @@
 //! Runs of both stages on the plates, stopped and whole, and their comparison.
 
-use coseg::config::{BuildingConfig, Config, LabelLoss, SegmentationConfig, Variant};
+use coseg::config::{Budget, BuildingConfig, Config, LabelLoss, SegmentationConfig, Variant};
 use coseg::pipeline::{Outcome, run};
 use coseg::progress::{CurvePoint, Event, Progress, Silent};
 use std::path::Path;
@@ -11,6 +11,7 @@ pub fn short(data: &Path, iterations: usize, rows: &[Variant]) -> Config {
         building: BuildingConfig {
             iterations: 40,
             random_points: 400,
+            max_gaussians: Budget::Unlimited,
             ..BuildingConfig::default()
         },
         segmentation: SegmentationConfig {
