@@ -19,6 +19,7 @@ fn help_names_every_command_and_shows_examples() {
         "associate",
         "objects",
         "edit",
+        "prune",
         "bench",
         "compare",
         "Examples:",
@@ -36,6 +37,7 @@ fn help_names_every_command_and_shows_examples() {
         "associate",
         "objects",
         "edit",
+        "prune",
         "bench",
     ] {
         let help = succeeds(&[command, "--help"]);
