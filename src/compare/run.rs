@@ -58,7 +58,7 @@ pub struct Finished {
 /// commit.
 ///
 /// # Errors
-/// [`Error::Input`] for a finished cell of something else; [`Error::Argument`] for unusable options; those of
+/// [`crate::Error::Input`] for a finished cell of something else; [`crate::Error::Argument`] for unusable options; those of
 /// [`pipeline::run`].
 pub fn run(
     plan: &Plan,

@@ -4,21 +4,35 @@ use crate::config::Config;
 use crate::data::{Scene, Split, View};
 use crate::error::Result;
 use crate::random::{Purpose, stream};
-pub use crate::reconstruction::pruning::Pruning;
-use crate::reconstruction::pruning::{PrunedScene, evenly};
+use crate::reconstruction::pruning::{PrunedScene, cheapest_first, evenly, in_order};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 
 /// Training views that judge the result, at most. The Gaussians are measured in all of them.
 const JUDGES: usize = 16;
+/// A round leaves out one in this many Gaussians at most. Then they are measured again: one of two alike adds little, the last a lot.
+const ROUND: usize = 10;
+/// Rounds end when one leaves out fewer than one in this many.
+const LAST_ROUND: usize = 100;
 
 /// How many Gaussians stay.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Keep {
     /// This share of them, above 0, at most 1.
     Share(f64),
-    /// As few as lower the mean PSNR of training views by no more than this, dB, to a 256th.
+    /// As few as lower the mean PSNR of training views by no more than this, dB, to a hundredth.
     Within(f64),
+}
+
+/// The Gaussians that stay.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pruning {
+    /// Rows that stay, in their order.
+    pub kept: Vec<u32>,
+    /// Mean PSNR of some training views with all Gaussians, dB.
+    pub before: f64,
+    /// The same with those that stay.
+    pub after: f64,
 }
 
 /// Leaves out the Gaussians of least effect on the pictures of the training views of `scene`, which has the origin of `gaussians`.
@@ -35,15 +49,38 @@ pub fn prune(
 ) -> Result<Pruning> {
     scene.expect_training_views()?;
     let views: Vec<&View> = scene.split(Split::Train).collect();
-    let pruned = PrunedScene::new(gaussians, &config.raster, device);
-    let mut rng = stream(config.seed, Purpose::Pruning, 0);
     let judges = evenly(&views, JUDGES);
-    let costs = pruned.costs(&views, &mut rng)?;
-    match keep {
-        Keep::Share(share) => {
-            let count = (share * costs.len() as f64).round().max(1.0) as usize;
-            pruned.keep(&costs, &judges, count)
+    let mut rng = stream(config.seed, Purpose::Pruning, 0);
+    let mut rows: Vec<u32> = (0..gaussians.len() as u32).collect();
+    let before = PrunedScene::new(gaussians, &config.raster, device).psnr(&judges, &[])?;
+    loop {
+        let left = PrunedScene::new(&gaussians.select(&rows), &config.raster, device);
+        let most = rows.len().div_ceil(ROUND);
+        let kept = match keep {
+            Keep::Share(share) => {
+                let target = (share * gaussians.len() as f64).round().max(1.0) as usize;
+                let surplus = rows.len().saturating_sub(target).min(most);
+                if surplus == 0 {
+                    break;
+                }
+                in_order(&cheapest_first(&left.costs(&views, &mut rng)?)[surplus..])
+            }
+            Keep::Within(loss) => {
+                let costs = left.costs(&views, &mut rng)?;
+                left.prune(&costs, &judges, before - loss, most)?
+            }
+        };
+        let left_out = rows.len() - kept.len();
+        let is_last = matches!(keep, Keep::Within(_)) && left_out * LAST_ROUND < rows.len();
+        rows = kept.into_iter().map(|i| rows[i as usize]).collect();
+        if is_last {
+            break;
         }
-        Keep::Within(loss) => pruned.prune(&costs, &judges, loss),
     }
+    let left = PrunedScene::new(&gaussians.select(&rows), &config.raster, device);
+    Ok(Pruning {
+        after: left.psnr(&judges, &[])?,
+        before,
+        kept: rows,
+    })
 }

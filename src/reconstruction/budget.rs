@@ -69,19 +69,24 @@ impl<'a> Trainer<'a> {
             unseen.for_each(|cost| *cost = f64::INFINITY);
         }
         let held_back = self.views(self.schedule.judges());
-        let pruning = scene.prune(&costs, &held_back, LOSS)?;
+        let before = scene.psnr(&held_back, &[])?;
+        let kept = scene.prune(&costs, &held_back, before - LOSS, costs.len())?;
         let compared = evenly(&trained, held_back.len());
+        let psnr_trained = scene.psnr(&compared, &[])?;
+        self.parameters.select(&kept);
+        self.statistics.select(&kept);
+        let after = PrunedScene {
+            leaves: self.parameters.leaves(),
+            ..scene
+        };
         let review = Review {
             iteration: self.iteration,
             gaussians: costs.len(),
-            kept: pruning.kept.len(),
-            psnr_before: pruning.before,
-            psnr_after: pruning.after,
-            psnr_trained: scene.psnr(&compared, &[])?,
+            kept: kept.len(),
+            psnr_before: before,
+            psnr_after: after.psnr(&held_back, &[])?,
+            psnr_trained,
         };
-        drop(scene);
-        self.parameters.select(&pruning.kept);
-        self.statistics.select(&pruning.kept);
         self.reviews.push(review);
         Ok(review)
     }

@@ -35,17 +35,6 @@ pub(crate) struct PrunedScene {
     pub background: [f32; 3],
 }
 
-/// The Gaussians that stay.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Pruning {
-    /// Rows that stay, in their order.
-    pub kept: Vec<u32>,
-    /// Mean PSNR of the views with all Gaussians, dB.
-    pub before: f64,
-    /// The same with those that stay.
-    pub after: f64,
-}
-
 impl PrunedScene {
     /// `gaussians` with their settings, on `device`.
     pub fn new(gaussians: &Gaussians, raster: &RasterConfig, device: &Device) -> Self {
@@ -93,47 +82,35 @@ impl PrunedScene {
         read("changes of the pictures", gradient / sigmoid(logits.neg()))
     }
 
-    /// Leaves out as many of the cheapest Gaussians as lower the mean PSNR of `views` by no more than `loss` dB.
+    /// The Gaussians that stay, in their order: as many of the cheapest are left out, fewer than `most`, as keep the mean PSNR of `views`
+    /// at `least` dB or more.
     ///
     /// # Errors
     /// Those of [`crate::data::Photo::pixels`], and [`crate::Error::Device`] when the device does not return the pictures.
-    pub fn prune(&self, costs: &[f64], views: &[&View], loss: f64) -> Result<Pruning> {
+    pub fn prune(
+        &self,
+        costs: &[f64],
+        views: &[&View],
+        least: f64,
+        most: usize,
+    ) -> Result<Vec<u32>> {
         let order = cheapest_first(costs);
-        let before = self.psnr(views, &[])?;
-        let mut after = before;
         let mut left_out = 0;
-        let mut step = order.len() / 2;
+        let mut step = most / 2;
         for _ in 0..HALVINGS {
             let tried = left_out + step;
-            let psnr = self.psnr(views, &order[..tried])?;
-            if psnr >= before - loss {
+            if self.psnr(views, &order[..tried])? >= least {
                 left_out = tried;
-                after = psnr;
             }
             step /= 2;
         }
-        Ok(Pruning {
-            kept: in_order(&order[left_out..]),
-            before,
-            after,
-        })
-    }
-
-    /// Keeps the `count` most expensive Gaussians.
-    ///
-    /// # Errors
-    /// As [`Self::prune`].
-    pub fn keep(&self, costs: &[f64], views: &[&View], count: usize) -> Result<Pruning> {
-        let order = cheapest_first(costs);
-        let (left_out, kept) = order.split_at(order.len().saturating_sub(count));
-        Ok(Pruning {
-            kept: in_order(kept),
-            before: self.psnr(views, &[])?,
-            after: self.psnr(views, left_out)?,
-        })
+        Ok(in_order(&order[left_out..]))
     }
 
     /// Mean PSNR of `views` without the Gaussians `left_out`, dB.
+    ///
+    /// # Errors
+    /// As [`Self::prune`].
     pub fn psnr(&self, views: &[&View], left_out: &[u32]) -> Result<f64> {
         let logits = self.leaves.opacity_logits.clone().inner();
         let mut values = read("opacity logits", logits.clone())?;
@@ -176,13 +153,13 @@ pub(crate) fn evenly<'a>(views: &[&'a View], count: usize) -> Vec<&'a View> {
 }
 
 /// Rows by ascending cost, ties by row.
-fn cheapest_first(costs: &[f64]) -> Vec<u32> {
+pub(crate) fn cheapest_first(costs: &[f64]) -> Vec<u32> {
     let mut order: Vec<u32> = (0..costs.len() as u32).collect();
     order.sort_by(|&a, &b| costs[a as usize].total_cmp(&costs[b as usize]));
     order
 }
 
-fn in_order(rows: &[u32]) -> Vec<u32> {
+pub(crate) fn in_order(rows: &[u32]) -> Vec<u32> {
     let mut rows = rows.to_vec();
     rows.sort_unstable();
     rows
@@ -324,12 +301,24 @@ mod tests {
         let views = train(&photos);
         let mut rng = stream(1, Purpose::Pruning, 0);
         let costs = scene.costs(&views, &mut rng).expect("finite");
-        let exact = scene.prune(&costs, &views, 0.0).expect("rendered");
-        assert!(exact.after >= exact.before);
-        assert!(exact.kept.len() <= costs.len() - costs.len() / 4 + costs.len() / 32);
-        let lossy = scene.prune(&costs, &views, 1.0).expect("rendered");
-        assert!(lossy.kept.len() < exact.kept.len());
-        assert!(lossy.after >= lossy.before - 1.0 && lossy.after < lossy.before);
-        assert!(lossy.kept.is_sorted() && lossy.kept.iter().all(|i| i % 4 != 0));
+        let before = scene.psnr(&views, &[]).expect("rendered");
+        let prune = |loss: f64| {
+            scene
+                .prune(&costs, &views, before - loss, costs.len())
+                .expect("rendered")
+        };
+        let exact = prune(0.0);
+        assert!(exact.len() <= costs.len() - costs.len() / 4 + costs.len() / 32);
+        let lossy = prune(1.0);
+        assert!(lossy.len() < exact.len() && lossy.is_sorted());
+        assert!(lossy.iter().all(|i| i % 4 != 0));
+        let gone: Vec<u32> = (0..costs.len() as u32)
+            .filter(|i| !lossy.contains(i))
+            .collect();
+        let after = scene.psnr(&views, &gone).expect("rendered");
+        assert!(
+            after >= before - 1.0 && after < before,
+            "{after} of {before} dB"
+        );
     }
 }
