@@ -174,14 +174,15 @@ pub fn run_on(
 ) -> Result<Outcome> {
     let start = Instant::now();
     let config = &resolved(config, &scene);
-    if !config.segmentation.rows().is_empty() && !has_raw_labels(&scene) {
-        tracing::warn!(
-            "no training view has raw labels: only the Gaussians are built. raw_label_path in transforms.json or data.raw_labels \
-             names them; set segmentation.rows = [] if there are none"
-        );
-    }
-    if has_raw_labels(&scene) && !config.segmentation.rows().is_empty() {
-        check_networks(config, &scene, device)?;
+    if !config.segmentation.rows().is_empty() {
+        if has_raw_labels(&scene) || has_segments(&scene, config) {
+            check_networks(config, &scene, device)?;
+        } else {
+            tracing::warn!(
+                "no training view has raw labels: only the Gaussians are built. raw_label_path in transforms.json or \
+                 data.raw_labels names them; set segmentation.rows = [] if there are none"
+            );
+        }
     }
     check_scores(least_count(&scene, config), &scene, config)?;
     let files = RunFiles::new(out);
@@ -201,8 +202,7 @@ pub fn run_on(
 impl Outcome {
     /// Makes segments of single views objects, where settings ask for it. False where `progress` stopped it.
     fn associate(&mut self, progress: &mut dyn Progress) -> Result<bool> {
-        let has_segments = self.scene.labelled().next().is_some();
-        if self.config.data.association == Association::None || !has_segments {
+        if !has_segments(&self.scene, &self.config) {
             return Ok(true);
         }
         if progress.stop() {
@@ -325,6 +325,11 @@ fn trust_labels(config: &mut Config, scene: &Scene) {
             config.segmentation.prior
         );
     }
+}
+
+/// Whether there are segments of single views that the settings make objects of.
+fn has_segments(scene: &Scene, config: &Config) -> bool {
+    config.data.association != Association::None && scene.labelled().next().is_some()
 }
 
 /// Whether stage two has something to train on.

@@ -2,7 +2,7 @@
 
 use crate::support::plate_objects::{plate_folder, short_run};
 use crate::support::plates::plates;
-use crate::support::program::{fails, read_json, succeeds, utf8};
+use crate::support::program::{fails, read_json, succeeds, utf8, warnings};
 use coseg::data::{Classes, LabelMap, Limits};
 use coseg::splat::ply;
 use std::collections::BTreeSet;
@@ -84,6 +84,8 @@ fn a_run_trains_on_objects_and_scores_them() {
     let run = dir.join("run");
     let said = short_run(dir, &run);
     assert!(said.contains("16 segments joined into"), "{said}");
+    let warned = warnings(&["train", "--resume", utf8(&run)]);
+    assert!(!warned.contains("only the Gaussians"), "{warned}");
     let metrics = read_json(&run.join("metrics.json"));
     assert_eq!(metrics["association"]["segments"], 16);
     let labels = &metrics["test"]["labels"];

@@ -29,6 +29,15 @@ pub fn succeeds(arguments: &[&str]) -> String {
     text(&output.stdout)
 }
 
+/// Runs, expects success, and returns standard error.
+#[track_caller]
+pub fn warnings(arguments: &[&str]) -> String {
+    let output = coseg(arguments);
+    let message = text(&output.stderr);
+    assert!(output.status.success(), "{arguments:?}: {message}");
+    message
+}
+
 /// Runs, expects `code`, and returns standard error, which must not show a panic or a trace.
 #[track_caller]
 pub fn fails(arguments: &[&str], code: i32) -> String {
