@@ -22,7 +22,7 @@ const LOSS: f64 = 0.05;
 /// Between two reviews the number of Gaussians grows by this factor at most.
 const GROWTH: f64 = 4.0;
 /// Growth ends when the PSNR of views that are trained on is this far above that of held-back ones, dB.
-const MAX_GAP: f64 = 3.0;
+pub(crate) const MAX_GAP: f64 = 3.0;
 /// Training views that a review measures the Gaussians in, at most.
 const MEASURED_VIEWS: usize = 96;
 
@@ -110,5 +110,51 @@ impl Review {
     /// Whether the views that are trained on are reproduced much better than those held back.
     fn learns_photos(&self) -> bool {
         self.psnr_trained > self.psnr_before + MAX_GAP
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::data::builtin::{BuiltinOptions, scene_with};
+    use burn::tensor::Device;
+
+    fn review(kept: usize, gap: f64) -> Review {
+        Review {
+            kept,
+            psnr_before: 30.0,
+            psnr_trained: 30.0 + gap,
+            ..Review::default()
+        }
+    }
+
+    #[test]
+    fn growth_ends_for_good_where_photos_are_learned() {
+        let options = BuiltinOptions {
+            width: 32,
+            height: 24,
+            train_views: 2,
+            test_views: 1,
+            points: 100,
+            ..BuiltinOptions::default()
+        };
+        let scene = scene_with(&options).expect("a scene");
+        let config = Config::default();
+        let mut trainer = Trainer::new(&scene, &config, &Device::ndarray()).expect("a stage");
+        let initial = trainer.initial;
+        assert!(initial > 0);
+        assert_eq!(trainer.capacity(), 4 * initial);
+        trainer.reviews = vec![review(70, 2.9)];
+        assert_eq!(trainer.capacity(), 280);
+        trainer.reviews.push(review(50, 3.1));
+        assert_eq!(trainer.capacity(), 50);
+        trainer.reviews.push(review(40, 1.0));
+        assert_eq!(trainer.capacity(), 40, "for good");
+        trainer.reviews = vec![review(70, 2.9)];
+        trainer.iteration = config.building.iterations / 2;
+        assert_eq!(trainer.capacity(), 70, "densification has ended");
+        trainer.config.building.max_gaussians = Budget::AtMost(9);
+        assert_eq!(trainer.capacity(), 9);
     }
 }

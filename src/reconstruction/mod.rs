@@ -13,6 +13,7 @@ mod strategy;
 mod targets;
 mod trainer;
 
+pub(crate) use self::budget::MAX_GAP;
 pub use self::densify::Densified;
 pub use self::optimizer::Moments;
 pub use self::state::TrainerState;

@@ -6,6 +6,7 @@ use super::units::{bytes, duration, percent, thousands};
 use super::{Report, VariantScores};
 use crate::config::Variant;
 use crate::metrics::{InstanceScores, SemanticScores};
+use crate::reconstruction::MAX_GAP;
 use maud::{Markup, html};
 
 /// A table whose wide content scrolls on its own.
@@ -112,7 +113,7 @@ pub(super) fn reviews(report: &Report<'_>) -> Markup {
             p {
                 "Some training views were held back from training for a time. Each review left out the Gaussians that these views "
                 "hardly need. Afterwards new ones could come while densification went on, until the views trained on were more than "
-                "3 dB better than those held back."
+                (MAX_GAP) " dB better than those held back."
             }
             (table(&head, body))
         }

@@ -1,11 +1,13 @@
 //! `coseg edit --edits`, and what `edit` and `separate` may write over.
 
-use crate::support::plates::scene;
+use crate::support::plates::{plates, scene};
 use crate::support::program::{fails, succeeds, utf8};
 use coseg::data::{Classes, Limits};
 use coseg::files::sha256;
 use coseg::splat::ply;
+use glam::DVec3;
 use serde_json::json;
+use std::path::Path;
 
 #[test]
 fn the_command_applies_edits_to_their_scene_alone() {
@@ -159,4 +161,33 @@ fn a_command_writes_over_its_own_output_and_over_others_by_force() {
     ];
     let message = fails(&edit, 1);
     assert!(message.contains("folder with photos"), "{message}");
+}
+
+#[test]
+fn an_output_holds_nothing_of_the_scene_that_it_replaces() {
+    let folder = tempfile::tempdir().unwrap();
+    let named = folder.path().join("named/scene.ply");
+    let (gaussians, labels) = plates();
+    ply::write(&named, &gaussians, DVec3::ZERO, Some(&labels)).unwrap();
+    Classes::from_names(0, [(1, "red"), (2, "green"), (3, "blue"), (4, "wall")])
+        .write(&named.with_file_name("classes.json"))
+        .unwrap();
+    std::fs::write(named.with_file_name("cameras.json"), "[]").unwrap();
+    let bare = folder.path().join("bare/scene.ply");
+    ply::write(&bare, &gaussians, DVec3::ZERO, Some(&labels)).unwrap();
+    let out = folder.path().join("out");
+    let edit = |scene: &Path| {
+        let words = ["edit", "--scene", utf8(scene), "--out", utf8(&out)];
+        succeeds(&[&words[..], &["--remove", "1"]].concat())
+    };
+    let beside = || ["classes.json", "cameras.json"].map(|name| out.join(name).exists());
+    edit(&named);
+    assert_eq!(beside(), [true; 2]);
+    edit(&bare);
+    assert_eq!(beside(), [false; 2], "names and cameras of another scene");
+    edit(&named);
+    // What a person put there stays, and is no reason to go on with it.
+    std::fs::write(out.join("cameras.json"), "[ ]").unwrap();
+    edit(&bare);
+    assert_eq!(beside(), [false, true]);
 }

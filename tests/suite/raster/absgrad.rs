@@ -1,6 +1,8 @@
 //! Sums over pixels of absolute screen-space gradients (AbsGS) against finite differences of every pixel's own loss.
 
-use crate::support::raster_reference::{self as reference, Cloud, camera, cloud, numbers};
+use crate::support::raster_reference::{
+    self as reference, Cloud, camera, cloud, cloud_far_from_cuts, numbers,
+};
 use burn::tensor::{DType, Tensor, TensorData};
 use coseg::raster::{RasterInput, Settings, rasterize};
 use coseg::splat::camera::Camera;
@@ -116,14 +118,7 @@ fn absolute_sums_equal_finite_differences_pixel_by_pixel() {
         ..Settings::default()
     };
     for (settings, step) in [(SMOOTH, 1e-4), (cut, 1e-6)] {
-        // A scene in which no pair lies so close to a cut-off that a finite step would cross it.
-        let far = |c: &Cloud| {
-            reference::render(c, &numbers(3 * c.len(), 5), 3, &camera, &settings).margin() > 4e-4
-        };
-        let c = (0..1000)
-            .map(|seed| cloud(10, 0.06, &camera, seed))
-            .find(|c| far(c))
-            .expect("such a scene");
+        let c = cloud_far_from_cuts(10, &camera, &settings, 4e-4);
         let pixels = camera.width * camera.height;
         for channels in [1, 3, 9] {
             let values = numbers(c.len() * channels, 5);

@@ -218,6 +218,21 @@ impl Tab {
         self.mouse("mouseReleased", points[points.len() - 1], modifiers, 0);
     }
 
+    /// Presses the button, as the beginning of a drag.
+    pub fn press(&mut self, point: [f64; 2]) {
+        self.mouse("mousePressed", point, 0, 1);
+    }
+
+    /// Moves the pointer with the button down.
+    pub fn pull(&mut self, point: [f64; 2]) {
+        self.mouse("mouseMoved", point, 0, 1);
+    }
+
+    /// Ends a drag.
+    pub fn release(&mut self, point: [f64; 2]) {
+        self.mouse("mouseReleased", point, 0, 0);
+    }
+
     /// Moves the pointer.
     pub fn hover(&mut self, point: [f64; 2]) {
         self.mouse("mouseMoved", point, 0, 0);

@@ -21,6 +21,8 @@ pub mod lifting;
 pub mod linear_probe;
 pub mod made_up_report;
 pub mod masked_plates;
+#[cfg(unix)]
+pub mod mended_plates;
 pub mod mobilenet_weights;
 pub mod onnx;
 pub mod painted_plane;

@@ -262,6 +262,16 @@ pub fn render_shifted(
     out
 }
 
+/// The first cloud of `n` Gaussians, numbers of f32, in which no pair is as close as `margin` to a cut-off, so that neither rounding
+/// nor a small step crosses one.
+pub fn cloud_far_from_cuts(n: usize, camera: &Camera, settings: &Settings, margin: f64) -> Cloud {
+    let far = |c: &Cloud| render(c, &vec![0.0; n], 1, camera, settings).margin() > margin;
+    (0..1000)
+        .map(|seed| cloud(n, 0.06, camera, seed).rounded())
+        .find(far)
+        .expect("such a scene")
+}
+
 /// 400 random Gaussians with view-dependent colours.
 pub fn colored_gaussians(camera: &Camera, scale: f64) -> Gaussians {
     let cloud = cloud(400, scale, camera, 21);

@@ -1,6 +1,8 @@
 //! Tests of `coseg::viewer`.
 
 #[cfg(unix)]
+pub mod edit_history;
+#[cfg(unix)]
 pub mod mends;
 pub mod page;
 #[cfg(unix)]

@@ -1,0 +1,262 @@
+//! Edits in the viewer's page: undone, kept, saved, and reached by keys.
+
+use crate::support::devtools::{CTRL, SHIFT};
+use crate::support::mended_plates::{assert_applied, opened, selected, spot, state};
+use crate::support::program::utf8;
+use coseg::data::Limits;
+use coseg::splat::ply;
+use serde_json::json;
+
+#[test]
+fn everything_is_undone_and_done_again_bit_for_bit() {
+    let Some((dir, mut tab)) = opened() else {
+        return;
+    };
+    let start = state(&mut tab);
+    let green = spot(&mut tab, [0.0, 0.3, 0.0]);
+    // Hidden, shown, moved by dragging, turned, renamed, coloured, split, assigned, merged, deleted.
+    tab.drag(&[green], 0);
+    assert_eq!(tab.value("[...page.chosen]"), json!([2]));
+    tab.key("KeyH", 0);
+    tab.key("KeyH", 0);
+    tab.key("KeyM", 0);
+    tab.drag(
+        &[
+            green,
+            [green[0] + 30.0, green[1]],
+            [green[0] + 50.0, green[1] + 4.0],
+        ],
+        0,
+    );
+    assert_eq!(
+        tab.value("page.edits.done.length"),
+        3,
+        "one drag is one edit"
+    );
+    tab.value("page.turnTo(2, 30)");
+    tab.value("page.details.color.value = '#102030'; page.details.color.dispatchEvent(new Event('change'))");
+    tab.key("F2", 0);
+    tab.type_text("rug");
+    tab.key("Enter", 0);
+    let red = [[-1.35, -0.45, 0.1], [-0.9, 0.45, 0.1]].map(|point| spot(&mut tab, point));
+    tab.key("Escape", 0);
+    tab.key("KeyX", 0);
+    tab.drag(&red, 0);
+    tab.key("KeyN", 0);
+    tab.key("Enter", 0);
+    tab.value("page.moveTo(5, [0, 0.5, 0.25])");
+    // Gaussians of a plate that has moved stay where they are in another object.
+    let moved = [[-1.35, 0.05, 0.35], [-1.05, 0.95, 0.35]].map(|point| spot(&mut tab, point));
+    tab.key("Escape", 0);
+    tab.key("KeyX", 0);
+    tab.drag(&moved, 0);
+    let some = selected(&mut tab);
+    assert_eq!(some[1], "object 1", "{some}");
+    tab.value("page.putInto(3)");
+    tab.value("page.choose(1); page.choose(2, 'add'); page.putInto(2)");
+    tab.value("page.choose(4); page.remove()");
+    let end = state(&mut tab);
+    let count = tab.value("page.edits.done.length").as_u64().unwrap();
+    assert_eq!(count, 11);
+    assert_applied(&mut tab, dir.path());
+    // Positions too, but for the rounding of each motion.
+    let mended = ply::read(&dir.path().join("mended/scene.ply"), &Limits::default()).unwrap();
+    let places = tab.value(
+        "Array.from(page.state.partOf).map((part, i) => [part, i]).filter(([part]) => page.state.parts[part].object !== null) \
+         .map(([part, i]) => { const { rotation, shift } = page.state.parts[part].pose; \
+         return [0, 1, 2].map((k) => shift[k] + [0, 1, 2].reduce((s, c) => s + rotation[3 * k + c] * page.scene.geometry[16 * i + c], 0)); })",
+    );
+    let places: Vec<[f64; 3]> = serde_json::from_value(places).unwrap();
+    for (place, mean) in places.iter().zip(&mended.gaussians.means) {
+        let near = place
+            .iter()
+            .zip(mean)
+            .all(|(a, b)| (a - f64::from(*b)).abs() < 1e-5);
+        assert!(near, "{place:?} {mean:?}");
+    }
+
+    for _ in 0..count {
+        tab.key("KeyZ", CTRL);
+    }
+    assert_eq!(state(&mut tab), start);
+    tab.key("KeyZ", CTRL);
+    assert_eq!(state(&mut tab), start, "nothing is left to undo");
+    for _ in 0..count {
+        tab.key("KeyZ", CTRL | SHIFT);
+    }
+    assert_eq!(state(&mut tab), end);
+    tab.value("document.getElementById('discard').click()");
+    assert_eq!(state(&mut tab), start);
+    assert_eq!(tab.value("localStorage.length"), 0);
+    for _ in 0..count {
+        tab.value("document.getElementById('redo').click()");
+    }
+    assert_eq!(state(&mut tab), end);
+}
+
+#[test]
+fn edits_outlive_a_reload_and_leaving_asks_while_they_are_not_saved() {
+    let Some((dir, mut tab)) = opened() else {
+        return;
+    };
+    let start = state(&mut tab);
+    let green = spot(&mut tab, [0.0, 0.3, 0.0]);
+    tab.drag(&[green], 0);
+    assert!(!tab.reload(), "nothing is lost");
+    tab.drag(&[green], 0);
+    tab.key("KeyH", 0);
+    let hidden = state(&mut tab);
+    assert!(!tab.reload(), "hiding is not saved");
+    assert_eq!(state(&mut tab), hidden);
+    tab.value("page.rename(2, 'rug'); page.moveTo(2, [0.1, 0, 1 / 3])");
+    let end = state(&mut tab);
+    let text = tab.text("page.edits.text()");
+    tab.hover(green);
+    tab.drag(&[green], 0);
+    assert!(tab.reload());
+    assert_eq!(state(&mut tab), end);
+    assert_eq!(tab.text("page.edits.text()"), text);
+    let summary = "document.getElementById('summary').textContent";
+    assert_eq!(tab.text(summary), "2 edits, not saved");
+
+    let folder = json!({"behavior": "allow", "downloadPath": utf8(dir.path())});
+    tab.send("Page.setDownloadBehavior", folder);
+    tab.value("document.getElementById('save').click()");
+    assert_eq!(tab.text(summary), "2 edits, saved");
+    let saved = dir.path().join("edits.json");
+    for _ in 0..100 {
+        if saved.is_file() {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
+    assert_eq!(std::fs::read_to_string(&saved).unwrap(), text);
+    tab.drag(&[[5.0, 400.0]], 0);
+    assert!(!tab.reload());
+    assert_eq!(tab.text(summary), "2 edits, saved");
+    tab.value("page.edits.discard()");
+    assert_eq!(state(&mut tab), start);
+    assert!(!tab.reload());
+    assert_eq!(state(&mut tab), start);
+
+    // What another program left there is dropped.
+    let keep = "localStorage.setItem(`coseg edits ${page.scene.sha256}`, ";
+    for kept in [
+        "'{'",
+        "'[]'",
+        "'{\"done\": [{\"op\": \"rename\", \"object\": 77, \"name\": \"a\"}]}'",
+        "'{\"done\": [{\"op\": \"delete_gaussians\", \"gaussians\": [111]}]}'",
+        "'{\"done\": [{\"op\": \"fly\"}]}'",
+    ] {
+        tab.value(&format!("{keep}{kept})"));
+        tab.reload();
+        assert_eq!(state(&mut tab), start, "{kept}");
+        assert!(tab.text(summary).contains("could not be read"), "{kept}");
+    }
+}
+
+#[test]
+fn keys_alone_reach_every_action() {
+    let Some((dir, mut tab)) = opened() else {
+        return;
+    };
+    // The first stop is the picture: Enter takes the plate in its middle.
+    tab.key("Tab", 0);
+    assert_eq!(tab.text("document.activeElement.id"), "picture");
+    tab.key("Enter", 0);
+    assert_eq!(tab.value("[...page.chosen]"), json!([2]));
+    tab.key("F2", 0);
+    tab.type_text("rug");
+    tab.key("Enter", 0);
+    assert_eq!(tab.text("page.state.object(2).name"), "rug");
+    tab.key("KeyH", 0);
+    assert_eq!(tab.value("page.state.object(2).shown"), false);
+    tab.key("KeyH", 0);
+    tab.key("Escape", 0);
+    assert_eq!(tab.value("page.chosen.size"), 0);
+    tab.key("KeyP", 0);
+    tab.key("BracketLeft", 0);
+    tab.key("Space", 0);
+    let some = selected(&mut tab);
+    assert!(some[0].as_u64().unwrap() > 0 && some[1] == "rug", "{some}");
+    tab.key("KeyN", 0);
+    tab.type_text("spot");
+    tab.key("Enter", 0);
+    assert_eq!(tab.text("page.state.object(5).name"), "spot");
+    // Merged into the wall: the list of objects takes typed letters.
+    tab.key("KeyT", 0);
+    assert_eq!(
+        tab.text("document.activeElement.ariaLabel"),
+        "object to merge into"
+    );
+    while tab.text("page.details.target.selectedOptions[0].text") != "wall" {
+        tab.key("ArrowDown", 0);
+    }
+    tab.key("Enter", 0);
+    assert_eq!(tab.value("page.state.object(5).count"), 0);
+    assert_eq!(tab.value("[...page.chosen]"), json!([4]));
+    tab.key("Delete", 0);
+    assert_eq!(tab.value("page.state.object(4).count"), 0);
+    assert_applied(&mut tab, dir.path());
+    tab.key("KeyZ", CTRL);
+    assert!(tab.value("page.state.object(4).count").as_u64() > Some(36));
+
+    // Everything that can be pressed is a stop of Tab and says what it is.
+    tab.value("page.choose(2); document.activeElement.blur()");
+    let wanted = tab.value(
+        "[...document.querySelectorAll('button, input, select, summary, canvas')] \
+         .filter((e) => e.checkVisibility() && !e.disabled).length",
+    );
+    let name = "(() => { const e = document.activeElement; return e === document.body ? null : \
+        (e.getAttribute('aria-label') ?? (e.labels?.[0]?.textContent || e.textContent)).trim(); })()";
+    let mut stops = 0;
+    tab.value("document.body.tabIndex = -1; document.body.focus(); document.body.removeAttribute('tabindex')");
+    loop {
+        tab.key("Tab", 0);
+        let found = tab.value(name);
+        if found.is_null() || stops > 200 {
+            break;
+        }
+        assert_ne!(
+            found,
+            "",
+            "{}",
+            tab.value("document.activeElement.outerHTML")
+        );
+        stops += 1;
+    }
+    assert_eq!(json!(stops), wanted);
+}
+
+#[test]
+fn a_key_during_a_drag_shifts_no_other_move() {
+    let Some((_dir, mut tab)) = opened() else {
+        return;
+    };
+    let green = spot(&mut tab, [0.0, 0.3, 0.0]);
+    tab.value("page.moveTo(1, [0.25, 0, 0])");
+    tab.drag(&[green], 0);
+    tab.key("KeyM", 0);
+    tab.press(green);
+    tab.pull([green[0] + 30.0, green[1]]);
+    tab.key("KeyZ", CTRL);
+    tab.pull([green[0] + 50.0, green[1]]);
+    tab.release([green[0] + 50.0, green[1]]);
+    let moves = tab.value("page.edits.done.map((o) => [o.op, o.object])");
+    assert_eq!(moves, json!([["move", 1], ["move", 2]]));
+    assert_eq!(
+        tab.value("page.state.object(1).offset"),
+        json!([0.25, 0, 0])
+    );
+    assert_ne!(tab.value("page.state.object(2).offset"), json!([0, 0, 0]));
+}
+
+#[test]
+fn names_hold_no_control_characters() {
+    let Some((dir, mut tab)) = opened() else {
+        return;
+    };
+    tab.value("page.rename(2, ' red\\trug ')");
+    assert_eq!(tab.text("page.state.object(2).name"), "red rug");
+    assert_applied(&mut tab, dir.path());
+}
