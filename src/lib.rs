@@ -22,13 +22,15 @@
 //!
 //! [`pipeline::run`] calls these steps in order. `docs/architecture.md` says where each equation of the paper is computed.
 //!
-//! | paper | module |
+//! | paper | where |
 //! |---|---|
 //! | Eq. 1 to 4, rendering in N channels | [`raster`] |
-//! | Eq. 5, Algorithm 1, unprojection | [`segmentation::unprojection`] |
+//! | Eq. 5, Algorithm 1, unprojection | [`LiftedViews::add`](segmentation::unprojection::LiftedViews::add), [`Sums::normalised`](segmentation::unprojection::Sums::normalised) |
 //! | Eq. 6, RandLA-Net | [`segmentation::randla`] |
-//! | Eq. 7, decoder | [`segmentation::decoder`] |
-//! | Eq. 8 to 10, CoSeg loss | [`segmentation::loss`] |
+//! | Eq. 7, decoder | [`Decoder::forward`](segmentation::decoder::Decoder::forward) |
+//! | Eq. 8, a label loss | [`LabelLoss`](segmentation::loss::LabelLoss) |
+//! | Eq. 9, neighbours agree | [`neighbour_divergence`](segmentation::loss::neighbour_divergence) |
+//! | Eq. 10, CoSeg loss | [`CoSegLoss::forward`](segmentation::loss::CoSegLoss::forward) |
 //! | stage one | [`reconstruction`] |
 //! | stage two | [`pipeline::train_decoder`] |
 //!

@@ -38,7 +38,7 @@ pub(crate) fn check_scores(gaussians: usize, classes: usize, tables: usize) -> R
     )
 }
 
-/// Bytes of so many values.
+/// The product of these counts.
 fn product(counts: &[usize]) -> u64 {
     let counts = counts.iter().map(|&count| count as u64);
     counts.fold(FLOAT, u64::saturating_mul)

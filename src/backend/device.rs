@@ -338,7 +338,7 @@ fn adapter() -> &'static std::result::Result<Option<Adapter>, String> {
     })
 }
 
-/// Why another backend would be better than `name` with its `device`, if one would.
+/// The reason to choose another backend than `name` with its `device`, if there is one.
 fn unsuited(name: BackendName, device: &Device) -> Option<String> {
     let software = software_adapter(name)
         .map(|adapter| format!("the only adapter is {adapter}, a software one"));

@@ -23,7 +23,7 @@ Runs a semantic segmenter in an ONNX file over all photos of a scene folder, tra
                   network, contract, classes and photo
 
 The contract says how the network reads photos and what its output means. --contract names it; otherwise it is FILE.toml
-beside FILE.onnx, or else the shipped one of the model's name. docs/data.md describes it.
+beside FILE.onnx, or the built-in contract with the model's name. docs/data.md describes it.
 
 --classes names the classes of the labels, a TOML with lists of the network's classes:
   [classes]

@@ -42,8 +42,8 @@ impl LabelledArgs {
         self.backend.open()
     }
 
-    /// Reads both, the scene relative to the origin of the Gaussians. Refuses an output folder where files of others are in the way,
-    /// in its `folders` too.
+    /// Reads both, the scene relative to the origin of the Gaussians. Refuses an output folder, or one of its `folders`, that
+    /// has files which `coseg` did not write.
     pub fn read(
         &self,
         config: &Config,

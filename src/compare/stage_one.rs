@@ -79,7 +79,7 @@ fn settings(plan: &Plan, scene: &SceneFolder, given: Option<&Path>) -> Result<Co
     Ok(config)
 }
 
-/// What the folder of a scene says of its Gaussians.
+/// Where the Gaussians of a scene come from, as its folder records it.
 #[derive(Serialize, Deserialize)]
 struct Record {
     /// The file that they were taken from; absent where they were trained.

@@ -154,8 +154,8 @@ pub struct SegmentationConfig {
     pub prior: Prior,
     /// Exponent of the class frequencies that pooled votes are divided by, 0 to 1. Absent: it follows from the votes.
     pub prior_exponent: Option<f64>,
-    /// Share of the vote in the identities that decoders learned, 0 to 1. Absent: raw labels that the vote has not seen decide; it is
-    /// 0 where raw labels name frequent classes too often, and without a prior.
+    /// Share of the vote in the identities that decoders learned, 0 to 1. Absent: `coseg` chooses it by raw labels that are held
+    /// out from the vote; 0 where raw labels name frequent classes too often, and without a prior.
     pub vote_share: Option<f64>,
     /// Loss of the variant `ours`.
     #[serde(deserialize_with = "super::by_name")]

@@ -14,8 +14,8 @@ pub mod photos;
 pub use self::diagnostics::check::{Checked, check};
 pub use self::diagnostics::info::{CameraBox, ClassShare, Info, Thumbnail, info, thumbnails};
 pub use self::formats::camera_file::read_cameras;
+pub use self::formats::folder::scene_name;
 pub use self::formats::layout::locate;
-pub use self::formats::listing::scene_name;
 pub use self::labels::label_runs::LabelRuns;
 pub use self::labels::map_geometry::MapGeometry;
 pub use self::labels::palette::class_color;
@@ -28,7 +28,7 @@ pub use self::photos::photo_cache::PhotoCache;
 pub use crate::files::{Limits, atomic};
 
 use self::diagnostics::{notices, poses};
-use self::formats::listing;
+use self::formats::{folder, listing};
 use self::mask::Mask;
 use crate::config::display_as_serialized;
 use crate::error::{Result, bail, ensure};
@@ -49,7 +49,7 @@ use std::path::Path;
 /// field: malformed, missing or damaged files, sizes that disagree, poses that are no rotations, camera models that are
 /// no pinhole after undistortion, unknown label ids, repeated names, no training view.
 pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
-    let mut problems = listing::Problems::default();
+    let mut problems = folder::Problems::default();
     let listing = notices::list(dir, options, &mut problems)?;
     problems.first()?;
     let warn = |notice: &String| tracing::warn!("{}: {notice}", dir.display());
@@ -86,7 +86,7 @@ pub fn load_cameras(
     options: &LoadOptions,
     split: Option<Split>,
 ) -> Result<Vec<NamedCamera>> {
-    let mut problems = listing::Problems::default();
+    let mut problems = folder::Problems::default();
     let listing = notices::list(dir, options, &mut problems)?;
     problems.first()?;
     let mut cameras = Vec::new();

@@ -1,9 +1,10 @@
 //! Folders that commands may write into: none that holds a scene's own files.
 
 use super::LoadOptions;
+use super::formats::folder::Problems;
 use super::formats::frame::Frame;
 use super::formats::layout;
-use super::formats::listing::{Cloud, Problems};
+use super::formats::listing::Cloud;
 use crate::error::{Result, bail, ensure};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

@@ -134,7 +134,7 @@ fn vet_header(bytes: &[u8]) -> Result<(), String> {
     Ok(())
 }
 
-/// The three sizes when none is 0 and their product is a sane number of values.
+/// The three sizes, if none is 0 and their product is plausible.
 fn check_shape(shape: &[usize]) -> Option<[usize; 3]> {
     let &[h, w, c] = shape else { return None };
     let count = h.checked_mul(w)?.checked_mul(c)?;

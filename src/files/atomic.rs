@@ -1,18 +1,12 @@
 //! Atomic writes: a file is written under a temporary name, synced and renamed.
 
-use super::own::{self, Hashed};
+use super::own::{self, Hashed, TEMPORARY};
 use crate::error::{Error, Result};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 use std::fs;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
-use std::time::Duration;
-
-/// How the names of temporary files begin and end.
-const TEMPORARY: [&str; 2] = [".coseg-", ".tmp"];
-/// Temporary files that are older belong to processes that were killed.
-const ABANDONED: Duration = Duration::from_secs(3600);
 
 /// Writes `path` through `fill`; the old file stays until the new one is complete and on disk.
 ///
@@ -69,21 +63,6 @@ pub fn write(
         .and_then(|folder| folder.sync_all())
         .map_err(failed("sync"))?;
     Ok(())
-}
-
-/// Removes the temporary files in `folder` that killed processes left there.
-pub(super) fn remove_abandoned(folder: &Path) {
-    let is_temporary =
-        |name: &str, _: &Path| name.starts_with(TEMPORARY[0]) && name.ends_with(TEMPORARY[1]);
-    for name in super::names(folder, is_temporary) {
-        let path = folder.join(name);
-        let written = fs::symlink_metadata(&path).and_then(|there| there.modified());
-        let age = written.ok().and_then(|time| time.elapsed().ok());
-        if age.is_some_and(|age| age > ABANDONED) {
-            // What stays does no harm.
-            let _ = fs::remove_file(path);
-        }
-    }
 }
 
 /// Writes `bytes` to `path` as [`write()`] does.

@@ -12,8 +12,12 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
+/// How the names of temporary files begin and end.
+pub(super) const TEMPORARY: [&str; 2] = [".coseg-", ".tmp"];
+/// Temporary files that are older belong to processes that were killed.
+const ABANDONED: Duration = Duration::from_secs(3600);
 /// The record of a folder.
 pub const RECORD: &str = ".coseg-files";
 /// The first line of a record.
@@ -103,6 +107,21 @@ fn is_recorded(path: &Path) -> Result<bool> {
     Ok(own.any(|line| lines.contains(&line)))
 }
 
+/// Removes the temporary files in `folder` that killed processes left there.
+fn remove_abandoned(folder: &Path) {
+    let is_temporary =
+        |name: &str, _: &Path| name.starts_with(TEMPORARY[0]) && name.ends_with(TEMPORARY[1]);
+    for name in super::names(folder, is_temporary) {
+        let path = folder.join(name);
+        let written = fs::symlink_metadata(&path).and_then(|there| there.modified());
+        let age = written.ok().and_then(|time| time.elapsed().ok());
+        if age.is_some_and(|age| age > ABANDONED) {
+            // What stays does no harm.
+            let _ = fs::remove_file(path);
+        }
+    }
+}
+
 /// Notes that a file with this SHA-256 is about to take its place at `path`. The first time in a folder, removes what killed
 /// processes left there.
 pub(super) fn note(path: &Path, digest: &[u8]) -> Result<()> {
@@ -112,7 +131,7 @@ pub(super) fn note(path: &Path, digest: &[u8]) -> Result<()> {
         return Ok(());
     };
     if !known.lines.contains_key(folder) {
-        super::atomic::remove_abandoned(folder);
+        remove_abandoned(folder);
         let lines = read(folder)?;
         known.lines.insert(folder.to_owned(), lines);
     }

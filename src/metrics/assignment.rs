@@ -3,8 +3,8 @@
 use pathfinding::prelude::{Matrix, kuhn_munkres};
 
 /// For each row of `values` (`[rows, columns]` row-major, at least 0) its column, so that no column is taken twice and the
-/// sum of the values taken is largest. Pairs of value 0 are no pairs; rows may stay alone. Among equal sums the answer is a
-/// fixed one.
+/// sum of the values taken is largest. Pairs of value 0 are not assigned, so a row may stay without a column. Ties are broken
+/// deterministically.
 pub fn assignment(values: &[i64], columns: usize) -> Vec<Option<usize>> {
     let rows = values.len() / columns.max(1);
     let mut partners = vec![None; rows];

@@ -20,14 +20,14 @@ const APART: f64 = 0.2;
 /// [`crate::Error::NonFinite`] when a centre is not finite.
 ///
 /// # Panics
-/// If `labels` does not have one id a Gaussian.
+/// If `labels` does not have one id for each Gaussian.
 pub fn color_apart(
     gaussians: &Gaussians,
     labels: &[u16],
     classes: &mut Classes,
     recolored: &BTreeSet<u16>,
 ) -> Result<()> {
-    assert_eq!(labels.len(), gaussians.len(), "one label a Gaussian");
+    assert_eq!(labels.len(), gaussians.len(), "one label for each Gaussian");
     let beside = neighbours(gaussians, labels, classes.ignore)?;
     // Colours that others have, and then those that were given.
     let others = classes

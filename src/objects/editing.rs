@@ -36,9 +36,9 @@ impl Editing {
     /// Begins with a scene and the table of its labels.
     ///
     /// # Panics
-    /// If `labels` does not have one id a Gaussian.
+    /// If `labels` does not have one id for each Gaussian.
     pub fn new(gaussians: Gaussians, labels: Vec<u16>, classes: Classes) -> Self {
-        assert_eq!(labels.len(), gaussians.len(), "one label a Gaussian");
+        assert_eq!(labels.len(), gaussians.len(), "one label for each Gaussian");
         Self {
             removed: vec![false; labels.len()],
             used: labels.iter().copied().collect(),

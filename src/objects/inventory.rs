@@ -32,9 +32,9 @@ impl Object {
 /// The objects of a scene, ascending by id. Every id that occurs is an object.
 ///
 /// # Panics
-/// If `labels` does not have one id a Gaussian.
+/// If `labels` does not have one id for each Gaussian.
 pub fn inventory(gaussians: &Gaussians, labels: &[u16]) -> Vec<Object> {
-    assert_eq!(labels.len(), gaussians.len(), "one label a Gaussian");
+    assert_eq!(labels.len(), gaussians.len(), "one label for each Gaussian");
     let mut rows: BTreeMap<u16, Vec<u32>> = BTreeMap::new();
     for (row, &id) in (0..).zip(labels) {
         rows.entry(id).or_default().push(row);
@@ -88,7 +88,7 @@ pub fn pick(
     );
     assert!(
         labels.len() == gaussians.len() && labels.len() == projected.len(),
-        "one label a Gaussian"
+        "one label for each Gaussian"
     );
     let weights = projected.weights(Some(&[(y * width + x) as u32]));
     let mut sums: BTreeMap<u16, (f64, DVec3)> = BTreeMap::new();

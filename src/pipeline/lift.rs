@@ -1,4 +1,4 @@
-//! Lifting of a run: image features onto Gaussians (Eq. 5), and attendance pruning (Algorithm 1, line 8).
+//! Lifting of a run: image features onto Gaussians (Eq. 5), and attendance pruning (Algorithm 1, line 12).
 
 use super::evaluate::score_images;
 use crate::config::{Config, Resolution};
@@ -123,7 +123,7 @@ fn keep_rows(values: &mut Vec<f32>, kept: &[u32], width: usize) {
     values.truncate(kept.len() * width);
 }
 
-/// What attendance pruning (Algorithm 1, line 8) removed and what it cost.
+/// What attendance pruning (Algorithm 1, line 12) removed and what it cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pruned {
     /// Gaussians before.

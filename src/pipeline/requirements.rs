@@ -1,7 +1,6 @@
 //! What stage two needs, checked before stage one starts: networks, imported maps, and memory.
 
 use super::lift::reads_features;
-use super::run::has_raw_labels;
 use crate::config::{Association, Config, Variant};
 use crate::data::{Scene, Split};
 use crate::error::Result;
@@ -24,7 +23,7 @@ pub(super) fn check_networks(config: &Config, scene: &Scene, device: &Device) ->
     Ok(())
 }
 
-/// Stage one leaves at least one in this many of the Gaussians that it starts from, but for strange scenes.
+/// Stage one usually keeps at least one in this many of its initial Gaussians.
 const PRUNED_TO: usize = 8;
 
 /// Gaussians that stage one leaves at least; 0 where they come from a file.
@@ -58,4 +57,8 @@ pub(super) fn score_tables(config: &Config) -> usize {
         _ => 0,
     };
     2 + rows.len() + training
+}
+/// Whether stage two has something to train on.
+pub(super) fn has_raw_labels(scene: &Scene) -> bool {
+    scene.labelled().next().is_some() && !scene.classes.is_empty()
 }

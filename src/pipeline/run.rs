@@ -5,7 +5,9 @@ use super::encode::Inputs;
 use super::evaluate::score_images;
 use super::lift::{Pruned, lift};
 use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
-use super::requirements::{check_networks, check_scores, least_count, score_tables};
+use super::requirements::{
+    check_networks, check_scores, has_raw_labels, least_count, score_tables,
+};
 use super::variant_outcome::VariantOutcome;
 use super::variants::train_variants;
 use crate::config::{Association, Config, LabelLoss, LabelsBy, Prior, Variant};
@@ -295,7 +297,7 @@ fn resolved(config: &Config, scene: &Scene) -> Config {
     config
 }
 
-/// Labels of at most this share of the training photos are taken for hand-made: a network labels all photos.
+/// If at most this share of the training photos has labels, they count as made by hand: a network labels all photos.
 const MAX_HAND_LABELLED: f64 = 0.25;
 
 /// Decides who made the labels. Where a person did, cross-entropy and the votes of each Gaussian take the place of the default loss
@@ -330,11 +332,6 @@ fn trust_labels(config: &mut Config, scene: &Scene) {
 /// Whether there are segments of single views that the settings make objects of.
 fn has_segments(scene: &Scene, config: &Config) -> bool {
     config.data.association != Association::None && scene.labelled().next().is_some()
-}
-
-/// Whether stage two has something to train on.
-pub(super) fn has_raw_labels(scene: &Scene) -> bool {
-    scene.labelled().next().is_some() && !scene.classes.is_empty()
 }
 
 #[cfg(test)]

@@ -168,7 +168,7 @@ mod tests {
         start
     }
 
-    /// Has `look` see a stage on each device there is, and the state that it began with.
+    /// Calls `look` with a new trainer on each device, and with its initial state.
     fn on_each_device(strategy: Strategy, look: impl Fn(Trainer<'_>, TrainerState)) {
         let options = BuiltinOptions {
             width: 64,

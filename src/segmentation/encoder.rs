@@ -176,7 +176,7 @@ fn check_features(level: usize, features: &Tensor<2>) -> Result<()> {
 }
 
 /// Metres per world unit: the setting. Where it is 0, the cameras' extent (the largest distance of a camera from their mean, world
-/// units) is taken for two metres.
+/// units) is assumed to be two metres.
 ///
 /// # Errors
 /// [`Error::Config`] for a negative or non-finite setting, and for 0 without a usable extent.

@@ -52,7 +52,7 @@ pub struct Pyramid {
 
 impl Pyramid {
     /// Joins an encoding with unprojected features: `image(n, rows)` is f_d of scale n + 1 for the rows `rows` of the encoded
-    /// cloud, `[rows, D]`. Nothing is asked for that no level reads.
+    /// cloud, `[rows, D]`. It is called only for scales that are read.
     ///
     /// # Errors
     /// [`crate::Error::Argument`] when all features are off; those of `image`.
@@ -222,7 +222,7 @@ impl Dependencies {
 /// Per-channel mean and spread of a pyramid's frozen features.
 ///
 /// Image features are unit vectors, and spatial features grow with depth. Brought to one scale, the decoder learns in far fewer
-/// steps. The paper says nothing of it; `standardise = false` leaves the features as they are.
+/// steps. The paper does not mention this; `standardise = false` leaves the features as they are.
 #[derive(Clone, Debug)]
 pub struct Standardisation {
     /// One for each level, then one for the set below them.

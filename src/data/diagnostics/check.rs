@@ -3,9 +3,10 @@
 use super::{notices, photometric_poses, poses};
 use crate::config::Layout;
 use crate::data::formats::camera_checks::check_intrinsics;
+use crate::data::formats::folder::Problems;
 use crate::data::formats::frame::Frame;
 use crate::data::formats::frame_labels::FrameLabels;
-use crate::data::formats::listing::{Listing, Problems};
+use crate::data::formats::listing::Listing;
 use crate::data::{LoadOptions, Split};
 use crate::error::Error;
 use rayon::prelude::*;

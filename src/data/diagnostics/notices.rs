@@ -2,9 +2,10 @@
 
 use crate::config::Layout;
 use crate::data::first_names;
+use crate::data::formats::folder::{Folder, Problems};
 use crate::data::formats::frame::{Frame, reduced};
 use crate::data::formats::layout;
-use crate::data::formats::listing::{Cloud, Folder, Listing, Problems};
+use crate::data::formats::listing::{Cloud, Listing};
 use crate::data::formats::mask_file;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{LoadOptions, MapGeometry, Scene, Split};
@@ -267,7 +268,7 @@ pub(crate) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Opti
     })
 }
 
-/// Photos whose labels may belong to a turned copy, which sizes alone do not show. Each frame comes with that answer.
+/// A notice of the photos whose labels may belong to a turned copy. Sizes alone do not show this: the flag of each frame says it.
 pub(crate) fn turned<'a>(frames: impl Iterator<Item = (&'a Frame, bool)>) -> Option<String> {
     let turned = frames.filter(|(_, turned)| *turned);
     let turned: Vec<&Frame> = turned.map(|(frame, _)| frame).collect();

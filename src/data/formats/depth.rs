@@ -1,7 +1,7 @@
 //! An initial cloud from the depth images of a recorded sequence.
 
+use super::folder::in_order;
 use super::frame::Frame;
-use super::listing::in_order;
 use crate::data::options::evenly;
 use crate::data::{LabelMap, Limits, Points, Split};
 use crate::error::Result;

@@ -1,49 +1,10 @@
-//! Label maps and masks in folders beside the photos, found by the names of the photos.
+//! A folder of label maps or masks, whose files are found by the names of the photos.
 
 use super::frame::{Frame, joined_name};
-use super::listing::{Folder, Problems};
-use super::mask_file::Masks;
 use crate::config::RawFormat;
 use crate::data::LoadOptions;
 use crate::data::labels::raw::{coco_instances, labelme};
 use std::path::{Path, PathBuf};
-
-/// Folders of label maps and masks for layouts whose frames name no such files: `labels`, `labels_raw`, `instances`, masks.
-pub(crate) struct SideFolders {
-    truth: LabelFolder,
-    raw: LabelFolder,
-    instances: LabelFolder,
-    masks: Masks,
-}
-
-impl SideFolders {
-    pub fn new(folder: Folder<'_>, problems: &mut Problems) -> Self {
-        let Folder { dir, options, .. } = folder;
-        let raw = options.raw_labels.as_deref();
-        Self {
-            truth: LabelFolder::new(dir.join("labels")),
-            raw: LabelFolder {
-                folder: dir.join(raw.unwrap_or("labels_raw")),
-                // Some photo must have a map in a folder that the user names.
-                required: raw.is_some(),
-            },
-            instances: LabelFolder::new(dir.join("instances")),
-            masks: Masks::new(folder, problems),
-        }
-    }
-
-    /// The frame with the files of the photo that lies at `photo` below the folder of photos.
-    pub fn frame(&self, frame: Frame, photo: &Path) -> Frame {
-        Frame {
-            mask: self.masks.of_photo(photo),
-            truth: self.truth.map(photo),
-            raw: self.raw.map(photo),
-            drawn: self.raw.drawn(photo),
-            instances: self.instances.map(photo),
-            ..frame
-        }
-    }
-}
 
 /// A folder with files named after photos.
 pub(crate) struct LabelFolder {
@@ -52,6 +13,14 @@ pub(crate) struct LabelFolder {
 }
 
 impl LabelFolder {
+    /// A folder in which some photo must have a file.
+    pub fn required(folder: PathBuf) -> Self {
+        Self {
+            folder,
+            required: true,
+        }
+    }
+
     /// A folder in which some photos may lack a file.
     pub fn new(folder: PathBuf) -> Self {
         Self {
@@ -61,7 +30,7 @@ impl LabelFolder {
     }
 
     /// The map of a photo: a file as in [`LabelFolder::file`], or a folder of masks of such a name without `.png`.
-    fn map(&self, photo: &Path) -> Option<PathBuf> {
+    pub fn map(&self, photo: &Path) -> Option<PathBuf> {
         let names = self.names(photo);
         let masks = || {
             names
@@ -74,7 +43,7 @@ impl LabelFolder {
     }
 
     /// The JSON file of a photo, named as [`LabelFolder::file`].
-    fn drawn(&self, photo: &Path) -> Option<PathBuf> {
+    pub fn drawn(&self, photo: &Path) -> Option<PathBuf> {
         let names = self.names(photo).into_iter();
         names
             .map(|path| path.with_extension("json"))

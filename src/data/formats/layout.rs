@@ -1,6 +1,7 @@
 //! Which layout a scene folder has.
 
-use super::listing::{Folder, Listing, Problems};
+use super::folder::{Folder, Problems};
+use super::listing::Listing;
 use super::{colmap, replica, scannet, transforms};
 use crate::config::Layout;
 use crate::data::LoadOptions;

@@ -1,33 +1,17 @@
-//! The contents of a scene folder of any layout before photos are decoded, and the scene made from them.
+//! The contents of a scene folder of any layout, before anything is decoded.
 
-use super::colmap;
 use super::depth::Depth;
+use super::folder::{Folder, Problems};
 use super::frame::Frame;
-use super::frame_labels::FrameLabels;
 use super::label_folder::choose_raw_files;
-use super::points::MAX_STRAY;
 use crate::config::Layout;
 use crate::data::labels::map_geometry::MapGeometries;
 use crate::data::labels::raw::{self, RawFile, RawLabels};
-use crate::data::{
-    Classes, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, Split, View,
-};
-use crate::error::{Error, Result, ensure, invalid};
-use crate::files::file_name;
-use crate::splat::camera::{Camera, level_up, spread};
+use crate::data::{Classes, Limits, LoadOptions, Split};
+use crate::error::{Result, ensure, invalid};
+use crate::splat::camera::spread;
 use glam::DVec3;
-use rayon::prelude::*;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-
-/// A scene folder, and how it is read.
-#[derive(Clone, Copy)]
-pub(crate) struct Folder<'a> {
-    pub dir: &'a Path,
-    pub options: &'a LoadOptions,
-    /// Never `auto`.
-    pub layout: Layout,
-}
 
 /// The frames of a folder and everything known about them.
 pub(crate) struct Listing {
@@ -70,35 +54,6 @@ pub(crate) enum Cloud {
     Colmap(PathBuf),
     /// Depth images.
     Depth(Depth),
-}
-
-/// Faults collected while the rest of a folder is checked.
-#[derive(Default)]
-pub(crate) struct Problems(Vec<Error>);
-
-impl Problems {
-    pub fn push(&mut self, error: Error) {
-        self.0.push(error);
-    }
-
-    /// The value, if there is one. An error is recorded.
-    pub fn ok<T>(&mut self, result: Result<T>) -> Option<T> {
-        result.map_err(|error| self.push(error)).ok()
-    }
-
-    /// # Errors
-    /// The first fault.
-    pub fn first(self) -> Result<()> {
-        self.0.into_iter().next().map_or(Ok(()), Err)
-    }
-
-    pub fn messages(&self) -> impl Iterator<Item = String> {
-        self.0.iter().map(ToString::to_string)
-    }
-
-    pub fn all(self) -> Vec<Error> {
-        self.0
-    }
 }
 
 impl Listing {
@@ -184,24 +139,6 @@ impl Listing {
         }
     }
 
-    /// The cloud, relative to `origin`, without its strays.
-    pub fn points(&self, origin: DVec3, limits: &Limits) -> Result<Points> {
-        let mut points = match &self.cloud {
-            Cloud::None => Points::default(),
-            Cloud::Ply(path) => Points::read(path, origin, limits)?,
-            Cloud::Colmap(path) => colmap::read_points(path, origin, limits)?,
-            Cloud::Depth(depth) => depth.points(&self.frames, &self.file, origin, limits)?,
-        };
-        let left_out = points.remove_strays();
-        if left_out > 0 {
-            tracing::warn!(
-                "{}: {left_out} points of the initial cloud are left out: they lie {MAX_STRAY} times as far out as half of all points",
-                self.file.display()
-            );
-        }
-        Ok(points)
-    }
-
     /// Mean of the camera centres.
     pub fn origin(&self) -> DVec3 {
         self.spread().0
@@ -210,100 +147,6 @@ impl Listing {
     /// Mean of the camera centres, and the largest distance from it.
     pub fn spread(&self) -> (DVec3, f64) {
         spread(self.frames.iter().map(|frame| frame.camera.center))
-    }
-
-    /// World direction that points up.
-    fn up(&self) -> DVec3 {
-        if self.z_up {
-            return DVec3::Z;
-        }
-        let cameras: Vec<Camera> = self
-            .frames
-            .iter()
-            .map(|frame| frame.camera.clone())
-            .collect();
-        level_up(&cameras)
-    }
-
-    /// Decodes everything, a few files at a time. The second value says for each frame whether its labels may belong to a
-    /// turned photo.
-    pub fn load(&self, dir: &Path, options: &LoadOptions) -> Result<(Scene, Vec<bool>)> {
-        self.check_sizes(&options.limits)?;
-        let cache = Arc::new(PhotoCache::new(options.decoded_mb.saturating_mul(1 << 20)));
-        let origin = self.origin();
-        let known = self.classes.lookup();
-        let views = self
-            .frames
-            .par_iter()
-            .map(|frame| self.view(frame, options, origin, &known, &cache));
-        let (views, turned): (Vec<View>, Vec<bool>) = in_order(views)?.into_iter().unzip();
-        let scene = Scene {
-            name: scene_name(dir),
-            classes: self.classes_of(&views),
-            views,
-            points: self.points(origin, &options.limits)?,
-            drawn: self.raw.are_drawn(),
-            origin,
-            up: self.up(),
-        };
-        Ok((scene, turned))
-    }
-
-    /// The view of a frame, and whether its labels may belong to a turned photo.
-    fn view(
-        &self,
-        frame: &Frame,
-        options: &LoadOptions,
-        origin: DVec3,
-        known: &[u16],
-        cache: &Arc<PhotoCache>,
-    ) -> Result<(View, bool)> {
-        let (file, labels) = FrameLabels::open(self, frame, known, options)?;
-        let preprocessing = labels.geometry.preprocessing().over(options.background);
-        let image = Photo::in_file(&file, preprocessing, &options.limits, cache)?;
-        let truth = labels.truth()?.map(LabelRuns::from);
-        let raw = labels.raw()?;
-        let scores = labels.scores();
-        let (raw, segments) = raw.map_or((None, Vec::new()), |r| (Some(r.map.into()), r.segments));
-        let instances = labels.instances()?.map(LabelRuns::from);
-        let camera = labels.geometry.view_camera().moved(-origin);
-        let view = View {
-            name: frame.name.clone(),
-            split: frame.split,
-            camera,
-            image,
-            mask: labels.mask,
-            truth,
-            raw,
-            scores,
-            segments,
-            instances,
-        };
-        Ok((view, frame.may_be_turned(&file)))
-    }
-
-    /// The classes of the scene. Of a table for a whole dataset, only classes that occur in some view.
-    fn classes_of(&self, views: &[View]) -> Classes {
-        let mut classes = self.classes.clone();
-        if self.occurring_classes {
-            let mut occurs = vec![false; 1 << 16];
-            for view in views {
-                let raw = view.raw.iter().filter(|_| !self.raw.are_segments());
-                let ids = view
-                    .truth
-                    .iter()
-                    .chain(raw)
-                    .flat_map(LabelRuns::runs)
-                    .map(|(id, _)| id);
-                let segments = view.segments.iter().filter_map(|segment| segment.class);
-                ids.chain(segments)
-                    .for_each(|id| occurs[usize::from(id)] = true);
-            }
-            classes
-                .entries
-                .retain(|class| occurs[usize::from(class.id)]);
-        }
-        classes
     }
 }
 
@@ -319,21 +162,6 @@ fn raw_files(frames: &[Frame]) -> Vec<RawFile<'_>> {
         is_labelme: frame.drawn.is_some(),
     });
     files.collect()
-}
-
-/// The name of the scene in the folder `dir`: that of the folder.
-pub fn scene_name(dir: &Path) -> String {
-    let full = dir.canonicalize().unwrap_or_else(|_| dir.to_owned());
-    file_name(&full).unwrap_or_else(|| "scene".into())
-}
-
-/// All results, or the first error in frame order, whichever thread met one first.
-pub(crate) fn in_order<T: Send>(
-    results: impl IndexedParallelIterator<Item = Result<T>>,
-) -> Result<Vec<T>> {
-    let mut all = Vec::new();
-    results.collect_into_vec(&mut all);
-    all.into_iter().collect()
 }
 
 /// `classes.json` of a scene folder. Only scenes without labels may lack it; for others, `labelled` is added to the help.

@@ -1,8 +1,8 @@
 //! Masks of photos as PNG files: black pixels are left out, all others are used.
 
+use super::folder::{Folder, Problems};
 use super::frame::{Frame, Geometry};
 use super::label_folder::LabelFolder;
-use super::listing::{Folder, Problems};
 use crate::config::{Layout, NO_MASKS, same_folder};
 use crate::data::mask::Mask;
 use crate::data::photos::image_file::{ImageFile, proportional};

@@ -7,7 +7,9 @@
 pub(crate) mod camera_checks;
 pub(crate) mod camera_file;
 pub(crate) mod colmap;
+pub(crate) mod decode;
 pub(crate) mod depth;
+pub(crate) mod folder;
 pub(crate) mod frame;
 pub(crate) mod frame_labels;
 pub(crate) mod label_folder;
@@ -18,4 +20,5 @@ pub(crate) mod points;
 pub(crate) mod replica;
 pub(crate) mod scannet;
 pub(crate) mod sequence;
+pub(crate) mod side_folders;
 pub mod transforms;

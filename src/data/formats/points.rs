@@ -24,8 +24,8 @@ impl Points {
         self.positions.is_empty()
     }
 
-    /// Removes strays: triangulated from wrong matches, they lie at 10^8, become Gaussians as large as that, and take the size of
-    /// the scene with them. Returns their number.
+    /// Removes strays, which COLMAP triangulates from wrong matches: they lie as far away as 10^8, become Gaussians of that size, and
+    /// inflate the extent of the scene. Returns their number.
     pub(super) fn remove_strays(&mut self) -> usize {
         let count = self.len();
         if count < MIN_POINTS {

@@ -6,10 +6,11 @@
 //! there, so half a pixel is added to the principal point.
 
 use super::camera_checks::FOCAL;
+use super::folder::{Folder, Problems};
 use super::frame::Frame;
-use super::label_folder::SideFolders;
-use super::listing::{Folder, Listing, Problems};
+use super::listing::Listing;
 use super::sequence::{self, MILLIMETRES};
+use super::side_folders::SideFolders;
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, Limits};

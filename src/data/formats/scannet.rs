@@ -4,10 +4,11 @@
 //! Frames that the tracker lost have infinite poses. They are left out and counted.
 
 use super::camera_checks::FOCAL;
+use super::folder::{Folder, Problems};
 use super::frame::Frame;
-use super::label_folder::SideFolders;
-use super::listing::{Folder, Listing, Problems, UNMAPPED};
+use super::listing::{Listing, UNMAPPED};
 use super::sequence::{self, MILLIMETRES, Pose};
+use super::side_folders::SideFolders;
 use crate::config::ScannetClasses;
 use crate::data::options::LoadOptions;
 use crate::data::photos::EXTENSIONS;

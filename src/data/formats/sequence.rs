@@ -3,8 +3,8 @@
 use super::camera_checks::{is_coordinate, not_a_rotation};
 use super::depth::Depth;
 use super::frame::Frame;
-use super::label_folder::SideFolders;
 use super::listing::Cloud;
+use super::side_folders::SideFolders;
 use crate::data::Split;
 use crate::error::{Result, bail, ensure, invalid};
 use crate::files::{Numbered, numbered};

@@ -113,9 +113,9 @@ impl Association {
     }
 }
 
-/// Finds which segments of the raw labels of `scene` show one object, by way of its Gaussians. The training views form the
+/// Finds which segments of the raw labels of `scene` show one object, by the Gaussians that they cover. The training views form the
 /// groups. Segments of test views are then assigned to them. `None` where `progress` breaks. It receives the steps done since its
-/// last call, [`Association::steps`] in all; 0 only asks whether to go on.
+/// last call, [`Association::steps`] in all; 0 only checks whether to go on.
 ///
 /// Ids of segments are those of [`View::segments`]. An id that is not among them is a thing without a class. All segments of a
 /// class of stuff are one group.

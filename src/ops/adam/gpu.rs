@@ -1,4 +1,4 @@
-//! The Adam step in one kernel, a unit a scalar.
+//! The Adam step in one kernel, one unit for each scalar.
 
 use super::{AdamStep, Updated, cpu};
 use crate::backend::gpu::{Gpu, arg};

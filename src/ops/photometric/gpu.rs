@@ -1,4 +1,4 @@
-//! The photometric loss on a GPU: a cube a tile and channel, a unit a pixel, the window in two passes.
+//! The photometric loss on a GPU: one cube for each tile and channel, one unit for each pixel, the window in two passes.
 //!
 //! The first kernel computes SSIM and its derivatives by the windowed moments of the image. The second computes the gradient,
 //! which needs those derivatives of the neighbouring tiles too. Each cube leaves its part of the loss.

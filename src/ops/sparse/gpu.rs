@@ -1,4 +1,4 @@
-//! Constant sparse matrices on a device: compressed rows, one unit a row and channel.
+//! Constant sparse matrices on a device: compressed rows, one unit for each row and channel.
 
 use super::{SparseMatrix, cpu};
 use crate::backend::gpu::{Gpu, arg};

@@ -39,7 +39,7 @@ fn count_all(discs: &[([f64; 2], u32)], size: [usize; 2], counts: &mut [u32]) {
 }
 
 /// [`count`] of the pixels that are used. `before` has for each row of `width` pixels how many of them are used before each pixel,
-/// and at last in all, `[height, width + 1]`.
+/// and then their total, `[height, width + 1]`.
 pub(super) fn count_used(
     discs: &[([f64; 2], u32)],
     [width, height]: [usize; 2],

@@ -45,7 +45,11 @@ impl<E: Real> Projected<E> {
     /// # Panics
     /// If `labels` does not have N entries.
     pub fn label_map(&self, labels: &[u16]) -> Vec<u16> {
-        assert_eq!(labels.len(), self.len(), "label_map: one label a Gaussian");
+        assert_eq!(
+            labels.len(),
+            self.len(),
+            "label_map: one label for each Gaussian"
+        );
         labels::label_map(self, labels)
     }
 
@@ -115,7 +119,7 @@ impl<E: Real> Projected<E> {
     }
 }
 
-/// For each row how many pixels are used before each one, and at last in all, `[height, width + 1]`.
+/// For each row how many pixels are used before each pixel, and then their total, `[height, width + 1]`.
 fn used_before(mask: &Mask, [width, height]: [usize; 2]) -> Vec<u32> {
     let mut before = Vec::with_capacity(height * (width + 1));
     for row in 0..height {

@@ -1,4 +1,4 @@
-//! Forward blending: a cube a tile, a unit a pixel, a block of channels in registers.
+//! Forward blending: one cube for each tile, one unit for each pixel, a block of channels in registers.
 
 use super::lists::tile_counts;
 use super::pixel::{

@@ -1,4 +1,4 @@
-//! From the sums over pixels to the gradients of the parameters: one unit a Gaussian.
+//! From the sums over pixels to the gradients of the parameters: one unit for each Gaussian.
 
 use super::backward::ABSOLUTE_MOMENTS;
 use super::ewa::{Unit, ewa, offset_from_camera, rows_cross, to_camera};

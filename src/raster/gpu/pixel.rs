@@ -176,7 +176,7 @@ mod tests {
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// A cube a splat, a unit a pixel of `tile`: pixels that the splat shows in, and those of them whose patch it does not reach.
+    /// One cube for each splat, one unit for each pixel of `tile`: pixels that the splat shows in, and those of them whose patch it does not reach.
     #[cube(launch)]
     fn count_missed(
         splats: &[f32],

@@ -1,4 +1,4 @@
-//! Projection and culling: one unit a Gaussian.
+//! Projection and culling: one unit for each Gaussian.
 
 use super::ewa::{ewa, offset_from_camera, rows_cross, to_camera};
 use super::inputs::Inputs;

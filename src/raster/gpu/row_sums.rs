@@ -2,7 +2,7 @@
 
 use burn_cubecl::cubecl::{self, prelude::*};
 
-/// Adds up each Gaussian's rows: one unit a Gaussian and column.
+/// Adds up each Gaussian's rows: one unit for each Gaussian and column.
 #[cube(launch)]
 pub(super) fn sum_rows(
     ids: &[u32],

@@ -1,4 +1,4 @@
-//! Colours from spherical harmonics and their derivative: [`crate::raster::cpu::sh`]'s formulas, one unit a Gaussian.
+//! Colours from spherical harmonics and their derivative: [`crate::raster::cpu::sh`]'s formulas, one unit for each Gaussian.
 
 use super::ewa::offset_from_camera;
 use super::vec3::{Vec3, dot, read3, vec3};

@@ -49,8 +49,8 @@ impl GaussianLabels {
         }
     }
 
-    /// Ranges of labels: those that `view` blends beside `others` channels, and further ones in passes of their own. Neither an
-    /// image of them nor a channel a Gaussian is more than a block may have.
+    /// Ranges of labels: those that `view` blends beside `others` channels, and further ones in passes of their own. An
+    /// image of a range and its channels of all Gaussians each fit a block.
     fn blocks(&self, view: &SplatView, others: usize) -> Vec<Range<usize>> {
         let labels = self.ids.len();
         let of_image = view
@@ -90,7 +90,7 @@ impl SplatView {
         labels: &GaussianLabels,
     ) -> Result<LabelledPixels> {
         let n = self.splats().len();
-        assert_eq!(labels.labels.len(), n, "one label a Gaussian");
+        assert_eq!(labels.labels.len(), n, "one label for each Gaussian");
         if !CustomOp::Raster.is_replaced()
             && let ProjectedView::F32(projected) = self.projected()?
         {

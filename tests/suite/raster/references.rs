@@ -155,3 +155,43 @@ fn frozen_blending_and_its_adjoint_equal_the_reference() {
         }
     }
 }
+
+/// Blending is linear in the values, so a difference is exact whatever its step.
+#[test]
+fn the_gradient_of_frozen_blending_equals_finite_differences() {
+    const CHANNELS: usize = 4;
+    let device = crate::support::device();
+    let camera = camera(9, 7);
+    let cloud = cloud(6, 0.08, &camera, 9);
+    let n = cloud.len();
+    let view = SplatTensors {
+        means: tensor(&cloud.means, [n, 3], &device),
+        log_scales: tensor(&cloud.log_scales, [n, 3], &device),
+        rotations: tensor(&cloud.rotations, [n, 4], &device),
+        opacity_logits: tensor(&cloud.opacity_logits, [n], &device),
+    }
+    .seen_by(&camera, &CUT);
+    let device = device.autodiff();
+    let shape = [camera.height, camera.width, CHANNELS];
+    let y = tensor(&numbers(shape.iter().product(), 8), shape, &device);
+    let loss = |values: &[f64]| {
+        let values = tensor(values, [n, CHANNELS], &device).require_grad();
+        let (image, _) = view.blend(values.clone()).expect("valid");
+        (values, (image * y.clone()).sum())
+    };
+    let at = numbers(n * CHANNELS, 5);
+    let (values, sum) = loss(&at);
+    let gradient = host(values.grad(&sum.backward()).expect("tracked"));
+    let differences: Vec<f64> = (0..at.len())
+        .map(|i| {
+            let moved = |by: f64| {
+                let mut values = at.clone();
+                values[i] += by;
+                host(loss(&values).1.inner())[0]
+            };
+            0.5 * (moved(1.0) - moved(-1.0))
+        })
+        .collect();
+    assert!(differences.iter().any(|difference| difference.abs() > 1e-3));
+    assert_close("gradient", &gradient, &differences, 1e-9);
+}

@@ -8,9 +8,10 @@ mod images;
 mod model;
 mod reader;
 
+use super::folder::{Folder, Problems};
 use super::frame::Frame;
-use super::label_folder::SideFolders;
-use super::listing::{Cloud, Folder, Listing, Problems};
+use super::listing::{Cloud, Listing};
+use super::side_folders::SideFolders;
 use crate::data::options::LoadOptions;
 use crate::data::{Limits, Points};
 use crate::error::{Result, bail, invalid};

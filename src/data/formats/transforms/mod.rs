@@ -14,8 +14,9 @@ pub use self::write::write_cameras;
 pub use crate::data::NamedCamera;
 pub use crate::data::options::LoadOptions;
 
+use super::folder::{Folder, Problems};
 use super::frame::Frame;
-use super::listing::{Cloud, Folder, Listing, Problems};
+use super::listing::{Cloud, Listing};
 use super::mask_file::Masks;
 use crate::config::Layout;
 use crate::data::photos::EXTENSIONS;

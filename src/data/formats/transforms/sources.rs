@@ -3,8 +3,8 @@
 use super::schema::Transforms;
 use super::splits::{self, Splits};
 use crate::config::DataConfig;
+use crate::data::formats::folder::Problems;
 use crate::data::formats::frame::joined_name;
-use crate::data::formats::listing::Problems;
 use crate::data::{LoadOptions, Split};
 use crate::error::{Result, invalid};
 use std::collections::HashMap;

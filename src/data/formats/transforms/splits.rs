@@ -3,7 +3,7 @@
 
 use super::schema::Transforms;
 use crate::data::Split;
-use crate::data::formats::listing::Problems;
+use crate::data::formats::folder::Problems;
 use crate::error::invalid;
 use std::collections::HashMap;
 use std::path::Path;

@@ -113,8 +113,8 @@ impl Vocabulary {
     }
 }
 
-/// Whether the raw labels `files` need a class table: all but those that bring their own or have none. The answer is what to add
-/// to the help where the table is missing.
+/// Whether the raw labels `files` need a class table: all but those that bring their own or have none. Returns the text to
+/// add to the help if the table is missing.
 pub(crate) fn needs_classes(
     dir: &Path,
     options: &LoadOptions,

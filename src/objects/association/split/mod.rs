@@ -215,7 +215,7 @@ mod tests {
         )));
     }
 
-    /// The pieces that leave each group, found for one group after the other, by vectors of all Gaussians made anew.
+    /// The pieces that leave each group, found for one group after the other, with new vectors over all Gaussians for each.
     fn one_by_one(
         groups: &Groups,
         views: &[ViewSegments],

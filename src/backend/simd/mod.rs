@@ -3,7 +3,10 @@
 //! A kernel over [`Lanes`] handles a register of numbers at a time: 8 `f32` with AVX2, 4 with NEON, and in builds with the
 //! feature `avx512` 16 with AVX-512. Loops that the compiler vectorises by itself run in [`vectorized`].
 
+mod operations;
+
 use super::Real;
+use operations::{Operations, compressed, sign_bits};
 use pulp::{Scalar512b, Simd};
 
 /// Registers of `E` and what can be done with them.
@@ -42,8 +45,12 @@ pub trait Lanes<E>: Copy {
     fn bits(self, mask: Self::Mask) -> u32;
     /// The lanes whose bit is set, in order; what follows them is unspecified.
     fn compress(self, x: Self::V, bits: u32) -> Self::V;
+    /// `x` where `mask`, else 0.
+    fn keep(self, mask: Self::Mask, x: Self::V) -> Self::V;
     /// The sum of all lanes, in a fixed tree.
     fn total(self, a: Self::V) -> E;
+    /// The sums of all lanes of eight registers, in fixed trees.
+    fn totals(self, a: [Self::V; 8]) -> [E; 8];
     /// `2^x` for `x <= 0`. `f32`: a polynomial with relative error below 2e-7 down to -125, and `2^-125` below that.
     /// `f64`: the library function.
     fn exp2_nonpositive(self, x: Self::V) -> Self::V;
@@ -57,116 +64,22 @@ pub trait Lanes<E>: Copy {
         Self::registers(&E::RAMP)[0]
     }
 
-    /// `x` where `mask`, else 0.
+    /// Writes the sums of all lanes of `registers`.
     #[inline(always)]
-    fn keep(self, mask: Self::Mask, x: Self::V) -> Self::V
+    fn write_totals(self, registers: &[Self::V], out: &mut [E])
     where
-        E: Real,
+        E: Copy,
     {
-        self.select(mask, x, self.splat(E::zero()))
-    }
-}
-
-/// Operations that `pulp` has no common name for.
-pub trait MaskBits: Simd {
-    fn mask_bits(self, mask: Self::m32s) -> u32;
-    fn compress_f32s(self, x: Self::f32s, bits: u32) -> Self::f32s;
-}
-
-#[cfg(all(target_arch = "x86_64", feature = "avx512"))]
-impl MaskBits for pulp::x86::V4 {
-    #[inline(always)]
-    fn mask_bits(self, mask: Self::m32s) -> u32 {
-        u32::from(mask.0)
-    }
-
-    #[inline(always)]
-    fn compress_f32s(self, x: Self::f32s, bits: u32) -> Self::f32s {
-        pulp::cast(
-            self.avx512f
-                ._mm512_maskz_compress_ps(bits as u16, pulp::cast(x)),
-        )
-    }
-}
-
-#[cfg(target_arch = "x86_64")]
-impl MaskBits for pulp::x86::V3 {
-    #[inline(always)]
-    fn mask_bits(self, mask: Self::m32s) -> u32 {
-        self.avx._mm256_movemask_ps(pulp::cast(mask)) as u32
-    }
-
-    #[inline(always)]
-    fn compress_f32s(self, x: Self::f32s, bits: u32) -> Self::f32s {
-        let from = pulp::cast(MEMBERS[bits as usize % MEMBERS.len()]);
-        let permuted = (self.avx2)._mm256_permutevar8x32_ps(pulp::cast(x), from);
-        pulp::cast(permuted)
-    }
-}
-
-#[cfg(target_arch = "aarch64")]
-impl MaskBits for pulp::aarch64::Neon {
-    #[inline(always)]
-    fn mask_bits(self, mask: Self::m32s) -> u32 {
-        sign_bits(pulp::cast::<_, [i32; 4]>(mask))
-    }
-
-    #[inline(always)]
-    fn compress_f32s(self, x: Self::f32s, bits: u32) -> Self::f32s {
-        pulp::cast(compressed::<f32, 4>(pulp::cast(x), bits))
-    }
-}
-
-impl MaskBits for Scalar512b {
-    #[inline(always)]
-    fn mask_bits(self, mask: Self::m32s) -> u32 {
-        sign_bits(pulp::cast::<_, [i32; 16]>(mask))
-    }
-
-    #[inline(always)]
-    fn compress_f32s(self, x: Self::f32s, bits: u32) -> Self::f32s {
-        pulp::cast(compressed::<f32, 16>(pulp::cast(x), bits))
-    }
-}
-
-/// Bit `l` is set where lane `l` is negative: lanes of a mask are 0 or -1.
-#[inline(always)]
-fn sign_bits<const L: usize>(lanes: [i32; L]) -> u32 {
-    (0..L).fold(0, |bits, l| bits | u32::from(lanes[l] < 0) << l)
-}
-
-/// The numbers whose bit is set, in order.
-#[inline(always)]
-fn compressed<E: Copy, const L: usize>(lanes: [E; L], bits: u32) -> [E; L] {
-    let mut out = lanes;
-    let mut count = 0;
-    for (l, &lane) in lanes.iter().enumerate() {
-        // Written over by the next one unless its bit is set.
-        out[count % L] = lane;
-        count += (bits >> l & 1) as usize;
-    }
-    out
-}
-
-/// For every set of eight lanes its members in order, and then zeros.
-#[cfg(target_arch = "x86_64")]
-static MEMBERS: [[i32; 8]; 256] = {
-    let mut members = [[0; 8]; 256];
-    let mut set = 0;
-    while set < members.len() {
-        let mut lane = 0;
-        let mut count = 0;
-        while lane < 8 {
-            if set >> lane & 1 == 1 {
-                members[set][count] = lane;
-                count += 1;
-            }
-            lane += 1;
+        let (eights, rest) = registers.as_chunks::<8>();
+        let (out, out_rest) = out.split_at_mut(8 * eights.len());
+        for (&eight, out) in eights.iter().zip(out.chunks_exact_mut(8)) {
+            out.copy_from_slice(&self.totals(eight));
         }
-        set += 1;
+        for (&register, out) in rest.iter().zip(out_rest) {
+            *out = self.total(register);
+        }
     }
-    members
-};
+}
 
 /// The operations of [`Lanes`] that `pulp` has for both types, under these names.
 macro_rules! operations {
@@ -196,7 +109,7 @@ macro_rules! operations {
     };
 }
 
-impl<S: MaskBits> Lanes<f32> for S {
+impl<S: Operations> Lanes<f32> for S {
     operations! {
         f32: f32s, m32s, as_simd_f32s, as_mut_simd_f32s, abs_f32s, neg_f32s;
         splat = splat_f32s(x: f32) -> Self::V;
@@ -213,6 +126,8 @@ impl<S: MaskBits> Lanes<f32> for S {
         select = select_f32s(mask: Self::Mask, yes: Self::V, no: Self::V) -> Self::V;
         bits = mask_bits(mask: Self::Mask) -> u32;
         compress = compress_f32s(x: Self::V, bits: u32) -> Self::V;
+        keep = keep_f32s(mask: Self::Mask, x: Self::V) -> Self::V;
+        totals = totals_f32s(a: [Self::V; 8]) -> [f32; 8];
         total = reduce_sum_f32s(a: Self::V) -> f32;
     }
 
@@ -275,6 +190,16 @@ impl Lanes<f64> for Scalar512b {
     #[inline(always)]
     fn compress(self, x: Self::V, bits: u32) -> Self::V {
         pulp::cast(compressed::<f64, 8>(pulp::cast(x), bits))
+    }
+
+    #[inline(always)]
+    fn keep(self, mask: Self::Mask, x: Self::V) -> Self::V {
+        self.select_f64s(mask, x, self.splat_f64s(0.0))
+    }
+
+    #[inline(always)]
+    fn totals(self, a: [Self::V; 8]) -> [f64; 8] {
+        a.map(|a| self.reduce_sum_f64s(a))
     }
 
     #[inline(always)]

@@ -1,0 +1,131 @@
+//! The scene of a listing: photos, label maps and the initial cloud are decoded.
+
+use super::colmap;
+use super::folder::{in_order, scene_name};
+use super::frame::Frame;
+use super::frame_labels::FrameLabels;
+use super::listing::{Cloud, Listing};
+use super::points::MAX_STRAY;
+use crate::data::{
+    Classes, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, View,
+};
+use crate::error::Result;
+use crate::splat::camera::{Camera, level_up};
+use glam::DVec3;
+use rayon::prelude::*;
+use std::path::Path;
+use std::sync::Arc;
+
+impl Listing {
+    /// World direction that points up.
+    fn up(&self) -> DVec3 {
+        if self.z_up {
+            return DVec3::Z;
+        }
+        let cameras: Vec<Camera> = self
+            .frames
+            .iter()
+            .map(|frame| frame.camera.clone())
+            .collect();
+        level_up(&cameras)
+    }
+
+    /// Decodes everything, a few files at a time. The second value says for each frame whether its labels may belong to a
+    /// turned photo.
+    pub fn load(&self, dir: &Path, options: &LoadOptions) -> Result<(Scene, Vec<bool>)> {
+        self.check_sizes(&options.limits)?;
+        let cache = Arc::new(PhotoCache::new(options.decoded_mb.saturating_mul(1 << 20)));
+        let origin = self.origin();
+        let known = self.classes.lookup();
+        let views = self
+            .frames
+            .par_iter()
+            .map(|frame| self.view(frame, options, origin, &known, &cache));
+        let (views, turned): (Vec<View>, Vec<bool>) = in_order(views)?.into_iter().unzip();
+        let scene = Scene {
+            name: scene_name(dir),
+            classes: self.classes_of(&views),
+            views,
+            points: self.points(origin, &options.limits)?,
+            drawn: self.raw.are_drawn(),
+            origin,
+            up: self.up(),
+        };
+        Ok((scene, turned))
+    }
+
+    /// The view of a frame, and whether its labels may belong to a turned photo.
+    fn view(
+        &self,
+        frame: &Frame,
+        options: &LoadOptions,
+        origin: DVec3,
+        known: &[u16],
+        cache: &Arc<PhotoCache>,
+    ) -> Result<(View, bool)> {
+        let (file, labels) = FrameLabels::open(self, frame, known, options)?;
+        let preprocessing = labels.geometry.preprocessing().over(options.background);
+        let image = Photo::in_file(&file, preprocessing, &options.limits, cache)?;
+        let truth = labels.truth()?.map(LabelRuns::from);
+        let raw = labels.raw()?;
+        let scores = labels.scores();
+        let (raw, segments) = raw.map_or((None, Vec::new()), |r| (Some(r.map.into()), r.segments));
+        let instances = labels.instances()?.map(LabelRuns::from);
+        let camera = labels.geometry.view_camera().moved(-origin);
+        let view = View {
+            name: frame.name.clone(),
+            split: frame.split,
+            camera,
+            image,
+            mask: labels.mask,
+            truth,
+            raw,
+            scores,
+            segments,
+            instances,
+        };
+        Ok((view, frame.may_be_turned(&file)))
+    }
+
+    /// The classes of the scene. Of a table for a whole dataset, only classes that occur in some view.
+    fn classes_of(&self, views: &[View]) -> Classes {
+        let mut classes = self.classes.clone();
+        if self.occurring_classes {
+            let mut occurs = vec![false; 1 << 16];
+            for view in views {
+                let raw = view.raw.iter().filter(|_| !self.raw.are_segments());
+                let ids = view
+                    .truth
+                    .iter()
+                    .chain(raw)
+                    .flat_map(LabelRuns::runs)
+                    .map(|(id, _)| id);
+                let segments = view.segments.iter().filter_map(|segment| segment.class);
+                ids.chain(segments)
+                    .for_each(|id| occurs[usize::from(id)] = true);
+            }
+            classes
+                .entries
+                .retain(|class| occurs[usize::from(class.id)]);
+        }
+        classes
+    }
+
+    /// The cloud, relative to `origin`, without its strays.
+    pub fn points(&self, origin: DVec3, limits: &Limits) -> Result<Points> {
+        let mut points = match &self.cloud {
+            Cloud::None => Points::default(),
+            Cloud::Ply(path) => Points::read(path, origin, limits)?,
+            Cloud::Colmap(path) => colmap::read_points(path, origin, limits)?,
+            Cloud::Depth(depth) => depth.points(&self.frames, &self.file, origin, limits)?,
+        };
+        let left_out = points.remove_strays();
+        if left_out > 0 {
+            tracing::warn!(
+                "{}: {left_out} points of the initial cloud are left out: they lie {MAX_STRAY} times as far out as half of all points",
+                self.file.display()
+            );
+        }
+        Ok(points)
+    }
+}

@@ -1,0 +1,61 @@
+//! A scene folder, and the faults found in it.
+
+use crate::config::Layout;
+use crate::data::LoadOptions;
+use crate::error::{Error, Result};
+use crate::files::file_name;
+use rayon::prelude::*;
+use std::path::Path;
+
+/// A scene folder, and how it is read.
+#[derive(Clone, Copy)]
+pub(crate) struct Folder<'a> {
+    pub dir: &'a Path,
+    pub options: &'a LoadOptions,
+    /// Never `auto`.
+    pub layout: Layout,
+}
+
+/// Faults collected while the rest of a folder is checked.
+#[derive(Default)]
+pub(crate) struct Problems(Vec<Error>);
+
+impl Problems {
+    pub fn push(&mut self, error: Error) {
+        self.0.push(error);
+    }
+
+    /// The value, if there is one. An error is recorded.
+    pub fn ok<T>(&mut self, result: Result<T>) -> Option<T> {
+        result.map_err(|error| self.push(error)).ok()
+    }
+
+    /// # Errors
+    /// The first fault.
+    pub fn first(self) -> Result<()> {
+        self.0.into_iter().next().map_or(Ok(()), Err)
+    }
+
+    pub fn messages(&self) -> impl Iterator<Item = String> {
+        self.0.iter().map(ToString::to_string)
+    }
+
+    pub fn all(self) -> Vec<Error> {
+        self.0
+    }
+}
+
+/// The name of the scene in the folder `dir`: that of the folder.
+pub fn scene_name(dir: &Path) -> String {
+    let full = dir.canonicalize().unwrap_or_else(|_| dir.to_owned());
+    file_name(&full).unwrap_or_else(|| "scene".into())
+}
+
+/// All results, or the first error in frame order, whichever thread met one first.
+pub(crate) fn in_order<T: Send>(
+    results: impl IndexedParallelIterator<Item = Result<T>>,
+) -> Result<Vec<T>> {
+    let mut all = Vec::new();
+    results.collect_into_vec(&mut all);
+    all.into_iter().collect()
+}
