@@ -4,7 +4,7 @@ use crate::config::Config;
 use crate::data::{Scene, Split, View};
 use crate::error::Result;
 use crate::random::{Purpose, stream};
-use crate::reconstruction::pruning::{PrunedScene, cheapest_first, evenly, in_order};
+use crate::reconstruction::pruning::{PrunedScene, cheapest_first, in_order};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 
@@ -83,4 +83,10 @@ pub fn prune(
         before,
         kept: rows,
     })
+}
+
+/// At most `count` of `views`, evenly spaced.
+fn evenly<'a>(views: &[&'a View], count: usize) -> Vec<&'a View> {
+    let every = views.len().div_ceil(count).max(1);
+    views.iter().copied().step_by(every).collect()
 }

@@ -1,13 +1,12 @@
 //! `building.max_gaussians = "auto"`: the scene decides how many Gaussians it gets.
 //!
 //! Some training views are held back for three quarters of the run. Before each reset of opacities, and a few times after
-//! densification has ended, a review leaves out the Gaussians that the held-back views hardly miss. Growth may then make at most
-//! [`GROWTH`] times as many as stayed. It ends when the views that are trained on are reproduced much better than those held back:
-//! from then on more Gaussians would learn single photos, not the scene. With fewer than twelve training views none is held back, and
-//! the reviews ask all of them.
+//! densification has ended, a review leaves out the Gaussians that the held-back views hardly miss. Growth ends when the views that
+//! are trained on are reproduced much better than those held back: from then on more Gaussians would learn single photos, not the
+//! scene. With fewer than twelve training views none is held back, and the reviews ask all of them.
 
 use super::Trainer;
-use super::pruning::{PrunedScene, evenly};
+use super::pruning::PrunedScene;
 use crate::config::Budget;
 use crate::data::View;
 use crate::error::Result;
@@ -19,8 +18,6 @@ use rand_chacha::ChaCha8Rng;
 
 /// The PSNR of held-back views that a review may take, dB. Training goes on afterwards and wins it back.
 const LOSS: f64 = 0.05;
-/// Between two reviews the number of Gaussians grows by this factor at most.
-const GROWTH: f64 = 4.0;
 /// Growth ends when the PSNR of views that are trained on is this far above that of held-back ones, dB.
 pub(crate) const MAX_GAP: f64 = 3.0;
 /// Training views that a review measures the Gaussians in, at most.
@@ -33,15 +30,12 @@ impl<'a> Trainer<'a> {
             Budget::Unlimited => usize::MAX,
             Budget::AtMost(limit) => limit,
             Budget::Auto => {
-                let kept = self
-                    .reviews
-                    .last()
-                    .map_or(self.initial, |review| review.kept);
                 let has_ended = self.reviews.iter().any(Review::learns_photos);
-                if has_ended || !self.schedule.grows(self.iteration) {
-                    kept
-                } else {
-                    (GROWTH * kept as f64) as usize
+                match self.reviews.last() {
+                    Some(review) if has_ended || !self.schedule.grows(self.iteration) => {
+                        review.kept
+                    }
+                    _ => usize::MAX,
                 }
             }
         }
@@ -71,8 +65,7 @@ impl<'a> Trainer<'a> {
         let held_back = self.views(self.schedule.judges());
         let before = scene.psnr(&held_back, &[])?;
         let kept = scene.prune(&costs, &held_back, before - LOSS, costs.len())?;
-        let compared = evenly(&trained, held_back.len());
-        let psnr_trained = scene.psnr(&compared, &[])?;
+        let psnr_trained = scene.psnr(&measured, &[])?;
         self.parameters.select(&kept);
         self.statistics.select(&kept);
         let after = PrunedScene {
@@ -142,11 +135,9 @@ mod tests {
         let scene = scene_with(&options).expect("a scene");
         let config = Config::default();
         let mut trainer = Trainer::new(&scene, &config, &Device::ndarray()).expect("a stage");
-        let initial = trainer.initial;
-        assert!(initial > 0);
-        assert_eq!(trainer.capacity(), 4 * initial);
+        assert_eq!(trainer.capacity(), usize::MAX);
         trainer.reviews = vec![review(70, 2.9)];
-        assert_eq!(trainer.capacity(), 280);
+        assert_eq!(trainer.capacity(), usize::MAX);
         trainer.reviews.push(review(50, 3.1));
         assert_eq!(trainer.capacity(), 50);
         trainer.reviews.push(review(40, 1.0));

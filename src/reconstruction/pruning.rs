@@ -146,12 +146,6 @@ impl PrunedScene {
     }
 }
 
-/// At most `count` of `views`, evenly spaced.
-pub(crate) fn evenly<'a>(views: &[&'a View], count: usize) -> Vec<&'a View> {
-    let every = views.len().div_ceil(count).max(1);
-    views.iter().copied().step_by(every).collect()
-}
-
 /// Rows by ascending cost, ties by row.
 pub(crate) fn cheapest_first(costs: &[f64]) -> Vec<u32> {
     let mut order: Vec<u32> = (0..costs.len() as u32).collect();

@@ -31,8 +31,6 @@ pub struct TrainerState {
     pub second: Moments,
     /// Screen-space gradients since the last densification.
     pub stats: GradientStatistics,
-    /// Gaussians that the run began with.
-    pub initial: usize,
     /// Reviews of the number of Gaussians so far.
     pub reviews: Vec<Review>,
     /// Sum and number of the training losses since the last point of the curve.
@@ -51,7 +49,6 @@ impl TrainerState {
         let stats = GradientStatistics::new(gaussians.len());
         Self {
             seed,
-            initial: gaussians.len(),
             gaussians,
             first,
             second,
@@ -84,7 +81,6 @@ impl TrainerState {
         }
         c.put("density.gradient", &[n], self.stats.gradient.clone())?;
         c.put("density.visible", &[n], self.stats.visible.clone())?;
-        c.set("initial", &self.initial)?;
         let reviews = self.reviews.iter().flat_map(review_values).collect();
         c.put("reviews", &[self.reviews.len(), REVIEW_COLUMNS], reviews)?;
         c.put("loss.sum", &[], vec![self.losses.0])?;
@@ -127,7 +123,6 @@ impl TrainerState {
             gradient: c.take("density.gradient", &[n])?,
             visible: c.take("density.visible", &[n])?,
         };
-        state.initial = c.get("initial")?;
         let count = c.shape("reviews")?.first().copied().unwrap_or(0);
         let reviews: Vec<f64> = c.take("reviews", &[count, REVIEW_COLUMNS])?;
         state.reviews = reviews.as_chunks().0.iter().map(review).collect();
