@@ -2,40 +2,13 @@
 
 use super::budget::{Budget, EXPECTED};
 use super::range::{Range, checked};
-use crate::error::{Result, bail, ensure};
+use crate::error::{Result, ensure};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use std::path::PathBuf;
 
 /// Largest number of initial points: that of a point cloud.
 const MAX_POINTS: f64 = 268_435_456.0;
-
-/// How the Gaussians are densified. A name alone stands for the strategy with its defaults.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
-#[serde(rename_all = "lowercase")]
-pub enum Strategy {
-    /// Adaptive density control (Kerbl et al. 2023): Gaussians with a large screen-space gradient are cloned or split,
-    /// transparent and huge ones are pruned, opacities are reset now and then.
-    #[default]
-    Adc(AdcConfig),
-    /// 3DGS-MCMC (Kheradmand et al. 2024, arXiv 2404.09591): noise on the means, transparent Gaussians move onto opaque ones,
-    /// and their number grows to `max_gaussians`. Nothing is reset.
-    Mcmc(McmcConfig),
-}
-
-/// Settings of [`Strategy::Adc`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
-#[serde(default, deny_unknown_fields)]
-pub struct AdcConfig {
-    /// The screen-space gradient sums absolute values over pixels, so that the two sides of an edge do not cancel (AbsGS,
-    /// Ye et al. 2024, arXiv 2404.10484).
-    #[default(true)]
-    pub absgrad: bool,
-    /// Threshold on the mean screen-space gradient |(dL/du W/2, dL/dv H/2)|; absent: 8e-4, or 2e-4 without `absgrad`.
-    pub threshold: Option<f32>,
-    /// Above which size Gaussians are pruned.
-    pub size_limit: SizeRule,
-}
 
 /// The size from which Gaussians are pruned, as a tenth of a length.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -48,42 +21,7 @@ pub enum SizeRule {
     Extent,
 }
 
-impl AdcConfig {
-    /// `threshold`, or what its absence stands for.
-    pub fn threshold(&self) -> f32 {
-        let usual = if self.absgrad { 8e-4 } else { 2e-4 };
-        self.threshold.unwrap_or(usual)
-    }
-}
-
-/// Settings of [`Strategy::Mcmc`]. Lengths are in units of the scene's extent (1.1 times the largest distance of a camera from
-/// the mean one), so that the constants mean the same in every scene. The fields marked `serde(skip)` have the values of
-/// 3DGS-MCMC. No key sets them; tests on small scenes change them.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
-#[serde(default, deny_unknown_fields)]
-pub struct McmcConfig {
-    /// A densification adds this share of the present Gaussians. Short runs need a larger share to reach the cap early.
-    #[default(0.05)]
-    pub growth: f64,
-    /// Weight of the mean opacity in the loss.
-    #[serde(skip)]
-    #[default(0.01)]
-    pub opacity_reg: f64,
-    /// Weight of the mean standard deviation, in extents, in the loss.
-    #[serde(skip)]
-    #[default(0.01)]
-    pub scale_reg: f64,
-    /// Opacity of initial Gaussians.
-    #[serde(skip)]
-    #[default(0.5)]
-    pub init_opacity: f32,
-    /// Standard deviation of initial Gaussians, in rms distances to their three neighbours.
-    #[serde(skip)]
-    #[default(0.1)]
-    pub init_scale: f32,
-}
-
-/// Stage one (3DGS): 0.8 L1 + 0.2 (1 - SSIM), Adam, a strategy of densification. The fields marked `serde(skip)` have the values
+/// Stage one (3DGS): 0.8 L1 + 0.2 (1 - SSIM), Adam, adaptive density control. The fields marked `serde(skip)` have the values
 /// of 3DGS (Kerbl et al. 2023). No key sets them; tests with short runs change them. A learning rate of 0 freezes its parameter, but
 /// for densification and resets.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
@@ -102,14 +40,20 @@ pub struct BuildingConfig {
     /// Learning rate of the means at the start, times the scene extent; 1 % of it at the end.
     #[default(1.6e-4)]
     pub lr_means: f64,
-    /// How the Gaussians are densified.
-    #[serde(deserialize_with = "super::by_name")]
-    pub strategy: Strategy,
+    /// The screen-space gradient sums absolute values over pixels, so that the two sides of an edge do not cancel (AbsGS,
+    /// Ye et al. 2024, arXiv 2404.10484).
+    #[default(true)]
+    pub absgrad: bool,
+    /// Gaussians with a larger mean screen-space gradient |(dL/du W/2, dL/dv H/2)| are cloned or split; absent: 8e-4, or 2e-4
+    /// without `absgrad`.
+    pub gradient_threshold: Option<f32>,
+    /// Above which size Gaussians are pruned.
+    pub size_limit: SizeRule,
     /// Each step until densification ends has another background colour instead of `raster.background`, so that surfaces of
     /// that colour become opaque. Photos with transparent pixels keep `raster.background`.
     #[default(true)]
     pub random_background: bool,
-    /// Largest number of Gaussians. `strategy = "mcmc"` needs a number, because it grows to it.
+    /// Largest number of Gaussians.
     pub max_gaussians: Budget,
     /// Points when the scene has no initial cloud, 1 to 2^28.
     #[default(20_000)]
@@ -131,10 +75,11 @@ pub struct BuildingConfig {
     #[serde(skip)]
     #[default(500)]
     pub densify_from: usize,
-    /// Densification ends at this share of the run; absent: 0.5, or 0.8 with [`Strategy::Mcmc`].
+    /// Densification ends at this share of the run.
     #[serde(skip)]
-    pub densify_until: Option<f32>,
-    /// Gaussians less opaque than this are pruned, or moved by [`Strategy::Mcmc`].
+    #[default(0.5)]
+    pub densify_until: f32,
+    /// Gaussians less opaque than this are pruned.
     #[serde(skip)]
     #[default(0.005)]
     pub prune_opacity: f32,
@@ -154,13 +99,10 @@ impl BuildingConfig {
         }
     }
 
-    /// `densify_until`, or what its absence stands for.
-    pub fn densify_until(&self) -> f32 {
-        let usual = match self.strategy {
-            Strategy::Adc(_) => 0.5,
-            Strategy::Mcmc(_) => 0.8,
-        };
-        self.densify_until.unwrap_or(usual)
+    /// `gradient_threshold`, or what its absence stands for.
+    pub fn gradient_threshold(&self) -> f32 {
+        let usual = if self.absgrad { 8e-4 } else { 2e-4 };
+        self.gradient_threshold.unwrap_or(usual)
     }
 
     /// Checks that every value is in its range.
@@ -179,18 +121,7 @@ impl BuildingConfig {
         Range::Within(1.0, MAX_POINTS).check("building.random_points", self.random_points)?;
         ensure!(self.max_gaussians != Budget::AtMost(0), setting "building.max_gaussians"; found "0";
             expected "{EXPECTED}"; help "\"unlimited\" sets no limit");
-        match &self.strategy {
-            Strategy::Adc(adc) => {
-                Range::NotNegative.check("building.strategy.adc.threshold", adc.threshold())
-            }
-            Strategy::Mcmc(_) if self.max_gaussians.limit().is_none() => bail!(
-                setting "building.max_gaussians"; found "{}", self.max_gaussians;
-                expected "the number of Gaussians to grow to, because building.strategy = \"mcmc\"";
-                help "give it, such as 100_000"),
-            Strategy::Mcmc(mcmc) => {
-                Range::NotNegative.check("building.strategy.mcmc.growth", mcmc.growth)
-            }
-        }
+        Range::NotNegative.check("building.gradient_threshold", self.gradient_threshold())
     }
 }
 

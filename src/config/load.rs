@@ -156,9 +156,7 @@ fn in_file(error: Error, given: &[Assignment<'_>]) -> Error {
 mod tests {
     use super::*;
     use crate::config::assignment::{flatten, table_of};
-    use crate::config::{
-        AdcConfig, FeatureSource, LabelLoss, McmcConfig, SpatialSource, Strategy, Variant,
-    };
+    use crate::config::{FeatureSource, LabelLoss, SpatialSource, Variant};
     use std::path::PathBuf;
     use toml::{Table, Value};
 
@@ -167,16 +165,14 @@ mod tests {
         let path = || PathBuf::from("path");
         let mut full = Config::default();
         full.building.gaussians = Some(path());
-        full.building.strategy = Strategy::Adc(AdcConfig {
-            threshold: Some(2e-4),
-            ..AdcConfig::default()
-        });
+        full.building.gradient_threshold = Some(2e-4);
+        full.segmentation.prior_exponent = Some(0.5);
+        full.segmentation.vote_share = Some(0.5);
         full.segmentation.rows = Some(Variant::COMPARED.to_vec());
         full.data.dir = Some(path());
         full.features.weights = Some(path());
         full.features.cache_dir = Some(path());
         let mut other = full.clone();
-        other.building.strategy = Strategy::Mcmc(McmcConfig::default());
         other.features.source = FeatureSource::Import(path());
         other.spatial.source = SpatialSource::Pretrained(path());
         other.segmentation.loss = LabelLoss::Js { pi_rl: 0.9 };

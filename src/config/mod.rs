@@ -4,8 +4,8 @@
 //! [`Config::load_for`] read files and overrides. [`Config::preset`] holds the named sets of defaults. [`Config::validate`] checks
 //! the ranges that each section states beside its fields.
 //!
-//! Choices with settings of their own are enums with a payload: `building.strategy = "mcmc"` takes the defaults of that choice,
-//! `building.strategy.mcmc.growth = 0.1` chooses it and sets one of them.
+//! Choices with settings of their own are enums with a payload: `segmentation.loss = "gce"` takes the defaults of that choice,
+//! `segmentation.loss.gce.exponent = 0.5` chooses it and sets one of them.
 
 mod assignment;
 mod association;
@@ -21,7 +21,7 @@ mod variant;
 
 pub use self::association::{Association, AssociationConfig};
 pub use self::budget::Budget;
-pub use self::building::{AdcConfig, BuildingConfig, McmcConfig, RasterConfig, SizeRule, Strategy};
+pub use self::building::{BuildingConfig, RasterConfig, SizeRule};
 pub(crate) use self::data::same_folder;
 pub use self::data::{DataConfig, LabelsBy, Layout, NO_MASKS, RawFormat, ScannetClasses};
 pub use self::features::{

@@ -1,8 +1,8 @@
 //! The named sets of defaults.
 
 use super::{
-    AdcConfig, Blend, Budget, Config, Encode, FeatureSource, LabelLoss, LabelSource, Normalisation,
-    Preset, Prior, Reduction, Resolution, SizeRule, Strategy,
+    Blend, Budget, Config, Encode, FeatureSource, LabelLoss, LabelSource, Normalisation, Preset,
+    Prior, Reduction, Resolution, SizeRule,
 };
 
 impl Config {
@@ -31,11 +31,8 @@ impl Config {
                 config.building.iterations = 6_000;
                 config.building.max_gaussians = Budget::Unlimited;
                 config.building.random_background = false;
-                config.building.strategy = Strategy::Adc(AdcConfig {
-                    absgrad: false,
-                    size_limit: SizeRule::Extent,
-                    ..AdcConfig::default()
-                });
+                config.building.absgrad = false;
+                config.building.size_limit = SizeRule::Extent;
                 config.features.source = FeatureSource::Dino;
                 config.unprojection.normalisation = Normalisation::Count;
                 config.unprojection.resolution = Resolution::Feature;

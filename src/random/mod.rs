@@ -2,10 +2,8 @@
 //!
 //! A resumed run derives the stream of iteration `k` again and so draws the same numbers as an uninterrupted one.
 
-use burn::tensor::{Device, Distribution, Tensor};
-use rand::{RngCore, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use std::sync::{Mutex, PoisonError};
 
 /// What a stream is for; different purposes never share numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -14,7 +12,7 @@ pub enum Purpose {
     InitialPoints = 1,
     /// Order of the training views; index = epoch.
     ViewOrder = 2,
-    /// Positions of split Gaussians, and which ones others are moved to; index = iteration.
+    /// Positions of split Gaussians; index = iteration.
     Densification = 3,
     /// Order of the views in stage two; index = epoch.
     SegmentationViews = 4,
@@ -22,8 +20,6 @@ pub enum Purpose {
     Pixels = 5,
     /// Samples of the 3D regularisation; index = 4 iteration + scale.
     Regularisation = 6,
-    /// Noise on the means; index = iteration.
-    PositionNoise = 7,
     /// Channels that a prediction does without; index = 2 iteration + prediction.
     Dropout = 8,
     /// First parameters of rivals; index 0.
@@ -42,19 +38,6 @@ pub enum Purpose {
     Benchmark = 48,
 }
 
-/// Standard normal numbers from burn's generator on `device`, which `stream` seeds.
-pub fn normals<const D: usize>(
-    shape: [usize; D],
-    stream: &mut ChaCha8Rng,
-    device: &Device,
-) -> Tensor<D> {
-    // burn has one generator for the process: nobody else may draw between the seed and the numbers.
-    static GENERATOR: Mutex<()> = Mutex::new(());
-    let _guard = GENERATOR.lock().unwrap_or_else(PoisonError::into_inner);
-    device.seed(stream.next_u64());
-    Tensor::random(shape, Distribution::Normal(0.0, 1.0), device)
-}
-
 /// The stream of `purpose` at `index` (an epoch or iteration, below 2^56) under `seed`.
 pub fn stream(seed: u64, purpose: Purpose, index: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -65,6 +48,7 @@ pub fn stream(seed: u64, purpose: Purpose, index: u64) -> ChaCha8Rng {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::RngCore;
 
     #[test]
     fn streams_repeat_and_differ() {

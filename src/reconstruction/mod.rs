@@ -1,15 +1,14 @@
-//! Stage one: 3D Gaussians from posed photos (3DGS, Kerbl et al. 2023; 3DGS-MCMC, Kheradmand et al. 2024).
+//! Stage one: 3D Gaussians from posed photos (3DGS, Kerbl et al. 2023).
 
 mod budget;
+mod densification;
 pub mod densify;
 pub mod initialization;
-pub mod mcmc;
 pub(crate) mod optimizer;
 pub(crate) mod pruning;
 pub mod schedule;
 mod state;
 mod step;
-mod strategy;
 mod targets;
 mod trainer;
 

@@ -218,11 +218,6 @@ impl Parameters {
         }
     }
 
-    /// Replaces the means.
-    pub fn set_means(&mut self, means: Tensor<2>) {
-        self.state[MEANS].param = means;
-    }
-
     /// All means, then all log-scales, rotations and opacity logits, in one readback; see
     /// [`crate::splat::Geometry::of_values`].
     ///

@@ -2,7 +2,7 @@
 //!
 //! Steps count from 1. Everything is a function of the step, so a resumed run needs no memory of it.
 
-use crate::config::{Budget, BuildingConfig, Strategy};
+use crate::config::{Budget, BuildingConfig};
 use crate::data::{Points, View};
 use crate::random::{Purpose, stream};
 use crate::splat::camera::spread;
@@ -128,11 +128,9 @@ impl Schedule {
             && step <= self.densify_until()
     }
 
-    /// Whether opacities are reset after `step`; never with [`Strategy::Mcmc`].
+    /// Whether opacities are reset after `step`.
     pub fn resets(&self, step: usize) -> bool {
-        matches!(self.config.strategy, Strategy::Adc(_))
-            && step.is_multiple_of(self.reset_every())
-            && step < self.densify_until()
+        step.is_multiple_of(self.reset_every()) && step < self.densify_until()
     }
 
     /// Steps between two resets.
@@ -177,7 +175,7 @@ impl Schedule {
     }
 
     fn densify_until(&self) -> usize {
-        (f64::from(self.config.densify_until()) * self.config.iterations as f64) as usize
+        (f64::from(self.config.densify_until) * self.config.iterations as f64) as usize
     }
 }
 
@@ -242,17 +240,6 @@ mod tests {
         let resets: Vec<usize> = (1..=7000).filter(|&step| s.resets(step)).collect();
         assert_eq!(resets, [1000, 2000, 3000]);
         assert_eq!((1..=7000).filter(|&step| s.evaluates(step)).count(), 10);
-    }
-
-    #[test]
-    fn mcmc_densifies_for_longer_and_resets_nothing() {
-        let config = BuildingConfig {
-            strategy: Strategy::Mcmc(Default::default()),
-            ..BuildingConfig::default()
-        };
-        let s = Schedule::new(&config, 50, 2.0);
-        assert_eq!((1..=7000).rfind(|&step| s.densifies(step)), Some(5600));
-        assert!((1..=7000).all(|step| !s.resets(step)));
     }
 
     #[test]

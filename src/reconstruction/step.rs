@@ -49,15 +49,14 @@ impl Trainer<'_> {
             sh: Some(leaves.sh.clone()),
             active_sh_degree: self.schedule.sh_degree(iteration),
             features: None,
-            screen: screen.clone(),
+            screen: Some(screen.clone()),
         };
         let background = self.background(view, iteration);
         let RasterOutput { image, radii, .. } =
             rasterize(input, &view.camera, &self.settings, background)?;
         let loss = photometric_loss(image, &target, SSIM_WEIGHT);
-        let loss = self.regularised(loss, &leaves);
         let mut gradients = loss.backward();
-        let screen = screen.and_then(|screen| screen.grad_remove(&mut gradients));
+        let screen = screen.grad_remove(&mut gradients);
         let gradients = leaves.gradients(&mut gradients);
         let loss = gradients.check(loss.inner())?;
         Ok(Pass {

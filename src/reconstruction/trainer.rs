@@ -205,7 +205,6 @@ impl<'a> Trainer<'a> {
         }
         self.parameters
             .step(pass.gradients, &self.rates(iteration), iteration as u32);
-        self.add_noise(iteration);
         self.iteration = iteration;
         self.losses.0 += pass.loss;
         self.losses.1 += 1;

@@ -106,7 +106,6 @@ pub fn adc<'a>(
         cloned: cloned.len(),
         split: split.len(),
         pruned: n - kept.len() - split.len(),
-        relocated: 0,
     };
     let copies = kept.len() + cloned.len();
     let mut is_new = vec![false; kept.len()];

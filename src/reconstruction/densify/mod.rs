@@ -1,6 +1,6 @@
-//! Densification: which Gaussians are cloned, split, pruned or moved, decided on the host from the geometry alone.
+//! Densification: which Gaussians are cloned, split, pruned, decided on the host from the geometry alone.
 //!
-//! A strategy ([`adc`] or [`super::mcmc::relocate`]) returns a [`Densification`]. It is applied to the parameters and to the
+//! [`adc`] returns a [`Densification`]. It is applied to the parameters and to the
 //! moments of the optimiser alike, so that row `i` of all of them stays the same Gaussian.
 
 mod adc;
@@ -21,8 +21,6 @@ pub struct Densified {
     pub split: usize,
     /// Gaussians removed.
     pub pruned: usize,
-    /// Transparent Gaussians moved onto opaque ones.
-    pub relocated: usize,
 }
 
 /// The densified set of `R` rows. A row has the means, log-scales and opacities given here, and all else of an old row.

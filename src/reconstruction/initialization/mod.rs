@@ -5,7 +5,7 @@ mod frusta;
 pub use self::frusta::points as random_points;
 
 use super::schedule::extent;
-use crate::config::{Config, Strategy};
+use crate::config::Config;
 use crate::data::{Points, Scene, View};
 use crate::error::Result;
 use crate::memory;
@@ -49,15 +49,7 @@ pub(crate) fn initial_gaussians(
     } else {
         points
     };
-    let mut gaussians = from_points(&points, building.sh_degree, extent(train, &scene.points))?;
-    if let Strategy::Mcmc(mcmc) = &building.strategy {
-        let wider = mcmc.init_scale.ln();
-        let opacity = logit(mcmc.init_opacity);
-        gaussians.opacity_logits.fill(opacity);
-        let scales = gaussians.log_scales.as_flattened_mut();
-        scales.iter_mut().for_each(|s| *s += wider);
-    }
-    Ok(gaussians)
+    from_points(&points, building.sh_degree, extent(train, &scene.points))
 }
 
 /// `most` random points of `points`, in their order.

@@ -2,8 +2,8 @@
 
 use crate::support::settings_file::{assert_names, load};
 use coseg::config::{
-    Budget, BuildingConfig, Config, Encode, FeatureSource, LabelLoss, McmcConfig, Normalisation,
-    Preset, Reduction, Resolution, Strategy, Variant,
+    Budget, Config, Encode, FeatureSource, LabelLoss, Normalisation, Preset, Reduction, Resolution,
+    Variant,
 };
 use std::path::{Path, PathBuf};
 
@@ -237,44 +237,23 @@ fn a_name_alone_chooses_a_variant_with_its_defaults() {
 }
 
 #[test]
-fn strategies_of_densification_have_defaults_and_needs_of_their_own() {
-    let adc = load("", &[]).unwrap().building;
-    let threshold = |building: &BuildingConfig| match &building.strategy {
-        Strategy::Adc(adc) => adc.threshold(),
-        Strategy::Mcmc(_) => panic!("adc"),
-    };
-    assert_eq!((threshold(&adc), adc.densify_until()), (8e-4, 0.5));
-    let plain = load("", &["building.strategy.adc.absgrad=false"]).unwrap();
-    assert_eq!(threshold(&plain.building), 2e-4);
-    let set = load(
-        "[building.strategy.adc]\nthreshold = 1e-3\n",
-        &["building.strategy.adc.absgrad=false"],
-    )
-    .unwrap();
-    assert_eq!(threshold(&set.building), 1e-3);
+fn the_threshold_of_densification_follows_absgrad() {
+    let threshold = |sets: &[&str]| load("", sets).unwrap().building.gradient_threshold();
+    assert_eq!(threshold(&[]), 8e-4);
+    assert_eq!(threshold(&["building.absgrad=false"]), 2e-4);
+    let set = ["building.absgrad=false", "building.gradient_threshold=1e-3"];
+    assert_eq!(threshold(&set), 1e-3);
+}
 
-    let toml = "[building]\nmax_gaussians = 9_000\n[building.strategy.mcmc]\ngrowth = 0.1\n";
-    let config = load(toml, &[]).unwrap();
-    let mcmc = Strategy::Mcmc(McmcConfig {
-        growth: 0.1,
-        ..McmcConfig::default()
-    });
-    assert_eq!(
-        (&config.building.strategy, config.building.densify_until()),
-        (&mcmc, 0.8)
-    );
-    assert_eq!(load(&config.to_toml().unwrap(), &[]).unwrap(), config);
-    assert_names(
-        &load(toml, &["building.max_gaussians=auto"]).unwrap_err(),
-        &["max_gaussians", "found auto", "mcmc"],
-    );
-    let error = load("[building.strategy.mcmc]\ngrow = 1\n", &[]).unwrap_err();
+#[test]
+fn a_misspelt_key_of_a_payload_is_named() {
+    let error = load("[segmentation.loss.gce]\nexponents = 1\n", &[]).unwrap_err();
     assert_names(
         &error,
         &[
             "line 2",
-            "building.strategy.mcmc.grow",
-            "did you mean building.strategy.mcmc.growth?",
+            "segmentation.loss.gce.exponents",
+            "did you mean segmentation.loss.gce.exponent?",
         ],
     );
 }

@@ -85,9 +85,9 @@ fn values_out_of_range_are_refused() {
         ("building.iterations=4294967296", "fewer than 2^32"),
         ("raster.alpha_max=0", "at most 1"),
         ("raster.background=0,0,-0.1", "from 0 to 1"),
-        ("building.strategy=best", "\"adc\" or \"mcmc\""),
+        ("building.size_limit=best", "\"distance\" or \"extent\""),
         (
-            "building.strategy.adc.threshold=-0.1",
+            "building.gradient_threshold=-0.1",
             "finite number of 0 or more",
         ),
         ("segmentation.loss.gce.exponent=0", "from 0.000001 to 1"),

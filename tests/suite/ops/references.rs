@@ -3,7 +3,7 @@
 use crate::support::painted_plane::{config, scene};
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::Tensor;
-use coseg::config::{Budget, BuildingConfig, Config, LabelSource, Resolution, Strategy, Variant};
+use coseg::config::{Budget, BuildingConfig, Config, LabelSource, Resolution, Variant};
 use coseg::data::{LabelMap, Split};
 use coseg::objects::{Identities, LabelMaps, LabelRule, RenderOptions, Renderer, Votes, vote};
 use coseg::ops::{CustomOp, with_references};
@@ -43,9 +43,9 @@ fn assert_close(name: &str, got: &[f32], want: &[f32], tolerance: f32) {
 
 #[test]
 fn a_step_of_stage_one_equals_that_of_the_references() {
-    for strategy in [Strategy::default(), Strategy::Mcmc(Default::default())] {
+    for absgrad in [false, true] {
         let building = BuildingConfig {
-            strategy,
+            absgrad,
             max_gaussians: Budget::AtMost(1_000),
             ..config().building
         };

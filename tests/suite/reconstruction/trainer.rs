@@ -137,7 +137,7 @@ fn black_surfaces_become_opaque_before_a_changing_background() {
             iterations: 150,
             // None, all along which the background changes.
             densify_every: 1_000,
-            densify_until: Some(1.0),
+            densify_until: 1.0,
             reset_every: 1,
             random_background,
             ..BuildingConfig::default()

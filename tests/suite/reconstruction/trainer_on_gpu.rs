@@ -2,7 +2,7 @@
 
 use crate::support::gpu;
 use burn::tensor::Device;
-use coseg::config::{AdcConfig, Budget, BuildingConfig, Config, McmcConfig, Strategy};
+use coseg::config::{Budget, BuildingConfig, Config};
 use coseg::data::{LoadOptions, Scene, load};
 use coseg::reconstruction::{Trainer, TrainerState};
 
@@ -16,20 +16,9 @@ fn scene() -> (Scene, tempfile::TempDir) {
     )
 }
 
-fn adc(absgrad: bool) -> Strategy {
-    Strategy::Adc(AdcConfig {
-        absgrad,
-        ..AdcConfig::default()
-    })
-}
-
-fn mcmc() -> Strategy {
-    Strategy::Mcmc(McmcConfig::default())
-}
-
-fn config(densify_from: usize, strategy: Strategy) -> Config {
+fn config(densify_from: usize, absgrad: bool) -> Config {
     let building = BuildingConfig {
-        strategy,
+        absgrad,
         max_gaussians: Budget::AtMost(600),
         iterations: 60,
         random_points: 500,
@@ -53,8 +42,8 @@ fn steps(stage: &mut Trainer, count: usize) -> Vec<f64> {
 fn steps_on_a_gpu_are_those_on_ndarray() {
     let Some(gpu) = gpu() else { return };
     let (scene, _folder) = scene();
-    for strategy in [adc(false), adc(true), mcmc()] {
-        compare(&gpu, &scene, &config(1000, strategy));
+    for absgrad in [false, true] {
+        compare(&gpu, &scene, &config(1000, absgrad));
     }
 }
 
@@ -70,9 +59,6 @@ fn compare(gpu: &Device, scene: &Scene, config: &Config) {
             (got - want).abs() < 1e-3 * want,
             "loss of step {i}: {got} for {want}"
         );
-    }
-    if config.building.strategy == mcmc() {
-        return; // which begins half transparent and gathers nothing
     }
     assert!(losses[9] < 0.8 * losses[0], "{losses:?}"); // an opacity reset follows
     let n = want.stats.visible.len();
@@ -113,9 +99,7 @@ fn compare(gpu: &Device, scene: &Scene, config: &Config) {
 fn a_resumed_stage_goes_on_to_the_same_bits() {
     let Some(gpu) = gpu() else { return };
     let (scene, _folder) = scene();
-    for strategy in [adc(false), mcmc()] {
-        assert_resumes(&gpu, &scene, &config(5, strategy));
-    }
+    assert_resumes(&gpu, &scene, &config(5, false));
 }
 
 fn assert_resumes(gpu: &Device, scene: &Scene, config: &Config) {

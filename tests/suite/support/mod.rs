@@ -31,7 +31,6 @@ pub mod pictures;
 pub mod plate_objects;
 pub mod plate_runs;
 pub mod plates;
-pub mod population;
 #[path = "../../../examples/pretrain_encoder/training.rs"]
 pub mod pretraining;
 pub mod program;

@@ -1,6 +1,6 @@
 //! A painted plane in eight photos, and a short first stage on it.
 
-use coseg::config::{AdcConfig, BuildingConfig, Config, Strategy};
+use coseg::config::{BuildingConfig, Config};
 use coseg::data::{Classes, Points, Scene, Split, View};
 use coseg::reconstruction::{Trainer, TrainerState};
 use coseg::splat::camera::Camera;
@@ -101,11 +101,8 @@ pub fn config() -> Config {
         iterations: 60,
         sh_degree: 2,
         densify_every: 10,
-        densify_until: Some(0.75),
-        strategy: Strategy::Adc(AdcConfig {
-            threshold: Some(2e-5),
-            ..AdcConfig::default()
-        }),
+        densify_until: 0.75,
+        gradient_threshold: Some(2e-5),
         reset_every: 30,
         ..BuildingConfig::default()
     };

@@ -1,66 +1,27 @@
-//! What the strategy of densification adds to an iteration.
+//! Adaptive density control (Kerbl et al. 2023) in the iterations of stage one: Gaussians with a large screen-space gradient are
+//! cloned or split, transparent and huge ones are pruned.
 
 use super::Trainer;
 use super::densify::{
     AdcRules, Densified, GradientAccumulator, GradientStatistics, SizeLimit, adc,
 };
-use super::mcmc::{PositionNoise, RelocationRules, relocate};
-use super::optimizer::Leaves;
-use crate::config::{AdcConfig, McmcConfig, SizeRule, Strategy};
+use crate::config::SizeRule;
 use crate::error::{Result, ensure};
-use crate::ops::sum_all;
 use crate::random::{Purpose, stream};
 use crate::splat::Geometry;
 use burn::tensor::Tensor;
-use burn::tensor::activation::sigmoid;
 
-/// Noise of 3DGS-MCMC: after each step the means get `lr NOISE sigmoid(-k (o - t)) Sigma eta`, with lr their learning rate, o
-/// the opacity, Sigma the covariance, eta standard normal, k the sharpness, and t the opacity that keeps half the noise.
-const NOISE: f64 = 5e5;
-const NOISE_SHARPNESS: f64 = 100.0;
-const NOISE_OPACITY: f64 = 0.005;
 /// Gaussians below this share of the extent are cloned, others split.
 const CLONE_BELOW: f32 = 0.01;
 /// Gaussians larger than this share of the length that [`SizeRule`] names are pruned.
 const PRUNE_SCALE: f32 = 0.1;
 
 impl Trainer<'_> {
-    /// A tensor of zeros that receives the screen-space gradient, for strategies that need it.
-    pub(crate) fn screen(&self) -> Option<Tensor<2>> {
-        let Strategy::Adc(adc) = &self.config.building.strategy else {
-            return None;
-        };
-        let columns = if adc.absgrad { 4 } else { 2 };
+    /// A tensor of zeros that receives the screen-space gradient.
+    pub(crate) fn screen(&self) -> Tensor<2> {
+        let columns = if self.config.building.absgrad { 4 } else { 2 };
         let zeros = Tensor::zeros([self.parameters.len(), columns], &self.device);
-        Some(zeros.autodiff().require_grad())
-    }
-
-    /// The loss with the regularisation of 3DGS-MCMC: weights times the mean opacity and the mean standard deviation, the latter
-    /// in extents.
-    pub(crate) fn regularised(&self, loss: Tensor<1>, leaves: &Leaves) -> Tensor<1> {
-        let Strategy::Mcmc(mcmc) = &self.config.building.strategy else {
-            return loss;
-        };
-        let n = self.parameters.len().max(1) as f64;
-        let opacity = sum_all(sigmoid(leaves.opacity_logits.clone())) * (mcmc.opacity_reg / n);
-        let scales =
-            sum_all(leaves.log_scales.clone().exp()) * (mcmc.scale_reg / (3.0 * n * self.extent));
-        loss + opacity + scales
-    }
-
-    /// Adds the noise of 3DGS-MCMC to the means after the step of `iteration`.
-    pub(crate) fn add_noise(&mut self, iteration: usize) {
-        let Strategy::Mcmc(_) = &self.config.building.strategy else {
-            return;
-        };
-        let noise = PositionNoise {
-            scale: NOISE * self.schedule.means_rate(iteration) / (self.extent * self.extent),
-            sharpness: NOISE_SHARPNESS,
-            opacity: NOISE_OPACITY,
-        };
-        let mut rng = stream(self.config.seed, Purpose::PositionNoise, iteration as u64);
-        let means = noise.apply(&self.parameters.splats(), &mut rng);
-        self.parameters.set_means(means);
+        zeros.autodiff().require_grad()
     }
 
     /// One densification. The host decides from the geometry alone; all else is moved on the device.
@@ -72,13 +33,7 @@ impl Trainer<'_> {
         }
         let iteration = self.iteration as u64;
         let mut rng = stream(self.config.seed, Purpose::Densification, iteration);
-        let densification = match &self.config.building.strategy {
-            Strategy::Adc(config) => {
-                let rules = self.adc_rules(config);
-                adc(old, &self.statistics.read()?, &rules, &mut rng)?
-            }
-            Strategy::Mcmc(config) => relocate(old, &self.relocation_rules(config), &mut rng),
-        };
+        let densification = adc(old, &self.statistics.read()?, &self.adc_rules(), &mut rng)?;
         ensure!(!densification.rows.is_empty(), argument "densification after {} steps", self.iteration;
             found  "{} Gaussians, none of which is opaque and small enough to stay", old.len();
             expected "some that the photos show";
@@ -90,13 +45,13 @@ impl Trainer<'_> {
         Ok(done)
     }
 
-    fn adc_rules(&self, adc: &AdcConfig) -> AdcRules {
+    fn adc_rules(&self) -> AdcRules {
         let building = &self.config.building;
         AdcRules {
-            threshold: adc.threshold(),
+            threshold: building.gradient_threshold(),
             clone_below: CLONE_BELOW * self.extent as f32,
             prune_opacity: building.prune_opacity,
-            prune_scale: self.size_limit(adc.size_limit),
+            prune_scale: self.size_limit(building.size_limit),
             max_gaussians: self.capacity(),
         }
     }
@@ -118,15 +73,6 @@ impl Trainer<'_> {
                 extent,
                 center: None,
             },
-        }
-    }
-
-    fn relocation_rules(&self, mcmc: &McmcConfig) -> RelocationRules {
-        let building = &self.config.building;
-        RelocationRules {
-            dead: building.prune_opacity,
-            growth: mcmc.growth,
-            max_gaussians: self.capacity(),
         }
     }
 }
@@ -169,7 +115,7 @@ mod tests {
     }
 
     /// Calls `look` with a new trainer on each device, and with its initial state.
-    fn on_each_device(strategy: Strategy, look: impl Fn(Trainer<'_>, TrainerState)) {
+    fn on_each_device(look: impl Fn(Trainer<'_>, TrainerState)) {
         let options = BuiltinOptions {
             width: 64,
             height: 48,
@@ -179,7 +125,6 @@ mod tests {
         };
         let scene = scene_with(&options).expect("a scene");
         let building = BuildingConfig {
-            strategy,
             sh_degree: 2,
             max_gaussians: Budget::AtMost(1000),
             ..BuildingConfig::default()
@@ -193,10 +138,7 @@ mod tests {
                 continue;
             };
             let stage = Trainer::new(&scene, &config, &device).expect("a stage");
-            let start = trained(
-                stage.state().expect("readable"),
-                &stage.adc_rules(&AdcConfig::default()),
-            );
+            let start = trained(stage.state().expect("readable"), &stage.adc_rules());
             let stage =
                 Trainer::from_state(&scene, &config, &device, start.clone()).expect("a stage");
             assert!(
@@ -245,9 +187,9 @@ mod tests {
 
     #[test]
     fn a_densification_is_that_of_host_vectors_on_every_device() {
-        on_each_device(Strategy::default(), |stage, start| {
+        on_each_device(|stage, start| {
             let mut rng = stream(start.seed, Purpose::Densification, 0);
-            let rules = stage.adc_rules(&AdcConfig::default());
+            let rules = stage.adc_rules();
             let plan = adc(&start.gaussians, &start.stats, &rules, &mut rng).expect("matching");
             let Densified {
                 cloned,
@@ -261,26 +203,8 @@ mod tests {
     }
 
     #[test]
-    fn a_relocation_is_that_of_host_vectors_on_every_device() {
-        on_each_device(Strategy::Mcmc(McmcConfig::default()), |stage, start| {
-            let mut rng = stream(start.seed, Purpose::Densification, 0);
-            let plan = relocate(
-                &start.gaussians,
-                &stage.relocation_rules(&McmcConfig::default()),
-                &mut rng,
-            );
-            assert!(
-                plan.done.relocated > 9 && plan.done.cloned > 9,
-                "{:?}",
-                plan.done
-            );
-            assert_densifies(stage, &start, &plan);
-        });
-    }
-
-    #[test]
     fn a_reset_changes_opacities_and_their_moments_alone() {
-        on_each_device(Strategy::default(), |mut stage, start| {
+        on_each_device(|mut stage, start| {
             let TrainerState {
                 mut gaussians,
                 mut first,
