@@ -3,7 +3,7 @@
 
 use crate::error::{Error, Result, invalid};
 use burn::backend::DispatchDevice;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{DType, Device, Tensor, TensorData};
 use serde::de::IntoDeserializer;
 use serde::{Deserialize, Serialize};
 
@@ -235,16 +235,30 @@ pub(crate) fn upload<const D: usize>(
 /// # Errors
 /// [`Error::Device`] when the device does not return them, also for errors since it was last read, such as a lack of memory.
 pub(crate) fn read<const D: usize>(what: &str, tensor: Tensor<D>) -> Result<Vec<f32>> {
-    let failed = |reason: String| Error::Device {
+    let data = host_data(what, tensor)?;
+    data.into_vec().map_err(|e| unreadable(what, &e))
+}
+
+fn host_data<const D: usize>(what: &str, tensor: Tensor<D>) -> Result<TensorData> {
+    tensor.try_into_data().map_err(|e| unreadable(what, &e))
+}
+
+fn unreadable(what: &str, reason: &dyn std::fmt::Debug) -> Error {
+    Error::Device {
         device: "in use".into(),
-        reason: format!("reading {what} back failed: {reason}"),
+        reason: format!("reading {what} back failed: {reason:?}"),
         help: "see whether the device has memory left, or choose a CPU backend".into(),
-    };
-    let data = tensor
-        .try_into_data()
-        .map_err(|error| failed(format!("{error:?}")))?;
-    data.into_vec::<f32>()
-        .map_err(|error| failed(format!("{error:?}")))
+    }
+}
+
+/// [`read`] of a tensor of any float type.
+pub(crate) fn read_wide<const D: usize>(what: &str, tensor: Tensor<D>) -> Result<Vec<f64>> {
+    if tensor.dtype() == DType::F64 {
+        return host_data(what, tensor)?
+            .into_vec()
+            .map_err(|e| unreadable(what, &e));
+    }
+    Ok(read(what, tensor)?.into_iter().map(f64::from).collect())
 }
 
 fn device(name: BackendName) -> Result<Device> {

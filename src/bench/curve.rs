@@ -1,13 +1,15 @@
 //! Time against error: each setting of the rasterizer changed alone, against an exact rendering in f64.
 
-use super::figures::timed;
 use super::{Bench, Figures};
+use crate::backend::device::{open_cpu, read_wide};
 use crate::error::Result;
-use crate::objects::{RenderOptions, Renderer};
-use crate::raster::{Projected, Settings, Splats, eval_sh};
+use crate::ops::sum_all;
+use crate::raster::{RasterInput, Settings, rasterize};
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
+use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
 use std::hint::black_box;
+use std::time::Instant;
 
 /// Views of a pass, at most, and their size.
 const VIEWS: usize = 4;
@@ -25,31 +27,39 @@ const ALPHA_MIN: [f64; 6] = [
 ];
 const T_MIN: [f64; 5] = [0.0, 1e-5, 1e-4, 1e-3, 1e-2];
 const ALPHA_MAX: [f64; 4] = [1.0, 0.999, 0.99, 0.95];
+/// Gradients of a [`Pass`].
+const GRADIENTS: [&str; 5] = ["means", "log-scales", "rotations", "opacities", "SH"];
 
 /// One point of the curve.
 struct Point {
     name: String,
     settings: Settings,
     sh_degree: usize,
-    /// Milliseconds of a view, for each pass over the views.
-    times: Vec<f64>,
+    /// Milliseconds of a view, for each pass over the views: forward, and forward and backward.
+    times: [Vec<f64>; 2],
 }
 
-pub(super) fn measure(bench: &Bench, gaussians: &Gaussians) -> Result<Figures> {
+/// The Gaussians on a device, tracked by autodiff, and the views.
+struct Subject<'a> {
+    input: RasterInput,
+    cameras: &'a [Camera],
+    background: [f32; 3],
+}
+
+/// A view and the gradients of its loss, in host memory.
+struct Pass {
+    image: Vec<f64>,
+    gradients: [Vec<f64>; 5],
+}
+
+/// Times and errors of each point: forward, and forward and backward.
+pub(super) fn measure(bench: &Bench, gaussians: &Gaussians) -> Result<Vec<Figures>> {
     let cameras = cameras(bench);
-    let [width, height] = SIZE;
-    let mut figures = Figures::new("curve", gaussians.len());
-    figures.notes.push(format!(
-        "{} views of {width}x{height} on black; the time of a view, until it is in host memory",
-        cameras.len()
-    ));
-    figures.notes.push(
-        "error: absolute, of RGB, against f64 with alpha_min 1e-14, t_min 0, alpha_max 1"
-            .to_owned(),
-    );
-    figures
-        .notes
-        .push("each line changes one of the configured settings".to_owned());
+    let subject = |device: &Device, dtype| Subject {
+        input: input(gaussians, device, dtype),
+        cameras: &cameras,
+        background: [0.0; 3],
+    };
     let configured = Settings::from(&bench.config.raster);
     let exact = Settings {
         alpha_min: NEARLY_ZERO,
@@ -57,53 +67,58 @@ pub(super) fn measure(bench: &Bench, gaussians: &Gaussians) -> Result<Figures> {
         alpha_max: 1.0,
         ..configured
     };
-    let reference = cameras
-        .iter()
-        .map(|camera| render_wide(gaussians, camera, &exact))
-        .collect::<Result<Vec<_>>>()?;
     let mut points = points(&configured, &exact, gaussians.sh_degree);
-    let mut renderers = (0..=gaussians.sh_degree)
-        .map(|degree| {
-            let gaussians = gaussians.clone().with_sh_degree(degree);
-            Renderer::new(gaussians, None, RenderOptions::default(), &bench.device)
-        })
-        .collect::<Result<Vec<_>>>()?;
+    let found = subject(&bench.device, DType::F32);
     // Round by round, so that a slow moment of the machine meets all points alike. The first round is the warm-up.
     for round in 0..=bench.repeats {
         for point in &mut points {
-            let renderer = point.renderer(&mut renderers)?;
-            let mut seconds = Vec::new();
-            timed(&mut seconds, || {
-                cameras.iter().try_for_each(|camera| {
-                    black_box(renderer.frame(camera)?);
-                    Ok(())
-                })
-            })?;
-            if round > 0 {
-                let of_view = |seconds: f64| 1e3 * seconds / cameras.len() as f64;
-                point.times.extend(seconds.into_iter().map(of_view));
+            let seconds = [found.forward(point)?, found.forward_and_backward(point)?];
+            for (times, seconds) in point.times.iter_mut().zip(seconds) {
+                if round > 0 {
+                    times.push(1e3 * seconds / cameras.len() as f64);
+                }
             }
         }
     }
+    let reference = subject(&open_cpu()?, DType::F64);
+    let truth = reference.passes(&exact, gaussians.sh_degree, None)?;
+    let mut figures = tables(gaussians.len(), cameras.len());
     for point in &points {
-        let renderer = point.renderer(&mut renderers)?;
-        let mut sum = 0.0;
-        let mut count = 0;
-        let mut largest = 0.0_f64;
-        for (camera, reference) in cameras.iter().zip(&reference) {
-            for (found, exact) in renderer.frame(camera)?.rgb.iter().zip(reference) {
-                let difference = (f64::from(*found) - exact).abs();
-                sum += difference;
-                count += 1;
-                largest = largest.max(difference);
+        let passes = found.passes(&point.settings, point.sh_degree, Some(&truth))?;
+        let errors = [
+            image_errors(&passes, &truth),
+            gradient_errors(&passes, &truth),
+        ];
+        for ((figures, times), errors) in figures.iter_mut().zip(&point.times).zip(errors) {
+            figures.add(&point.name, "ms", times);
+            if let Some(figure) = figures.figures.last_mut() {
+                figure.errors = errors;
             }
         }
-        figures.add(&point.name, "ms", &point.times);
-        if let Some(figure) = figures.figures.last_mut() {
-            figure.error = Some([sum / count as f64, largest]);
-        }
     }
-    Ok(figures)
+    Ok(figures.into())
+}
+
+/// The tables of forward and of forward and backward passes, without rows.
+fn tables(gaussians: usize, views: usize) -> [Figures; 2] {
+    let [width, height] = SIZE;
+    let mut forward = Figures::new("curve", gaussians);
+    forward.error_names = &["mean", "largest"];
+    forward.notes = vec![
+        format!(
+            "{views} views of {width}x{height} on black; the time of a view, until it is in host memory"
+        ),
+        "errors: absolute, of RGB, against f64 with alpha_min 1e-14, t_min 0, alpha_max 1"
+            .to_owned(),
+        "each line changes one of the configured settings".to_owned(),
+    ];
+    let mut backward = Figures::new("curve of gradients", gaussians);
+    backward.error_names = &GRADIENTS;
+    backward.notes = vec![
+        "the same views, forward and backward; the loss is half the squared distance of RGB from grey".to_owned(),
+        "errors: of each gradient, root mean square over that of the gradient in f64".to_owned(),
+    ];
+    [forward, backward]
 }
 
 /// Some of the training cameras, evenly chosen.
@@ -119,16 +134,141 @@ fn cameras(bench: &Bench) -> Vec<Camera> {
         .collect()
 }
 
-impl Point {
-    /// The renderer of this point's SH degree, with this point's settings.
-    fn renderer<'a>(&self, of_degrees: &'a mut [Renderer]) -> Result<&'a mut Renderer> {
-        let renderer = &mut of_degrees[self.sh_degree];
-        renderer.set_options(RenderOptions {
-            settings: self.settings,
-            ..RenderOptions::default()
-        })?;
-        Ok(renderer)
+/// `gaussians` as tensors of `dtype`, tracked by autodiff.
+fn input(gaussians: &Gaussians, device: &Device, dtype: DType) -> RasterInput {
+    let device = device.clone().autodiff();
+    let n = gaussians.len();
+    let data = |values: &[f32], shape: &[usize]| TensorData::new(values.to_vec(), shape.to_vec());
+    let matrix = |values: &[f32], width| {
+        Tensor::<2>::from_data(data(values, &[n, width]), (&device, dtype)).require_grad()
+    };
+    let sh = data(&gaussians.sh, &[n, gaussians.sh_len(), 3]);
+    let logits = data(&gaussians.opacity_logits, &[n]);
+    RasterInput {
+        means: matrix(gaussians.means.as_flattened(), 3),
+        log_scales: matrix(gaussians.log_scales.as_flattened(), 3),
+        rotations: matrix(gaussians.rotations.as_flattened(), 4),
+        opacity_logits: Tensor::from_data(logits, (&device, dtype)).require_grad(),
+        sh: Some(Tensor::from_data(sh, (&device, dtype)).require_grad()),
+        active_sh_degree: gaussians.sh_degree,
+        features: None,
+        screen: None,
     }
+}
+
+impl Subject<'_> {
+    fn image(&self, camera: &Camera, settings: &Settings, sh_degree: usize) -> Result<Tensor<3>> {
+        let input = RasterInput {
+            active_sh_degree: sh_degree,
+            ..self.input.clone()
+        };
+        Ok(rasterize(input, camera, settings, self.background)?.image)
+    }
+
+    /// Seconds of the views.
+    fn forward(&self, point: &Point) -> Result<f64> {
+        let start = Instant::now();
+        for camera in self.cameras {
+            let image = self.image(camera, &point.settings, point.sh_degree)?;
+            black_box(values(image.inner())?);
+        }
+        Ok(start.elapsed().as_secs_f64())
+    }
+
+    /// Seconds of the views and of their gradients.
+    fn forward_and_backward(&self, point: &Point) -> Result<f64> {
+        let start = Instant::now();
+        for camera in self.cameras {
+            let image = self.image(camera, &point.settings, point.sh_degree)?;
+            let mut gradients = loss(image.clone(), image.inner()).backward();
+            let last = self.input.opacity_logits.grad_remove(&mut gradients);
+            // A device computes in order: with the last gradient all others are there.
+            black_box(last.map(values).transpose()?);
+        }
+        Ok(start.elapsed().as_secs_f64())
+    }
+
+    /// All views with their gradients. The loss is that of the images of `truth`, where it is given, so that gradients differ by
+    /// the backward pass alone.
+    fn passes(
+        &self,
+        settings: &Settings,
+        sh_degree: usize,
+        truth: Option<&[Pass]>,
+    ) -> Result<Vec<Pass>> {
+        let pass = |(i, camera): (usize, &Camera)| {
+            let image = self.image(camera, settings, sh_degree)?;
+            let found = image.clone().inner();
+            let at = match truth {
+                Some(truth) => {
+                    let data = TensorData::new(truth[i].image.clone(), found.dims());
+                    Tensor::from_data(data, (&found.device(), found.dtype()))
+                }
+                None => found.clone(),
+            };
+            let mut gradients = loss(image, at).backward();
+            let input = &self.input;
+            let sh = input.sh.as_ref().map(|sh| gradient(sh, &mut gradients));
+            Ok(Pass {
+                image: values(found)?,
+                gradients: [
+                    gradient(&input.means, &mut gradients)?,
+                    gradient(&input.log_scales, &mut gradients)?,
+                    gradient(&input.rotations, &mut gradients)?,
+                    gradient(&input.opacity_logits, &mut gradients)?,
+                    sh.transpose()?.unwrap_or_default(),
+                ],
+            })
+        };
+        self.cameras.iter().enumerate().map(pass).collect()
+    }
+}
+
+/// Has the gradient of half the squared distance between `at` and grey.
+fn loss(image: Tensor<3>, at: Tensor<3>) -> Tensor<1> {
+    sum_all(image * Tensor::from_inner(at - 0.5))
+}
+
+fn gradient<const D: usize>(leaf: &Tensor<D>, gradients: &mut Gradients) -> Result<Vec<f64>> {
+    let found = leaf.grad_remove(gradients);
+    values(found.unwrap_or_else(|| leaf.clone().inner().zeros_like()))
+}
+
+fn values<const D: usize>(tensor: Tensor<D>) -> Result<Vec<f64>> {
+    read_wide("the rasterizer's values", tensor)
+}
+
+/// Mean and largest absolute error of the images.
+fn image_errors(found: &[Pass], truth: &[Pass]) -> Vec<f64> {
+    let pairs = found.iter().zip(truth);
+    let errors = pairs.flat_map(|(found, truth)| {
+        let values = found.image.iter().zip(&truth.image);
+        values.map(|(found, truth)| (found - truth).abs())
+    });
+    let mut sum = 0.0;
+    let mut count = 0;
+    let mut largest = 0.0_f64;
+    for error in errors {
+        sum += error;
+        count += 1;
+        largest = largest.max(error);
+    }
+    vec![sum / f64::from(count.max(1)), largest]
+}
+
+/// Error of each gradient over all views, relative to the gradient.
+fn gradient_errors(found: &[Pass], truth: &[Pass]) -> Vec<f64> {
+    let of = |k: usize| {
+        let mut squares = [0.0; 2];
+        for (found, truth) in found.iter().zip(truth) {
+            for (found, truth) in found.gradients[k].iter().zip(&truth.gradients[k]) {
+                squares[0] += (found - truth).powi(2);
+                squares[1] += truth.powi(2);
+            }
+        }
+        (squares[0] / squares[1].max(f64::MIN_POSITIVE)).sqrt()
+    };
+    (0..GRADIENTS.len()).map(of).collect()
 }
 
 /// The settings to try: the configured ones, then each setting from exact to coarse, then all exact.
@@ -153,7 +293,7 @@ fn points(configured: &Settings, exact: &Settings, sh_degree: usize) -> Vec<Poin
         name,
         settings,
         sh_degree,
-        times: Vec::new(),
+        times: Default::default(),
     };
     let mut points = vec![point(("as configured".to_owned(), *configured))];
     points.extend(tried.into_iter().map(point));
@@ -174,21 +314,4 @@ fn number(value: f64) -> String {
     } else {
         value.to_string()
     }
-}
-
-/// `[H, W, 3]` on black, in f64.
-fn render_wide(gaussians: &Gaussians, camera: &Camera, settings: &Settings) -> Result<Vec<f64>> {
-    let wide = |values: &[f32]| values.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
-    let means = wide(gaussians.means.as_flattened());
-    let splats = Splats {
-        means: &means[..],
-        log_scales: &wide(gaussians.log_scales.as_flattened()),
-        rotations: &wide(gaussians.rotations.as_flattened()),
-        opacity_logits: &wide(&gaussians.opacity_logits),
-    };
-    let projected = Projected::new(&splats, camera, settings)?;
-    let degree = gaussians.sh_degree;
-    let center = camera.center.to_array();
-    let colours = eval_sh(&means, &wide(&gaussians.sh), degree, degree, center);
-    Ok(projected.blend(&colours, 3).image)
 }

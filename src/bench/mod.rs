@@ -85,11 +85,11 @@ impl Bench {
         format!("{name}, {count} {kind} Gaussians")
     }
 
-    /// Time against error of the rasterizer's settings, with about `count` Gaussians.
+    /// Time against error of the rasterizer's settings, with about `count` Gaussians: forward, and forward and backward.
     ///
     /// # Errors
     /// Those of rendering; [`crate::Error::Limit`] for more Gaussians than the device holds.
-    pub fn curve(&self, count: usize) -> Result<Figures> {
+    pub fn curve(&self, count: usize) -> Result<Vec<Figures>> {
         curve::measure(self, &resampled(&self.gaussians, count, self.config.seed))
     }
 
