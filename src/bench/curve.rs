@@ -43,7 +43,6 @@ struct Point {
 struct Subject<'a> {
     input: RasterInput,
     cameras: &'a [Camera],
-    background: [f32; 3],
 }
 
 /// A view and the gradients of its loss, in host memory.
@@ -58,7 +57,6 @@ pub(super) fn measure(bench: &Bench, gaussians: &Gaussians) -> Result<Vec<Figure
     let subject = |device: &Device, dtype| Subject {
         input: input(gaussians, device, dtype),
         cameras: &cameras,
-        background: [0.0; 3],
     };
     let configured = Settings::from(&bench.config.raster);
     let exact = Settings {
@@ -162,7 +160,7 @@ impl Subject<'_> {
             active_sh_degree: sh_degree,
             ..self.input.clone()
         };
-        Ok(rasterize(input, camera, settings, self.background)?.image)
+        Ok(rasterize(input, camera, settings, [0.0; 3])?.image)
     }
 
     /// Seconds of the views.
