@@ -115,7 +115,8 @@ fn coarser_settings_err_more_and_exact_ones_least() {
     assert!(error("t_min 0.01") > error("t_min 1e-3"));
     assert!(error("all exact") < 1e-6, "{}", error("all exact"));
     let gradients = figures(&json, "curve of gradients", 300);
-    for kind in 0..5 {
+    // Initial Gaussians are round, so their rotations have no gradient to compare with.
+    for kind in [0, 1, 3, 4] {
         let error = |name: &str| named(&gradients, name)["errors"][kind].as_f64().unwrap();
         assert!(error("all exact") < 1e-4, "{}", error("all exact"));
         assert!(error("alpha_min 1/32") > error("alpha_min 1/1024"));
