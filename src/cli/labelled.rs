@@ -9,7 +9,7 @@ use coseg::data::{self, Limits, LoadOptions, Scene, atomic};
 use coseg::error::{Result, ensure};
 use coseg::files::own;
 use coseg::pipeline::compare_with_photos;
-use coseg::splat::ply;
+use coseg::splat::formats;
 use coseg::splat::ply::PlyScene;
 use std::path::PathBuf;
 
@@ -65,7 +65,7 @@ impl LabelledArgs {
             own::check_folder(self.out.join(name))?;
         }
         let scene = data::load(&self.data, &options)?;
-        let ply = ply::read(&path, &Limits::default())?;
+        let ply = formats::read(&path, &Limits::default())?;
         let scene = scene.with_origin(ply.origin);
         compare_with_photos(&path, &ply.gaussians, &scene, config, device)?;
         Ok((scene, ply))

@@ -4,7 +4,7 @@ use coseg::config::Config;
 use coseg::data::{Classes, Limits, NamedCamera, Scene, View, atomic};
 use coseg::error::{Error, Result, ensure, invalid};
 use coseg::files::{extension, own};
-use coseg::splat::ply;
+use coseg::splat::formats;
 use coseg::splat::ply::PlyScene;
 use std::path::{Path, PathBuf};
 
@@ -86,7 +86,7 @@ pub fn cameras_of(scene: &Scene) -> Vec<NamedCamera> {
 
 /// Reads a scene that must hold Gaussians.
 pub fn read_scene(path: &Path) -> Result<PlyScene> {
-    let scene = ply::read(path, &Limits::default())?;
+    let scene = formats::read(path, &Limits::default())?;
     ensure!(!scene.gaussians.is_empty(), path, "element vertex"; found "no Gaussian"; expected "one or more";
         help "name a scene that is not empty");
     Ok(scene)

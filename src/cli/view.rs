@@ -9,7 +9,7 @@ use clap::Args;
 use coseg::data::{Limits, read_cameras};
 use coseg::error::{Result, ensure};
 use coseg::files::{extension, file_name, own, sha256};
-use coseg::splat::ply;
+use coseg::splat::formats;
 use coseg::viewer::Viewer;
 use glam::DVec3;
 use std::path::{Path, PathBuf};
@@ -66,7 +66,7 @@ impl ViewArgs {
         ensure!(extension(&out) == "html", argument "--out"; found "{}", out.display();
             expected "an .html file"; help "end the name in .html");
         own::check(&out)?;
-        let ply = ply::read(&path, &Limits::default())?;
+        let ply = formats::read(&path, &Limits::default())?;
         let names = self.classes.as_ref().map(|file| file.display().to_string());
         let classes = classes_beside(&path, self.classes.as_deref())?;
         let cameras = self.cameras.or_else(|| cameras_path(None, &path).ok());

@@ -126,6 +126,11 @@ impl PlyFile {
         &self.header.elements[&self.element]
     }
 
+    /// Whether the header declares this element.
+    pub fn has_element(&self, name: &str) -> bool {
+        self.header.elements.contains_key(name)
+    }
+
     /// Scalar type of a column; `None` when there is no such scalar column.
     pub fn scalar(&self, name: &str) -> Option<&ScalarType> {
         match &self.def().properties.get(name)?.data_type {

@@ -4,7 +4,7 @@ use super::evaluate::Pictures;
 use crate::config::Config;
 use crate::data::{Limits, Scene, Split, atomic};
 use crate::error::{Result, bail, ensure};
-use crate::splat::{Gaussians, ply};
+use crate::splat::{Gaussians, formats};
 use burn::tensor::Device;
 use std::path::Path;
 
@@ -14,11 +14,11 @@ const COMPARED_PHOTOS: usize = 8;
 /// size, turned by ten degrees, mirrored, halved in size or with other axes, they have 7 to 14.
 const MIN_PSNR: f64 = 15.0;
 
-/// The Gaussians of the PLY at `path`, relative to the origin of `scene`. Warns where they do not show its photos. The run will
+/// The Gaussians of the file `path`, relative to the origin of `scene`. Warns where they do not show its photos. The run will
 /// write `scene_file`.
 ///
 /// # Errors
-/// Those of [`ply::read`]; [`crate::Error::Input`] for a file without Gaussians; [`crate::Error::Argument`] for a scene without
+/// Those of [`formats::read`]; [`crate::Error::Input`] for a file without Gaussians; [`crate::Error::Argument`] for a scene without
 /// training views; [`crate::Error::Config`] for a file that would be written over, and for more Gaussians than
 /// `building.max_gaussians` has, where they are trained: trained ones cannot be thinned as points can.
 pub(crate) fn load_initial_scene(
@@ -32,7 +32,7 @@ pub(crate) fn load_initial_scene(
         expected "another file than the run's own scene.ply, which is written over";
         help "let the run write into another folder");
     scene.expect_training_views()?;
-    let ply = ply::read(path, &Limits::default())?;
+    let ply = formats::read(path, &Limits::default())?;
     let mut gaussians = ply.gaussians;
     ensure!(!gaussians.is_empty(), path, "element vertex"; found "no Gaussian"; expected "one or more";
         help "name a scene that holds something");

@@ -1,8 +1,9 @@
-//! The scene as 3D Gaussians: parameters on the host, spherical harmonics, PLY files, cameras and camera paths.
+//! The scene as 3D Gaussians: parameters on the host, spherical harmonics, their files, cameras and camera paths.
 
 pub mod camera;
 pub mod camera_path;
 
+pub mod formats;
 mod geometry;
 mod motion;
 mod order;
@@ -45,6 +46,12 @@ impl Gaussians {
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.means.is_empty()
+    }
+
+    /// World positions of the centres, `[N]`, where they are relative to `origin`.
+    pub(crate) fn positions(&self, origin: glam::DVec3) -> Vec<glam::DVec3> {
+        let world = |mean: &[f32; 3]| glam::DVec3::from(mean.map(f64::from)) + origin;
+        self.means.iter().map(world).collect()
     }
 
     /// Median of the centres along each axis, relative to the scene origin; `None` without Gaussians. Outliers do not move it.

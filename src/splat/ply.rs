@@ -2,9 +2,10 @@
 //!
 //! `f_rest` is channel-major: all red coefficients, then green, then blue. Values are unactivated (log-scales, opacity
 //! logits, quaternions w x y z), as every 3DGS tool has them. `label` (ushort) holds class ids; other viewers ignore it
-//! and `splat-transform` can filter on it.
+//! and `splat-transform` can filter on it. Compressed PLY is read too.
 
 use super::Gaussians;
+use super::formats::{self, compressed_ply};
 use crate::error::{Result, bail, invalid};
 use crate::files::ply::{self, PlyFile};
 use crate::files::{Limits, atomic};
@@ -19,14 +20,14 @@ const ORIGIN: &str = "coseg origin";
 /// Positions are stored as double when float would move one by more than this share of the scene's size.
 const POSITION_LOSS: f64 = 1e-5;
 
-/// A scene as read from a PLY file.
+/// A scene as read from a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PlyScene {
     /// The Gaussians, relative to [`PlyScene::origin`].
     pub gaussians: Gaussians,
     /// What was subtracted from every position (f64). Cameras in world units must be moved by it too.
     pub origin: DVec3,
-    /// Class id per Gaussian, when the file has a `label` column.
+    /// Class id per Gaussian, when the file has a `label` column, or labels are beside it.
     pub labels: Option<Vec<u16>>,
 }
 
@@ -45,12 +46,7 @@ pub fn write(
 ) -> Result<()> {
     gaussians.check(labels)?;
     let names = column_names(gaussians.sh_degree, labels.is_some());
-    let world = gaussians
-        .means
-        .iter()
-        .map(|&m| DVec3::from(m.map(f64::from)) + origin);
-    let (_, size) = centre_and_size(world.clone());
-    let position = if float_loses(world, size) {
+    let position = if floats_lose(&gaussians.positions(origin)) {
         ScalarType::Double
     } else {
         ScalarType::Float
@@ -96,7 +92,7 @@ pub fn write(
 }
 
 /// Reads a 3DGS PLY (ascii or binary, either byte order). Unknown columns are ignored. The SH degree follows from the number of
-/// `f_rest` columns (0, 9, 24 or 45). Positions may be float or double.
+/// `f_rest` columns (0, 9, 24 or 45). Positions may be float or double. Infinite logits become those of 10^-6 and 1 - 10^-6.
 ///
 /// The origin is what [`write()`] recorded. In other files it is the mean position, where that lies so far out that float positions
 /// would lose precision, else zero.
@@ -106,6 +102,9 @@ pub fn write(
 /// u16; naming the origin where positions relative to it are not finite in f32; [`crate::Error::Io`].
 pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
     let file = PlyFile::open(path, "vertex", limits)?;
+    if file.scalar("packed_position").is_some() {
+        return compressed_ply::read(path, limits);
+    }
     expect_gaussians(&file)?;
     let sh_degree = sh_degree(&file)?;
     let labelled = file.scalar("label").is_some();
@@ -128,6 +127,13 @@ pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
             invalid!(path, "row {row}, column {name}"; found "{}", cells[column]; expected "{expected}";
                 help "{help}")
         };
+        let opacity = 9 + 3 * rest;
+        let mut cells = *cells;
+        // Other programs write an opacity of 0 or 1 so.
+        if cells[opacity].is_infinite() {
+            let byte = if cells[opacity] > 0.0 { 255 } else { 0 };
+            cells[opacity] = f64::from(formats::logit(byte));
+        }
         // A value that does not fit an f32 counts as not finite.
         if let Some(column) = cells.iter().position(|&v| !(v as f32).is_finite()) {
             return Err(bad(
@@ -143,12 +149,12 @@ pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
         for k in 0..rest {
             g.sh.extend((0..3).map(|c| f[9 + c * rest + k]));
         }
-        let tail = &f[9 + 3 * rest..];
+        let tail = &f[opacity..];
         g.opacity_logits.push(tail[0]);
         g.log_scales.push([tail[1], tail[2], tail[3]]);
         g.rotations.push([tail[4], tail[5], tail[6], tail[7]]);
         if let Some(labels) = &mut scene.labels {
-            let column = 9 + 3 * rest + 8;
+            let column = opacity + 8;
             let id = cells[column];
             if id.fract() != 0.0 || !(0.0..=65_535.0).contains(&id) {
                 return Err(bad(
@@ -189,27 +195,22 @@ fn column_names(sh_degree: usize, labelled: bool) -> Vec<String> {
     names
 }
 
-/// [`crate::Error::Input`] for compressed scenes and point clouds, which users may take for 3DGS PLY files.
+/// [`crate::Error::Input`] for point clouds, which users may take for 3DGS PLY files.
 fn expect_gaussians(file: &PlyFile) -> Result<()> {
-    let expected = "3D Gaussians: x y z, f_dc_*, opacity, scale_*, rot_*";
     let has = |name: &str| file.scalar(name).is_some();
-    let (found, help) = if has("packed_position") {
-        (
-            "a compressed scene",
-            "uncompress it: splat-transform scene.compressed.ply scene.ply",
-        )
-    } else if has("x") && !has("f_dc_0") && !has("opacity") {
-        (
-            "a point cloud",
-            "give the Gaussians that were trained on it; as initial points a scene folder takes it",
-        )
-    } else {
+    if !has("x") || has("f_dc_0") || has("opacity") {
         return Ok(());
-    };
-    Err(file.error("element vertex", found, expected, help))
+    }
+    Err(file.error(
+        "element vertex",
+        "a point cloud",
+        "3D Gaussians: x y z, f_dc_*, opacity, scale_*, rot_*",
+        "give the Gaussians that were trained on it; as initial points a scene folder takes it",
+    ))
 }
 
-fn sh_degree(file: &PlyFile) -> Result<usize> {
+/// The SH degree of the columns `f_rest_*`.
+pub(super) fn sh_degree(file: &PlyFile) -> Result<usize> {
     let rest = file.names().filter(|n| n.starts_with("f_rest_")).count();
     (0..=3)
         .find(|d: &usize| 3 * ((d + 1).pow(2) - 1) == rest)
@@ -238,27 +239,41 @@ fn recorded_origin(file: &PlyFile) -> Option<DVec3> {
     }
 }
 
-/// Mean position and mean distance from it.
-fn centre_and_size(positions: impl Iterator<Item = DVec3> + Clone) -> (DVec3, f64) {
-    let n = positions.clone().count().max(1) as f64;
-    let centre = positions.clone().sum::<DVec3>() / n;
-    (
-        centre,
-        positions.map(|p| p.distance(centre)).sum::<f64>() / n,
-    )
+/// The scene of Gaussians whose means are world positions.
+pub(super) fn with_origin(mut gaussians: Gaussians) -> PlyScene {
+    let positions = gaussians.positions(DVec3::ZERO);
+    let origin = origin_of(&positions);
+    for (mean, position) in gaussians.means.iter_mut().zip(positions) {
+        *mean = (position - origin).as_vec3().to_array();
+    }
+    PlyScene {
+        gaussians,
+        origin,
+        labels: None,
+    }
 }
 
-/// Whether rounding a position to float moves it by more than [`POSITION_LOSS`] of `size`.
-fn float_loses(mut positions: impl Iterator<Item = DVec3>, size: f64) -> bool {
-    positions.any(|p| (p - p.as_vec3().as_dvec3()).abs().max_element() > POSITION_LOSS * size)
+/// Mean position and mean distance from it.
+fn centre_and_size(positions: &[DVec3]) -> (DVec3, f64) {
+    let n = positions.len().max(1) as f64;
+    let centre = positions.iter().sum::<DVec3>() / n;
+    let distances = positions.iter().map(|p| p.distance(centre));
+    (centre, distances.sum::<f64>() / n)
+}
+
+/// Whether rounding a position to float moves it by more than [`POSITION_LOSS`] of the scene's size.
+fn floats_lose(positions: &[DVec3]) -> bool {
+    let most = POSITION_LOSS * centre_and_size(positions).1;
+    let loss = |p: &DVec3| (p - p.as_vec3().as_dvec3()).abs().max_element();
+    positions.iter().any(|p| loss(p) > most)
 }
 
 /// Zero for scenes near their coordinate origin, so that their float positions stay as they are.
 fn origin_of(positions: &[DVec3]) -> DVec3 {
-    let (centre, size) = centre_and_size(positions.iter().copied());
+    let (centre, size) = centre_and_size(positions);
     // Float positions show no rounding, but their spacing far out may be coarse for the scene.
     let coarse = size > 0.0 && centre.length() * f64::from(f32::EPSILON) > POSITION_LOSS * size;
-    if coarse || float_loses(positions.iter().copied(), size) {
+    if coarse || floats_lose(positions) {
         centre
     } else {
         DVec3::ZERO

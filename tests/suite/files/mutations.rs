@@ -14,12 +14,17 @@ use coseg::data::{
 use coseg::features::Extractor;
 use coseg::objects::Identities;
 use coseg::segmenter::{ClassFile, Contract, Network};
+use coseg::splat::formats::{self, Format};
 use coseg::splat::ply;
 use coseg::weights::WeightFile;
+use flate2::Compression;
+use flate2::read::GzDecoder;
+use flate2::write::GzEncoder;
 use glam::DVec3;
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::{Read, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
@@ -139,6 +144,42 @@ fn gaussians_and_files_of_a_run() {
     survives(&at("building.safetensors"), |file| {
         Checkpoint::load(file, "building")
     });
+}
+
+#[test]
+fn gaussians_in_other_formats() {
+    let dir = tempfile::tempdir().expect("folder");
+    let at = |name: &str| dir.path().join(name);
+    let limits = Limits::default();
+    let read = |file: &Path| formats::read(file, &limits).map(|scene| scene.labels);
+    let (gaussians, labels) = plates::plates();
+    let gaussians = gaussians.with_sh_degree(1);
+    for (name, format) in [("a.spz", Format::Spz), ("a.ply", Format::CompressedPly)] {
+        formats::write(&at(name), format, &gaussians, DVec3::ZERO, Some(&labels)).expect("write");
+        let beside = at(&format!("{name}.labels.json"));
+        survives(&beside, |_| read(&at(name)));
+        fs::remove_file(beside).expect("removed");
+        assert_eq!(read(&at(name)).expect("a scene"), None);
+        survives(&at(name), read);
+    }
+    // The checksum of gzip hides most changes, so the content is changed as well.
+    let mut content = Vec::new();
+    let packed = fs::read(at("a.spz")).expect("read");
+    GzDecoder::new(&packed[..])
+        .read_to_end(&mut content)
+        .expect("gzip");
+    fs::write(at("content"), content).expect("write");
+    survives(&at("content"), |file| {
+        let mut packed = GzEncoder::new(Vec::new(), Compression::none());
+        packed
+            .write_all(&fs::read(file).expect("read"))
+            .expect("gzip");
+        fs::write(at("b.spz"), packed.finish().expect("gzip")).expect("write");
+        read(&at("b.spz"))
+    });
+    fs::write(at("a.splat"), [90; 320]).expect("write");
+    read(&at("a.splat")).expect("a scene");
+    survives(&at("a.splat"), read);
 }
 
 #[test]

@@ -2,7 +2,9 @@
 
 pub mod camera;
 pub mod camera_paths;
+pub mod formats;
 pub mod level;
 pub mod orbits;
 pub mod ply;
 pub mod properties;
+pub mod splat_transform;

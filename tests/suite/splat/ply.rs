@@ -270,8 +270,8 @@ fn broken_gaussian_files_are_refused_by_name() {
             &["rows 0 to 0", "Line 20", "nan and inf"],
         ),
         (
-            |p| p[7].1 = "1e39".into(),
-            &["row 0", "opacity", "inf", "finite"],
+            |p| p[8].1 = "1e39".into(),
+            &["row 0", "f_dc_2", "inf", "finite"],
         ),
         (|p| p[7].1 = "seven".into(), &["rows 0 to 0", "damaged"]),
         (
@@ -397,6 +397,21 @@ fn a_ply_cut_anywhere_is_an_error() {
 }
 
 #[test]
+fn infinite_logits_are_opacities_of_almost_0_and_1() {
+    let dir = tempfile::tempdir().expect("folder");
+    let path = dir.path().join("scene.ply");
+    for (logit, expected) in [("1e39", 1.0), ("-1e39", 0.0)] {
+        ascii(&path, |p| p[7].1 = logit.into());
+        let found = reread(&path).gaussians.opacity_logits[0];
+        let opacity = 1.0 / (1.0 + (-found).exp());
+        assert!(
+            found.is_finite() && (opacity - expected).abs() < 2e-6,
+            "{found}"
+        );
+    }
+}
+
+#[test]
 fn files_that_are_taken_for_scenes_are_named() {
     let dir = tempfile::tempdir().expect("folder");
     let path = dir.path().join("scene.ply");
@@ -413,7 +428,7 @@ fn files_that_are_taken_for_scenes_are_named() {
         ("{}".to_owned(), "JSON"),
         (
             header(&["packed_position", "packed_rotation"]),
-            "a compressed scene",
+            "elements [vertex], expected an element `chunk`",
         ),
         (
             header(&["x", "y", "z", "red", "green", "blue"]),

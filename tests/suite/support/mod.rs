@@ -40,6 +40,7 @@ pub mod raw_labels;
 pub mod rendered_views;
 #[path = "../../../examples/pretrain_encoder/rooms.rs"]
 pub mod rooms;
+pub mod rounding;
 pub mod scannet;
 pub mod settings_file;
 pub mod short_runs;

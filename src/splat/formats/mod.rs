@@ -1,0 +1,181 @@
+//! Files of Gaussians in other formats than 3DGS PLY, and files of labels beside them.
+//!
+//! These formats round the values, and order the rows anew. None of them holds labels, so a file `NAME.labels.json` beside `NAME`
+//! does: `{"sha256": .., "labels": [..]}` has the SHA-256 of `NAME` and one class id for each of its rows.
+
+mod antimatter15;
+pub(super) mod compressed_ply;
+mod spz;
+
+use super::ply::{self, PlyScene};
+use super::{Gaussians, ZERO_QUATERNION};
+use crate::error::{Error, Result, ensure, invalid};
+use crate::files::{self, Limits, atomic, extension, sha256};
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Opacities are kept this far from 0 and 1, whose logits are infinite.
+const OPACITY_MARGIN: f64 = 1e-6;
+
+/// Mean distance that rounding to float may move positions, in mean standard deviations.
+const POSITION_LOSS: f64 = 0.01;
+
+/// A format that can be written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// 3DGS PLY, exact.
+    Ply,
+    /// Compressed PLY of PlayCanvas.
+    CompressedPly,
+    /// SPZ of Niantic.
+    Spz,
+}
+
+/// The labels of a file that has no place for them.
+#[derive(Serialize, Deserialize)]
+struct LabelFile {
+    sha256: String,
+    labels: Vec<u16>,
+}
+
+/// The file with the labels of the scene `path`.
+fn label_path(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".labels.json");
+    name.into()
+}
+
+/// Reads 3DGS PLY, compressed PLY, SPZ (`.spz`, versions 2 and 3) and the files of antimatter15's viewer (`.splat`), with the
+/// labels of the file or those beside it.
+///
+/// # Errors
+/// As [`ply::read`]; [`crate::Error::Input`] for labels beside it that belong to another file.
+pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
+    let mut scene = match &*extension(path) {
+        "spz" => spz::read(path, limits)?,
+        "splat" => antimatter15::read(path, limits)?,
+        _ => ply::read(path, limits)?,
+    };
+    if scene.labels.is_none() {
+        scene.labels = labels_beside(path, scene.gaussians.len())?;
+    }
+    Ok(scene)
+}
+
+/// Writes `gaussians` to `path` in `format`, adding `origin` to the positions, and `labels` where the format has a place for them,
+/// else beside it. Other formats than [`Format::Ply`] have the rows in [`Gaussians::spatial_order`].
+///
+/// # Errors
+/// As [`ply::write`]; [`crate::Error::Argument`] for positions that other formats than [`Format::Ply`] cannot hold.
+pub fn write(
+    path: &Path,
+    format: Format,
+    gaussians: &Gaussians,
+    origin: DVec3,
+    labels: Option<&[u16]>,
+) -> Result<()> {
+    let write = match format {
+        Format::Ply => return ply::write(path, gaussians, origin, labels),
+        Format::CompressedPly => compressed_ply::write,
+        Format::Spz => spz::write,
+    };
+    gaussians.check(labels)?;
+    let order = gaussians.spatial_order();
+    let gaussians = gaussians.select(&order);
+    let positions = gaussians.positions(origin);
+    check_positions(&gaussians, &positions)?;
+    write(path, &gaussians, &positions)?;
+    let beside = label_path(path);
+    let Some(labels) = labels else {
+        return atomic::remove(beside);
+    };
+    let file = LabelFile {
+        sha256: sha256(path)?,
+        labels: order.iter().map(|&row| labels[row as usize]).collect(),
+    };
+    atomic::write(beside, |out| Ok(serde_json::to_writer(out, &file)?))
+}
+
+/// Refuses positions that lose too much where they become floats.
+fn check_positions(gaussians: &Gaussians, positions: &[DVec3]) -> Result<()> {
+    let moved = positions
+        .iter()
+        .map(|p| (p - p.as_vec3().as_dvec3()).length());
+    let sizes = gaussians.log_scales.as_flattened().iter();
+    let [moved, size] = [
+        moved.sum::<f64>(),
+        sizes.map(|&v| f64::from(v).exp()).sum::<f64>() / 3.0,
+    ];
+    ensure!(moved <= POSITION_LOSS * size, argument "positions"; found "Gaussians so far from zero that float moves them by {:.3} of their size", moved / size;
+        expected "at most {POSITION_LOSS}"; help "write a .ply file, which has such positions as double");
+    Ok(())
+}
+
+/// The labels beside the scene `path`, which has `rows` Gaussians; `None` where there is no such file.
+fn labels_beside(path: &Path, rows: usize) -> Result<Option<Vec<u16>>> {
+    let beside = label_path(path);
+    if !beside.is_file() {
+        return Ok(None);
+    }
+    let file: LabelFile = files::json(&beside, "{\"sha256\": .., \"labels\": [..]}")?;
+    ensure!(file.sha256 == sha256(path)?, &beside, "sha256"; found "that of another file"; expected "that of {}", path.display();
+        help "remove it: the scene was written anew since, and its rows may have another order");
+    let found = file.labels.len();
+    ensure!(found == rows, &beside, "labels"; found "{found}"; expected "{rows}, one for each Gaussian";
+        help "export the scene again");
+    Ok(Some(file.labels))
+}
+
+/// A scene of positions that are floats in the file `path`, which must hold finite numbers alone.
+fn scene_of(path: &Path, gaussians: Gaussians) -> Result<PlyScene> {
+    match gaussians.check(None) {
+        Err(Error::NonFinite { tensor, row, .. }) => Err(
+            invalid!(path, "row {row}"; found "a value of {tensor} that is no finite number"; expected "finite numbers";
+                help "remove this Gaussian (splat-transform --filter-nan)"),
+        ),
+        other => other.map(|()| ply::with_origin(gaussians)),
+    }
+}
+
+/// The logit of an opacity of 8 bits.
+pub(super) fn logit(opacity: u8) -> f32 {
+    let p = (f64::from(opacity) / 255.0).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
+    (p / (1.0 - p)).ln() as f32
+}
+
+/// The opacity of a logit, in 0..=1.
+fn opacity(logit: f32) -> f64 {
+    1.0 / (1.0 + (-f64::from(logit)).exp())
+}
+
+/// The place of the largest component of a quaternion, and the three others, where the largest is positive. They are at most
+/// sqrt(1/2). Components keep their order. A quaternion of length 0 is `one`.
+fn smallest_three(quaternion: [f64; 4], one: [f64; 4]) -> (usize, [f64; 3]) {
+    let square: f64 = quaternion.iter().map(|v| v * v).sum();
+    let q = if square < ZERO_QUATERNION {
+        one
+    } else {
+        quaternion.map(|v| v / square.sqrt())
+    };
+    let larger = |a: usize, b: usize| if q[b].abs() > q[a].abs() { b } else { a };
+    let largest = (1..4).fold(0, larger);
+    let place = |i: usize| i + usize::from(i >= largest);
+    (
+        largest,
+        [0, 1, 2].map(|i| q[place(i)] * q[largest].signum()),
+    )
+}
+
+/// The quaternion of [`smallest_three`].
+fn from_smallest_three(largest: usize, three: [f64; 3]) -> [f32; 4] {
+    let square: f64 = three.iter().map(|v| v * v).sum();
+    let mut others = three.into_iter();
+    std::array::from_fn(|i| {
+        if i == largest {
+            (1.0 - square).max(0.0).sqrt() as f32
+        } else {
+            others.next().unwrap_or_default() as f32
+        }
+    })
+}
