@@ -7,6 +7,7 @@ mod compare;
 mod data;
 mod edit;
 mod eval;
+mod export;
 mod fault_list;
 mod held_out;
 mod interrupt;
@@ -82,11 +83,13 @@ Examples:
   coseg objects --scene runs/living            its objects, and where they are
   coseg separate --scene runs/living --out objects/scene.ply    each chair an object of its own
   coseg edit --scene runs/living --out without.ply --remove sofa
+  coseg export --scene runs/living --out living.spz
   coseg prune --scene runs/living --data scenes/living --out small --within 0.1
   coseg bench --run runs/living                speed on this machine
   coseg compare configs/tables/table1.toml --data-root scenes --out runs/table1
 
-No command writes over files that it did not write, except `train --resume` in its run, and `edit` and `separate` with --force.
+No command writes over files that it did not write, except `train --resume` in its run, and `edit`, `separate` and
+`export` with --force.
 Exit code: 0 success, 1 an error that says what to do, 2 a mistake on the command line, 130 stopped by Ctrl-C.";
 
 /// The subcommands.
@@ -114,6 +117,8 @@ pub enum Command {
     Separate(separate::SeparateArgs),
     /// Keep, remove, turn, move and paint objects of a labelled scene, or apply edits of the viewer
     Edit(edit::EditArgs),
+    /// Write a scene, or each of its objects, as files of other formats
+    Export(export::ExportArgs),
     /// Leave out the Gaussians that the photos of a scene do not need
     Prune(prune::PruneArgs),
     /// Measure speed, error and memory on this machine
@@ -137,6 +142,7 @@ impl Command {
             Self::Objects(_) => &["objects"],
             Self::Separate(_) => &["separate"],
             Self::Edit(_) => &["edit"],
+            Self::Export(_) => &["export"],
             Self::Prune(_) => &["prune"],
             Self::Bench(_) => &["bench"],
             Self::Compare(_) => &["compare"],
@@ -159,6 +165,7 @@ impl Command {
             Self::Objects(args) => args.run(),
             Self::Separate(args) => args.run(),
             Self::Edit(args) => args.run(),
+            Self::Export(args) => args.run(),
             Self::Prune(args) => args.run(),
             Self::Bench(args) => args.run(),
         };

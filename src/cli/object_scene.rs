@@ -16,10 +16,10 @@ use std::path::{Path, PathBuf};
 pub struct ObjectSceneArgs {
     /// Scene: a 3DGS PLY with a `label` column, as vote and associate write it, or a run folder
     #[arg(long, value_name = "FILE.ply|RUN")]
-    scene: PathBuf,
+    pub scene: PathBuf,
     /// Names of the labels [default: classes.json beside the scene, if it is there]
     #[arg(long, value_name = "FILE.json")]
-    classes: Option<PathBuf>,
+    pub classes: Option<PathBuf>,
 }
 
 /// Objects that an error lists at most.
@@ -58,8 +58,7 @@ pub struct OutArgs {
 }
 
 impl OutArgs {
-    /// The file to write, where a scene with labels of `classes` may be written there. It must be a .ply file. Without --force it
-    /// must overwrite neither an input nor a file that this command did not write.
+    /// The .ply file to write, where a scene with labels of `classes` may be written there, see [`check_output`].
     pub fn check(
         &self,
         input: &ObjectSceneArgs,
@@ -72,32 +71,45 @@ impl OutArgs {
         } else {
             self.out.clone()
         };
-        let names = out.with_file_name(CLASSES);
-        let is_written = |path: &PathBuf| atomic::same_file(path, &out);
-        if input.classes.as_ref().is_some_and(is_written) || out == names {
-            bail!(argument "--out"; found "{}", out.display();
-                expected "another file than the scene and its classes.json"; help "name a new file");
-        }
-        ensure!(self.force || !is_written(&scene.path), argument "--out"; found "{}", out.display();
-            expected "another file than the scene"; help "name a new file, or write over the scene by --force");
-        let folder = out.parent().unwrap_or_else(|| Path::new(""));
-        check_output_file("--out", &out, (folder, &LoadOptions::default()))?;
+        check_output(&out, self.force, input, &scene.path, classes)?;
         ensure!(extension(&out) == "ply", argument "--out"; found "{}", out.display(); expected "a .ply file";
-            help "end the name in .ply; other tools convert that to their formats");
-        if self.force {
-            own::allow(&out);
-            // The class table of a folder with photos is the truth of that scene.
-            if locate(folder, &LoadOptions::default()).is_err() {
-                own::allow(&names);
-            }
-        }
-        ensure!(has_table(&names, classes)? || own::check(&names).is_ok(),
-            &names, "classes"; found "another class table"; expected "that of the scene's labels, or no file";
-            help "write into another folder, or write over it by --force, except in a folder with photos");
-        ensure!(own::check(&out).is_ok(), argument "--out"; found "{}, which this command did not write", out.display();
-            expected "a new file, or one that this command wrote"; help "name another file, or write over it by --force");
+            help "end the name in .ply; `coseg export` writes other formats");
         Ok(out)
     }
+}
+
+/// Refuses to write a scene with labels of `classes` to `out`, made from the scene at `path`. Without `force` it must overwrite
+/// neither an input nor a file that this command did not write.
+pub fn check_output(
+    out: &Path,
+    force: bool,
+    input: &ObjectSceneArgs,
+    path: &Path,
+    classes: &Classes,
+) -> Result<()> {
+    let names = out.with_file_name(CLASSES);
+    let is_written = |path: &PathBuf| atomic::same_file(path, out);
+    if input.classes.as_ref().is_some_and(is_written) || out == names {
+        bail!(argument "--out"; found "{}", out.display();
+            expected "another file than the scene and its classes.json"; help "name a new file");
+    }
+    ensure!(force || !atomic::same_file(path, out), argument "--out"; found "{}", out.display();
+        expected "another file than the scene"; help "name a new file, or write over the scene by --force");
+    let folder = out.parent().unwrap_or_else(|| Path::new(""));
+    check_output_file("--out", out, (folder, &LoadOptions::default()))?;
+    if force {
+        own::allow(out);
+        // The class table of a folder with photos is the truth of that scene.
+        if locate(folder, &LoadOptions::default()).is_err() {
+            own::allow(&names);
+        }
+    }
+    ensure!(has_table(&names, classes)? || own::check(&names).is_ok(),
+        &names, "classes"; found "another class table"; expected "that of the scene's labels, or no file";
+        help "write into another folder, or write over it by --force, except in a folder with photos");
+    ensure!(own::check(out).is_ok(), argument "--out"; found "{}, which this command did not write", out.display();
+        expected "a new file, or one that this command wrote"; help "name another file, or write over it by --force");
+    Ok(())
 }
 
 /// Whether the file `names` is there and has `classes`, or neither is.

@@ -8,6 +8,7 @@ pub mod commands;
 pub mod compare;
 pub mod edit;
 pub mod edits;
+pub mod export;
 pub mod features;
 pub mod foreign_files;
 pub mod hostile;

@@ -1,0 +1,232 @@
+//! `coseg export`: a scene, or each of its objects, in formats of other programs.
+
+use super::object_scene::{ObjectScene, ObjectSceneArgs, check_output, write_classes};
+use super::scene_file::{CLASSES, copy_cameras, read_scene, scene_path};
+use super::terminal;
+use clap::{Args, ValueEnum};
+use coseg::data::{Classes, atomic};
+use coseg::error::{Error, Result, bail, ensure, invalid};
+use coseg::files::{extension, names};
+use coseg::splat::formats::{self, Format};
+use coseg::splat::{Gaussians, ply};
+use glam::DVec3;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+const HELP: &str = "\
+With a file name the scene becomes that file; with a folder each object becomes a file in it, called ID_NAME: 04_chair_1.ply.
+
+  .ply             3DGS PLY, exact, with labels
+  .compressed.ply  compressed PLY of PlayCanvas and SuperSplat
+  .spz             SPZ of Niantic, version 3
+  .sog .glb        through splat-transform, where it is on the PATH; labels are lost
+
+A .spz or .compressed.ply gets its labels in a file beside it, NAME.labels.json. --scene of all commands reads both formats
+with these labels, and .splat. classes.json and cameras.json are copied beside the new files. docs/export.md says how exact
+each format is.
+
+Examples:
+  coseg export --scene runs/room --out room.spz
+  coseg export --scene objects --out parts                             each object as a PLY
+  coseg export --scene objects --out chairs --only chair --format spz
+  coseg export --scene cloud.splat --out cloud.ply                     converts scenes without labels too";
+
+/// Program that writes the formats which this one does not.
+const CONVERTER: &str = "splat-transform";
+
+/// Arguments of `coseg export`.
+#[derive(Args, Debug)]
+#[command(after_help = HELP)]
+pub struct ExportArgs {
+    #[command(flatten)]
+    input: ObjectSceneArgs,
+    /// File to write, or a folder for one file an object
+    #[arg(long, value_name = "FILE|DIR")]
+    out: PathBuf,
+    /// Format of the files in a folder [default: ply]
+    #[arg(long, value_enum)]
+    format: Option<FileFormat>,
+    /// Export only these objects, ids or names; may be repeated
+    #[arg(long, value_name = "OBJECT,...", value_delimiter = ',')]
+    only: Vec<String>,
+    /// Write over the scene itself, or over files that this command did not write
+    #[arg(long)]
+    force: bool,
+}
+
+/// Formats of files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum FileFormat {
+    CompressedPly,
+    Ply,
+    Spz,
+    Sog,
+    Glb,
+}
+
+impl FileFormat {
+    /// The end of a file name, with its point.
+    fn suffix(self) -> &'static str {
+        match self {
+            Self::CompressedPly => ".compressed.ply",
+            Self::Ply => ".ply",
+            Self::Spz => ".spz",
+            Self::Sog => ".sog",
+            Self::Glb => ".glb",
+        }
+    }
+
+    /// The format that a file name asks for. A compressed PLY ends in .ply too, and comes first.
+    fn of(path: &Path) -> Option<Self> {
+        let name = path.to_string_lossy().to_lowercase();
+        let mut all = Self::value_variants().iter().copied();
+        all.find(|format| name.ends_with(format.suffix()))
+    }
+
+    fn write(
+        self,
+        path: &Path,
+        gaussians: &Gaussians,
+        origin: DVec3,
+        labels: Option<&[u16]>,
+    ) -> Result<()> {
+        let format = match self {
+            Self::CompressedPly => Format::CompressedPly,
+            Self::Ply => Format::Ply,
+            Self::Spz => Format::Spz,
+            Self::Sog | Self::Glb => return convert(path, self, gaussians, origin),
+        };
+        formats::write(path, format, gaussians, origin, labels)
+    }
+}
+
+/// A file to write, and the rows in it.
+type Part = (PathBuf, Vec<u32>);
+
+impl ExportArgs {
+    /// Writes.
+    pub fn run(self) -> Result<()> {
+        let path = scene_path(&self.input.scene)?;
+        let ply = read_scene(&path)?;
+        let format = FileFormat::of(&self.out).filter(|_| !self.out.is_dir());
+        ensure!(format.is_some() || self.out.is_dir() || extension(&self.out).is_empty(), argument "--out"; found "{}", self.out.display();
+            expected "a name that ends in .ply, .compressed.ply, .spz, .sog or .glb, or a folder"; help "change the name");
+        let is_whole = format.is_some() && self.only.is_empty();
+        if is_whole && ply.labels.is_none() {
+            let rows = (0..ply.gaussians.len() as u32).collect();
+            let scene = ObjectScene {
+                path,
+                ply,
+                labels: Vec::new(),
+                classes: Classes::default(),
+                objects: Vec::new(),
+            };
+            return self.write(
+                &scene,
+                format.unwrap_or(FileFormat::Ply),
+                vec![(self.out.clone(), rows)],
+            );
+        }
+        let scene = ObjectScene::new(path, ply, self.input.classes.as_ref())?;
+        let only = scene.ids(&self.only, "--only")?;
+        let chosen = scene
+            .objects
+            .iter()
+            .filter(|object| only.is_empty() || only.contains(&object.id));
+        if let Some(format) = format {
+            ensure!(self.format.is_none(), argument "--format"; found "a file as --out"; expected "a folder";
+                help "leave it out: the name of a file says its format");
+            let mut rows: Vec<u32> = chosen.flat_map(|object| &object.rows).copied().collect();
+            rows.sort_unstable();
+            return self.write(&scene, format, vec![(self.out.clone(), rows)]);
+        }
+        let format = self.format.unwrap_or(FileFormat::Ply);
+        let digits = scene
+            .objects
+            .last()
+            .map_or(1, |object| object.id.to_string().len());
+        let part = |object: &coseg::objects::Object| {
+            let name = safe(scene.name(object.id).unwrap_or("label"));
+            let file = format!("{:0digits$}_{name}{}", object.id, format.suffix());
+            (self.out.join(file), object.rows.clone())
+        };
+        let parts: Vec<Part> = chosen.map(part).collect();
+        self.check_folder(format, &parts)?;
+        self.write(&scene, format, parts)
+    }
+
+    /// Refuses a folder that has scenes in it which this call will not write: they would look like objects.
+    fn check_folder(&self, format: FileFormat, parts: &[Part]) -> Result<()> {
+        let is_other = |name: &str, path: &Path| {
+            name.ends_with(format.suffix()) && parts.iter().all(|(file, _)| file != path)
+        };
+        if let Some(other) = names(&self.out, is_other).first() {
+            bail!(argument "--out"; found "{}", self.out.join(other).display(); expected "a folder without scenes of another export";
+                help "remove it, or name another folder");
+        }
+        Ok(())
+    }
+
+    fn write(&self, scene: &ObjectScene, format: FileFormat, parts: Vec<Part>) -> Result<()> {
+        for (out, _) in &parts {
+            check_output(out, self.force, &self.input, &scene.path, &scene.classes)?;
+        }
+        let all = scene.ply.gaussians.len();
+        for (out, rows) in &parts {
+            let gaussians = scene.ply.gaussians.select(rows);
+            let labels = (!scene.labels.is_empty()).then(|| {
+                rows.iter()
+                    .map(|&row| scene.labels[row as usize])
+                    .collect::<Vec<_>>()
+            });
+            format.write(out, &gaussians, scene.ply.origin, labels.as_deref())?;
+            terminal::say(&format!(
+                "{}: {} of {all} Gaussians",
+                out.display(),
+                rows.len()
+            ));
+        }
+        if let Some((out, _)) = parts.first() {
+            write_classes(&scene.classes, &out.with_file_name(CLASSES))?;
+            copy_cameras(&scene.path, out)?;
+        }
+        Ok(())
+    }
+}
+
+/// A name as a part of a file name: letters, digits and `-` stay, others become `_`.
+fn safe(name: &str) -> String {
+    let stays = |c: char| {
+        if c.is_alphanumeric() || c == '-' {
+            c
+        } else {
+            '_'
+        }
+    };
+    name.chars().take(50).map(stays).collect()
+}
+
+/// Writes `gaussians` through splat-transform.
+fn convert(path: &Path, format: FileFormat, gaussians: &Gaussians, origin: DVec3) -> Result<()> {
+    let failed = |e| Error::io(path, "convert", e);
+    let folder = tempfile::tempdir().map_err(failed)?;
+    let [from, to] = ["scene.ply".to_owned(), format!("scene{}", format.suffix())]
+        .map(|name| folder.path().join(name));
+    ply::write(&from, gaussians, origin, None)?;
+    let done = Command::new(CONVERTER)
+        .arg("--quiet")
+        .args([&from, &to])
+        .output();
+    let done = done.map_err(|e| match e.kind() {
+        io::ErrorKind::NotFound => {
+            invalid!(argument "--out"; found "a {} file, which {CONVERTER} has to write, and no {CONVERTER} on the PATH", format.suffix();
+                expected "this program, or a .ply, .compressed.ply or .spz file"; help "npm install -g @playcanvas/splat-transform")
+        }
+        _ => failed(e),
+    })?;
+    let said = String::from_utf8_lossy(&done.stderr);
+    ensure!(done.status.success(), argument "--out"; found "an error of {CONVERTER}: {}", said.trim();
+        expected "a {} file", format.suffix(); help "write a .ply file, and convert that with the options of {CONVERTER}");
+    atomic::write_bytes(path, &std::fs::read(&to).map_err(failed)?)
+}
