@@ -10,6 +10,7 @@ use super::{BackendArgs, terminal};
 use burn::tensor::Device;
 use clap::{Args, ValueEnum};
 use coseg::data::formats::transforms;
+use coseg::data::labels::annotations::{Categories, CocoInstances, Yolo};
 use coseg::data::{
     Classes, LabelMap, Limits, LoadOptions, NamedCamera, Split, atomic, check_outputs, read_cameras,
 };
@@ -33,6 +34,12 @@ For each frame, with STEM its file name without extension, the output folder get
   --features pca STEM.features.png (npy: [H, W, 3] float32)  the three main components of the image features that
                  `coseg train` lifted onto the Gaussians, as red, green and blue, blended over the background: like
                  colours are like features. Needs feature_colors.safetensors beside the scene
+  --depth        STEM.depth.png  16-bit grey, thousandths of a world unit along the viewing direction; npy: [H, W] float32,
+                 world units. The mean of the Gaussians that a pixel shows; 0 where STEM.label.png has none
+  --annotations coco   instances.json: COCO instances with run lengths, one a label and frame, whose key `label` is its id
+                yolo   STEM.txt, data.yaml: YOLO segmentation, a line a connected region
+                       Both call the frame STEM.png, as its photo. An object has the category of its class.
+                index  STEM.index.png: 8-bit PNG with the colours of the classes as its palette
 
 Cameras
   transforms.json  instant-ngp and nerfstudio, with w and h
@@ -55,6 +62,7 @@ A film of the frames, whose width and height must be even:
 Examples:
   coseg render --scene runs/room --out pictures --split test --labels
   coseg render --scene runs/room --out walk --path interpolate --split train --frames 300 --size 1280,960
+  coseg render --scene runs/room --out dataset --split train --labels --annotations coco,yolo
   coseg render --scene runs/room --out features --split test --features pca
   coseg render --scene runs/room --out sofa --path orbit --object sofa
   coseg render --scene other.ply --cameras path.json --out arrays --format npy --background 1,1,1 --alpha-max 0.99";
@@ -86,6 +94,18 @@ pub struct RenderArgs {
     /// Render the labels too
     #[arg(long)]
     labels: bool,
+    /// Write the labels as annotations too
+    #[arg(
+        long,
+        value_enum,
+        value_name = "FORMAT,...",
+        value_delimiter = ',',
+        requires = "labels"
+    )]
+    annotations: Vec<AnnotationFormat>,
+    /// Render the depth too
+    #[arg(long)]
+    depth: bool,
     /// Render the image features of a run too, in colours
     #[arg(long, value_enum, value_name = "KIND")]
     features: Option<FeatureKind>,
@@ -104,6 +124,14 @@ pub struct RenderArgs {
 enum Format {
     Png,
     Npy,
+}
+
+/// Formats of annotations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum AnnotationFormat {
+    Coco,
+    Yolo,
+    Index,
 }
 
 /// How image features become colours.
@@ -175,6 +203,9 @@ impl RenderArgs {
         let cameras = along.unwrap_or(cameras);
         let options = RenderOptions::from(&config);
         let labels = scene.labels.filter(|_| self.labels);
+        let categories = Categories::new(&classes, labels.iter().flatten().copied());
+        let mut coco = CocoInstances::new(&categories);
+        let yolo = Yolo::new(&categories);
         let device = self.backend.open()?;
         let of_features = self.feature_renderer(&path, &scene.gaussians, options, &device)?;
         let renderer = Renderer::new(scene.gaussians, labels, options, &device)?;
@@ -189,12 +220,35 @@ impl RenderArgs {
             let frame = renderer.frame(&camera)?;
             times.push(start.elapsed().as_secs_f64());
             self.write(name, &frame, &classes)?;
+            if self.depth {
+                self.write_depth(name, &renderer.depth(&camera)?, &frame)?;
+            }
+            if let Some(labels) = &frame.labels {
+                for format in &self.annotations {
+                    match format {
+                        AnnotationFormat::Coco => coco.add(format!("{name}.png"), labels),
+                        AnnotationFormat::Yolo => {
+                            yolo.write(&self.out.join(format!("{name}.txt")), labels)?
+                        }
+                        AnnotationFormat::Index => {
+                            let path = self.out.join(format!("{name}.index.png"));
+                            labels.write_indexed(&path, |id| classes.legend_color(id))?;
+                        }
+                    }
+                }
+            }
             if let Some(of_features) = &of_features {
                 self.write_color(name, "features", &of_features.frame(&camera)?)?;
             }
             bar.inc(1);
         }
         bar.finish_and_clear();
+        if self.annotations.contains(&AnnotationFormat::Coco) {
+            coco.write(&self.out.join("instances.json"))?;
+        }
+        if self.annotations.contains(&AnnotationFormat::Yolo) {
+            yolo.write_names(&self.out.join("data.yaml"))?;
+        }
         let mut said = format!("{} frames in {}", cameras.len(), self.out.display());
         // A GPU compiles its kernels for the first one.
         let others = times.get(1..).unwrap_or_default();
@@ -235,6 +289,23 @@ impl RenderArgs {
             Format::Png => {
                 let path = file("png");
                 pictures::write(&path, &pictures::from_floats(&frame.rgb, width, height)?)
+            }
+        }
+    }
+
+    fn write_depth(
+        &self,
+        name: &str,
+        depth: &[f32],
+        &Frame { width, height, .. }: &Frame,
+    ) -> Result<()> {
+        let file = |extension| self.out.join(format!("{name}.depth.{extension}"));
+        match self.format {
+            Format::Npy => write_npy(&file("npy"), &[height, width], depth),
+            Format::Png => {
+                // Casts end at 65,535.
+                let ids = depth.iter().map(|v| (1000.0 * v).round() as u16).collect();
+                LabelMap { width, height, ids }.write_wide(&file("png"))
             }
         }
     }

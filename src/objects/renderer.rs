@@ -159,6 +159,29 @@ impl Renderer {
         })
     }
 
+    /// Mean depth of what each pixel of `camera` shows, `[H, W]`: the depths of the centres along the viewing direction, blended by
+    /// alpha' T and divided by alpha, in world units. 0 where alpha is too low.
+    ///
+    /// # Errors
+    /// As [`SplatView::blend`].
+    pub fn depth(&self, camera: &Camera) -> Result<Vec<f32>> {
+        camera.check()?;
+        let view = self.view(camera);
+        let forward = camera.rotation.row(2);
+        let axis = forward.to_array().map(|v| v as f32).to_vec();
+        let axis = upload(axis, [3, 1], &self.splats.device());
+        let depths = self.splats.means.clone().matmul(axis) - forward.dot(camera.center);
+        let (image, transmittance) = view.blend(depths)?;
+        let mut depth = read("a rendered view", image)?;
+        let transmittance = read("a transmittance", transmittance)?;
+        for (depth, t) in depth.iter_mut().zip(transmittance) {
+            let alpha = 1.0 - t;
+            let is_seen = alpha > 0.0 && alpha >= self.options.min_coverage;
+            *depth = if is_seen { *depth / alpha } else { 0.0 };
+        }
+        Ok(depth)
+    }
+
     /// The Gaussians as `camera` sees them.
     pub(crate) fn view(&self, camera: &Camera) -> SplatView {
         self.splats.seen_by(camera, &self.options.settings)

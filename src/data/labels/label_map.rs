@@ -3,6 +3,7 @@
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap, Limits, atomic};
 use crate::error::{Error, Result, bail, invalid};
+use crate::files::check_limit;
 use image::{DynamicImage, GrayImage, ImageBuffer, Luma, codecs::png::PngEncoder};
 use std::collections::BTreeSet;
 use std::io::{self, Write};
@@ -120,6 +121,30 @@ impl LabelMap {
     /// As [`LabelMap::write`].
     pub fn write_wide(&self, path: &Path) -> Result<()> {
         self.write_as(path, true)
+    }
+
+    /// Writes a PNG of 8 bits with a palette: the value of a pixel is its id, `color` the palette.
+    ///
+    /// # Errors
+    /// [`crate::Error::Limit`] for ids above 255; [`crate::Error::Io`].
+    pub fn write_indexed(&self, path: &Path, color: impl Fn(u16) -> [u8; 3]) -> Result<()> {
+        let most = self.ids.iter().copied().max().unwrap_or_default();
+        check_limit(
+            path,
+            "label id",
+            most.into(),
+            255,
+            "a palette has no more colours; take the grey maps",
+        )?;
+        let palette: Vec<u8> = (0..=most).flat_map(color).collect();
+        let ids: Vec<u8> = self.ids.iter().map(|&id| id as u8).collect();
+        atomic::write(path, |out| {
+            let mut encoder = png::Encoder::new(out, self.width as u32, self.height as u32);
+            encoder.set_color(png::ColorType::Indexed);
+            encoder.set_palette(palette);
+            let mut writer = encoder.write_header()?;
+            Ok(writer.write_image_data(&ids)?)
+        })
     }
 
     /// The bytes of the file that [`LabelMap::write`] writes.

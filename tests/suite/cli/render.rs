@@ -1,9 +1,9 @@
 //! `coseg render` and `coseg vote`: the files that they write.
 
 use crate::support::plates::{HEIGHT, WIDTH, camera, plates, scene};
-use crate::support::program::{cpu_backend, listed, read_npy, succeeds, utf8};
+use crate::support::program::{cpu_backend, listed, read_json, read_npy, succeeds, utf8};
 use coseg::data::{Classes, Limits};
-use coseg::raster::{Settings, render};
+use coseg::raster::{Projected, Settings, render};
 use coseg::splat::camera::Camera;
 use coseg::splat::ply;
 use glam::DVec3;
@@ -152,4 +152,93 @@ fn vote_outvotes_wrong_views() {
         assert_eq!(labels[middle], truth[middle]);
     }
     assert_eq!(Classes::read(&out.join("classes.json")).unwrap().len(), 4);
+}
+
+#[test]
+fn annotations_and_depth_are_those_of_the_views() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = scene(folder.path());
+    let render = |out: &str, more: &[&str]| {
+        let out = folder.path().join(out);
+        let arguments = [
+            "render",
+            "--scene",
+            utf8(&scene),
+            "--cameras",
+            utf8(folder.path()),
+            "--split",
+            "test",
+            "--out",
+            utf8(&out),
+        ];
+        succeeds(
+            &[
+                &arguments[..],
+                &["--labels", "--depth", "--backend", &cpu_backend()],
+                more,
+            ]
+            .concat(),
+        );
+        out
+    };
+    let out = render("out", &["--annotations", "coco,yolo,index"]);
+    let names = listed(&out);
+    for name in [
+        "instances.json",
+        "data.yaml",
+        "v2.txt",
+        "v5.txt",
+        "v5.index.png",
+        "v5.depth.png",
+    ] {
+        assert!(names.iter().any(|file| file == name), "{name}: {names:?}");
+    }
+    let grey = image::open(out.join("v5.label.png")).unwrap().into_luma8();
+    let file = read_json(&out.join("instances.json"));
+    let images: Vec<_> = file["images"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|image| &image["file_name"])
+        .collect();
+    assert_eq!(images, ["v2.png", "v5.png"]);
+    let classes = Classes::read(&folder.path().join("classes.json")).unwrap();
+    for annotation in file["annotations"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter(|a| a["image_id"] == 2)
+    {
+        let id = annotation["label"].as_u64().unwrap();
+        assert_eq!(annotation["category_id"], id);
+        assert_eq!(
+            annotation["area"],
+            grey.iter().filter(|v| u64::from(**v) == id).count()
+        );
+    }
+    let indexed = image::open(out.join("v5.index.png")).unwrap().into_rgb8();
+    for (color, id) in indexed.pixels().zip(grey.iter()) {
+        assert_eq!(color.0, classes.legend_color((*id).into()));
+    }
+    let arrays = render("arrays", &["--format", "npy"]);
+    let (shape, depth) = read_npy(&arrays.join("v5.depth.npy"));
+    assert_eq!(shape, [HEIGHT as u64, WIDTH as u64]);
+    let millimetres = image::open(out.join("v5.depth.png")).unwrap().into_luma16();
+    let (gaussians, camera) = (plates().0, camera(5));
+    let of_center = |mean: &[f32; 3]| {
+        let offset = DVec3::from(mean.map(f64::from)) - camera.center;
+        (camera.rotation * offset).z as f32
+    };
+    let depths: Vec<f32> = gaussians.means.iter().map(of_center).collect();
+    let projected = Projected::new(&gaussians.splats(), &camera, &Settings::default()).unwrap();
+    let blended = projected.blend(&depths, 1);
+    let expected = blended.image.iter().zip(&blended.transmittance);
+    for (i, (sum, t)) in expected.enumerate() {
+        assert_eq!((1000.0 * depth[i]).round() as u16, millimetres.as_raw()[i]);
+        assert_eq!(grey.as_raw()[i] == 0, depth[i] == 0.0);
+        assert!(
+            depth[i] == 0.0 || (depth[i] - sum / (1.0 - t)).abs() < 1e-4,
+            "pixel {i}"
+        );
+    }
 }

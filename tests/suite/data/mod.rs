@@ -1,5 +1,6 @@
 //! Tests of `coseg::data`.
 
+pub mod annotations;
 pub mod blender;
 pub mod broken_colmap;
 pub mod broken_masks;

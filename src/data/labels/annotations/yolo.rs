@@ -1,0 +1,184 @@
+//! YOLO segmentation: a text file for each image, a line for each region: the number of its class, then the corners of its outline,
+//! `x y` from 0 to 1. `data.yaml` names the classes.
+//!
+//! Format: <https://docs.ultralytics.com/datasets/segment>. A region is what is connected by sides of pixels. Its outline runs along
+//! the sides of its pixels. A hole is joined to it by a cut of no width, so that the areas are exact.
+
+use super::Categories;
+use crate::data::{LabelMap, atomic};
+use crate::error::Result;
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::Path;
+
+/// A corner of pixels: columns and rows to its left and above.
+type Corner = [usize; 2];
+
+/// Writer of such files.
+#[derive(Clone, Debug)]
+pub struct Yolo<'a> {
+    categories: &'a Categories,
+    /// Class numbers by category id.
+    numbers: BTreeMap<u16, usize>,
+}
+
+impl<'a> Yolo<'a> {
+    /// Classes are numbered from 0 on, by their category ids.
+    pub fn new(categories: &'a Categories) -> Self {
+        let numbers = categories.names.keys().copied().zip(0..).collect();
+        Self {
+            categories,
+            numbers,
+        }
+    }
+
+    /// Writes `data.yaml` with the names.
+    ///
+    /// # Errors
+    /// [`crate::Error::Io`].
+    pub fn write_names(&self, path: &Path) -> Result<()> {
+        atomic::write(path, |out| {
+            writeln!(out, "names:")?;
+            for (number, name) in self.categories.names.values().enumerate() {
+                // A string of JSON is one of YAML.
+                writeln!(
+                    out,
+                    "  {number}: {}",
+                    serde_json::Value::from(name.as_str())
+                )?;
+            }
+            Ok(())
+        })
+    }
+
+    /// Writes the regions of a map. Labels without a category are left out.
+    ///
+    /// # Errors
+    /// [`crate::Error::Io`].
+    pub fn write(&self, path: &Path, map: &LabelMap) -> Result<()> {
+        let mut text = String::new();
+        for (label, outline) in outlines(map) {
+            let category = self.categories.of_labels.get(&label);
+            let Some(number) = category.and_then(|id| self.numbers.get(id)) else {
+                continue;
+            };
+            // Writing to a string does not fail.
+            let _ = write!(text, "{number}");
+            for [x, y] in outline {
+                let [x, y] = [x as f64 / map.width as f64, y as f64 / map.height as f64];
+                let _ = write!(text, " {x:.6} {y:.6}");
+            }
+            text.push('\n');
+        }
+        atomic::write_bytes(path, text.as_bytes())
+    }
+}
+
+/// Label and outline of each region, in the order of their first pixels.
+fn outlines(map: &LabelMap) -> Vec<(u16, Vec<Corner>)> {
+    let &LabelMap { width, height, .. } = map;
+    let regions = regions(map);
+    let mut outlines: Vec<(u16, Vec<Corner>)> = Vec::new();
+    let mut seen = vec![false; regions.len()];
+    for i in 0..regions.len() {
+        let is_top = i < width || regions[i - width] != regions[i];
+        if !is_top || seen[i] {
+            continue;
+        }
+        let loops = follow(&regions, [width, height], i, &mut seen);
+        match outlines.get_mut(regions[i]) {
+            // The first side of a region lies on its outer outline.
+            Some((_, outline)) => *outline = joined(outline, &loops),
+            None => outlines.push((map.ids[i], loops)),
+        }
+    }
+    outlines
+}
+
+/// The number of the region of each pixel, counted from 0 on by first pixels.
+fn regions(map: &LabelMap) -> Vec<usize> {
+    let &LabelMap { width, height, .. } = map;
+    let mut regions = vec![usize::MAX; width * height];
+    let mut count = 0;
+    let mut open = Vec::new();
+    for first in 0..regions.len() {
+        if regions[first] != usize::MAX {
+            continue;
+        }
+        open.push(first);
+        regions[first] = count;
+        while let Some(i) = open.pop() {
+            let (x, y) = (i % width, i / width);
+            let sides = [
+                (x > 0).then(|| i - 1),
+                (x + 1 < width).then(|| i + 1),
+                (y > 0).then(|| i - width),
+                (y + 1 < height).then(|| i + width),
+            ];
+            for next in sides.into_iter().flatten() {
+                if regions[next] == usize::MAX && map.ids[next] == map.ids[i] {
+                    regions[next] = count;
+                    open.push(next);
+                }
+            }
+        }
+        count += 1;
+    }
+    regions
+}
+
+/// The corners of the closed line that begins above pixel `first`, with the region to its right. Marks the upper sides that it takes
+/// in `seen`.
+fn follow(
+    regions: &[usize],
+    [width, height]: [usize; 2],
+    first: usize,
+    seen: &mut [bool],
+) -> Vec<Corner> {
+    // Right, down, left, up; and the pixels ahead of a corner, to the left and to the right of that direction.
+    const STEPS: [[isize; 2]; 4] = [[1, 0], [0, 1], [-1, 0], [0, -1]];
+    const AHEAD: [[[isize; 2]; 2]; 4] = [
+        [[0, -1], [0, 0]],
+        [[0, 0], [-1, 0]],
+        [[-1, 0], [-1, -1]],
+        [[-1, -1], [0, -1]],
+    ];
+    let region = regions[first];
+    let is_inside = |x: isize, y: isize| {
+        let is_pixel = (0..width as isize).contains(&x) && (0..height as isize).contains(&y);
+        is_pixel && regions[y as usize * width + x as usize] == region
+    };
+    let start = [(first % width) as isize, (first / width) as isize];
+    let (mut at, mut direction) = (start, 0);
+    let mut corners = Vec::new();
+    loop {
+        if direction == 0 {
+            seen[at[1] as usize * width + at[0] as usize] = true;
+        }
+        let [dx, dy] = STEPS[direction];
+        at = [at[0] + dx, at[1] + dy];
+        let [left, right] = AHEAD[direction].map(|[dx, dy]| is_inside(at[0] + dx, at[1] + dy));
+        let turned = match (left, right) {
+            (_, false) => (direction + 1) % 4,
+            (true, true) => (direction + 3) % 4,
+            (false, true) => direction,
+        };
+        if turned != direction {
+            corners.push([at[0] as usize, at[1] as usize]);
+        }
+        direction = turned;
+        if at == start && direction == 0 {
+            return corners;
+        }
+    }
+}
+
+/// The outline with a cut to a hole and back, between the nearest corners.
+fn joined(outline: &[Corner], hole: &[Corner]) -> Vec<Corner> {
+    let distance = |a: &Corner, b: &Corner| a[0].abs_diff(b[0]) + a[1].abs_diff(b[1]);
+    let pairs = (0..outline.len()).flat_map(|i| (0..hole.len()).map(move |j| (i, j)));
+    let nearest = pairs.min_by_key(|&(i, j)| distance(&outline[i], &hole[j]));
+    let (i, j) = nearest.unwrap_or_default();
+    [&outline[..=i], &hole[j..], &hole[..=j], &outline[i..]].concat()
+}
