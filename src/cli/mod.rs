@@ -4,6 +4,7 @@ pub mod allocator;
 mod associate;
 mod bench;
 mod compare;
+mod completions;
 mod data;
 mod edit;
 mod eval;
@@ -125,6 +126,8 @@ pub enum Command {
     Bench(bench::BenchArgs),
     /// Make a table of variants on equal Gaussians, as a plan states it
     Compare(compare::CompareArgs),
+    /// Print a script that completes commands and options in a shell
+    Completions(completions::CompletionsArgs),
 }
 
 impl Command {
@@ -146,6 +149,7 @@ impl Command {
             Self::Prune(_) => &["prune"],
             Self::Bench(_) => &["bench"],
             Self::Compare(_) => &["compare"],
+            Self::Completions(_) => &[],
         }
     }
 
@@ -168,6 +172,7 @@ impl Command {
             Self::Export(args) => args.run(),
             Self::Prune(args) => args.run(),
             Self::Bench(args) => args.run(),
+            Self::Completions(args) => args.run(),
         };
         done.map(|()| ExitCode::SUCCESS)
     }

@@ -22,6 +22,8 @@ fn help_names_every_command_and_shows_examples() {
         "prune",
         "bench",
         "compare",
+        "export",
+        "completions",
         "Examples:",
         "Exit code",
     ] {
@@ -39,6 +41,8 @@ fn help_names_every_command_and_shows_examples() {
         "edit",
         "prune",
         "bench",
+        "export",
+        "completions",
     ] {
         let help = succeeds(&[command, "--help"]);
         assert!(help.contains("Example"), "{command}");
@@ -48,6 +52,11 @@ fn help_names_every_command_and_shows_examples() {
             .collect();
         assert!(wide.is_empty(), "{wide:?}");
     }
+    let script = succeeds(&["completions", "bash"]);
+    assert!(
+        script.contains("--annotations") && script.contains("complete -F"),
+        "{script}"
+    );
     assert!(succeeds(&["--version"]).contains(env!("CARGO_PKG_VERSION")));
 }
 
