@@ -227,6 +227,6 @@ fn convert(path: &Path, format: FileFormat, gaussians: &Gaussians, origin: DVec3
     })?;
     let said = String::from_utf8_lossy(&done.stderr);
     ensure!(done.status.success(), argument "--out"; found "an error of {CONVERTER}: {}", said.trim();
-        expected "a {} file", format.suffix(); help "write a .ply file, and convert that with the options of {CONVERTER}");
+        expected "a {} file", format.suffix(); help "write a .ply file and convert that; without a GPU: {CONVERTER} --gpu cpu FILE.ply FILE.sog");
     atomic::write_bytes(path, &std::fs::read(&to).map_err(failed)?)
 }
