@@ -46,7 +46,7 @@ fn label_path(path: &Path) -> PathBuf {
     name.into()
 }
 
-/// Reads 3DGS PLY, compressed PLY, SPZ (`.spz`, versions 2 and 3) and the files of antimatter15's viewer (`.splat`), with the
+/// Reads 3DGS PLY, compressed PLY, SPZ (`.spz`, versions 2 to 4) and the files of antimatter15's viewer (`.splat`), with the
 /// labels of the file or those beside it.
 ///
 /// # Errors

@@ -1,21 +1,24 @@
-//! SPZ of Niantic: a gzip stream of a header and one array for each property. Version 3 is written, 2 and 3 are read.
+//! SPZ of Niantic: a gzip stream of a header and one array for each property. Version 3 is written, 2 to 4 are read.
+//! Version 4 has a zstd stream for each array.
 //!
 //! Positions have 24 bits, of which the header says how many are behind the point. Log-scales, opacities and colours have 8 bits,
 //! quaternions 32 in version 3 and 24 in version 2. Higher SH coefficients have 8 bits for -1 to 1, of which 5 are used for degree 1
 //! and 4 for others, as in Niantic's own program. Coordinates stay as they are, as splat-transform has it.
 
 use super::{from_smallest_three, logit, opacity, scene_of, smallest_three};
-use crate::error::{Result, bail, ensure, invalid};
-use crate::files::atomic;
-use crate::files::{Limits, kind, open};
+use crate::error::{Error, Result, bail, ensure, invalid};
+use crate::files::{self, Limits, atomic, kind};
 use crate::splat::Gaussians;
 use crate::splat::ply::PlyScene;
 use flate2::Compression;
 use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 use glam::DVec3;
+use ruzstd::decoding::StreamingDecoder;
 use std::f64::consts::FRAC_1_SQRT_2;
-use std::io::{self, BufRead, BufReader, Read, Write};
+use std::fmt::Display;
+use std::io::{self, Read, Write};
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 const MAGIC: [u8; 4] = *b"NGSP";
@@ -28,12 +31,48 @@ const MAX_FRACTION: u8 = 23;
 const COLOR_SLOPE: f64 = 0.15;
 /// Largest value of a component of a quaternion, which stands for sqrt(1/2).
 const MAX_COMPONENT: f64 = 511.0;
+/// Bytes of positions for a byte of a file, at most. zstd has no such limit of its own.
+const MAX_RATIO: usize = 1_024;
 const REMEDY: &str = "export the file again";
 
-/// Bytes of a Gaussian.
-fn stride(version: u32, sh_degree: usize) -> usize {
-    let quaternion = if version == 2 { 3 } else { 4 };
-    9 + 1 + 3 + 3 + quaternion + 3 * ((sh_degree + 1).pow(2) - 1)
+/// What a header says.
+struct Header {
+    version: u32,
+    count: usize,
+    sh_degree: usize,
+    /// Bits behind the point of a position.
+    fraction: u8,
+}
+
+impl Header {
+    fn read(
+        path: &Path,
+        bytes: &[u8; HEADER],
+        versions: RangeInclusive<u32>,
+        limits: &Limits,
+    ) -> Result<Self> {
+        let number = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|i| bytes[at + i]));
+        let (version, count) = (number(4), number(8));
+        let [sh_degree, fraction] = [bytes[12], bytes[13]];
+        ensure!(bytes.starts_with(&MAGIC) && versions.contains(&version), path, "header"; found "version {version}";
+            expected "version 2 to 4"; help "{REMEDY}");
+        ensure!(sh_degree <= 3, path, "SH degree"; found "{sh_degree}"; expected "0 to 3"; help "export with a lower degree");
+        ensure!(fraction <= 31, path, "bits behind the point"; found "{fraction}"; expected "0 to 31"; help "{REMEDY}");
+        limits.check_points(path, count.into())?;
+        Ok(Self {
+            version,
+            count: count as usize,
+            sh_degree: usize::from(sh_degree),
+            fraction,
+        })
+    }
+
+    /// Bytes of a Gaussian in each array: position, opacity, colour, log-scale, quaternion, higher SH coefficients.
+    fn widths(&self) -> [usize; 6] {
+        let quaternion = if self.version == 2 { 3 } else { 4 };
+        let higher = 3 * ((self.sh_degree + 1).pow(2) - 1);
+        [9, 1, 3, 3, quaternion, higher]
+    }
 }
 
 /// Writes `gaussians` at the world positions `positions`.
@@ -49,7 +88,7 @@ pub(super) fn write(path: &Path, gaussians: &Gaussians, positions: &[DVec3]) -> 
     let fraction = ((MAX_POSITION / farthest).log2().floor() as u8).min(MAX_FRACTION);
     let steps = f64::from(1_u32 << fraction);
     let count = gaussians.len();
-    let mut content = Vec::with_capacity(HEADER + count * stride(3, gaussians.sh_degree));
+    let mut content = Vec::new();
     content.extend(MAGIC);
     content.extend(3_u32.to_le_bytes());
     content.extend((count as u32).to_le_bytes());
@@ -109,75 +148,101 @@ fn unpack_rotation(bits: u32) -> [f32; 4] {
 /// # Errors
 /// [`crate::Error::Input`], [`crate::Error::Limit`], [`crate::Error::Io`].
 pub(super) fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
-    let damaged = |e: io::Error| invalid!(path, "content"; found "{e}"; expected "a complete file"; help "{REMEDY}");
-    let mut file = BufReader::new(open(path)?);
-    let first = file.fill_buf().map_err(damaged)?;
-    ensure!(!first.starts_with(&MAGIC), path, "header"; found "version 4"; expected "version 2 or 3";
-        help "convert it: splat-transform FILE.spz FILE.ply");
-    if !first.starts_with(&[0x1F, 0x8B]) {
-        bail!(path, "first bytes"; found "{}", kind(first).unwrap_or("another kind of file"); expected "a .spz file"; help "{REMEDY}");
+    let file = files::read(path)?;
+    let (header, content) = if file.starts_with(&MAGIC) {
+        zstd_arrays(path, &file, limits)?
+    } else {
+        gzip_arrays(path, &file, limits)?
+    };
+    scene_of(path, unpack(&header, &content))
+}
+
+fn damaged(path: &Path, found: impl Display) -> Error {
+    invalid!(path, "content"; found "{found}"; expected "a complete file"; help "copy or export it again")
+}
+
+/// Header and arrays of versions 2 and 3: one stream.
+fn gzip_arrays(path: &Path, file: &[u8], limits: &Limits) -> Result<(Header, Vec<u8>)> {
+    if !file.starts_with(&[0x1F, 0x8B]) {
+        bail!(path, "first bytes"; found "{}", kind(file).unwrap_or("another kind of file"); expected "a .spz file"; help "{REMEDY}");
     }
-    let mut file = GzDecoder::new(file);
+    let mut stream = GzDecoder::new(file);
     let mut header = [0; HEADER];
-    file.read_exact(&mut header).map_err(damaged)?;
-    let number = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|i| header[at + i]));
-    let [sh_degree, fraction] = [header[12], header[13]];
-    let (version, count) = (number(4), number(8) as usize);
-    ensure!(header.starts_with(&MAGIC) && (2..=3).contains(&version), path, "header"; found "version {version}";
-        expected "version 2 or 3"; help "{REMEDY}");
-    ensure!(sh_degree <= 3, path, "SH degree"; found "{sh_degree}"; expected "0 to 3"; help "export with a lower degree");
-    ensure!(fraction <= 31, path, "bits behind the point"; found "{fraction}"; expected "0 to 31"; help "{REMEDY}");
-    limits.check_points(path, count as u64)?;
-    let sh_degree = usize::from(sh_degree);
-    let size = count * stride(version, sh_degree);
-    // What a header promises is not allocated before it is there.
+    let read = stream.read_exact(&mut header);
+    read.map_err(|e| damaged(path, e))?;
+    let header = Header::read(path, &header, 2..=3, limits)?;
     let mut content = Vec::new();
-    file.by_ref()
-        .take(size as u64)
-        .read_to_end(&mut content)
-        .map_err(damaged)?;
-    ensure!(content.len() == size, path, "content"; found "{} bytes", content.len(); expected "{size}";
-        help "the file is cut off; copy or export it again");
+    let bytes = header.count * header.widths().iter().sum::<usize>();
+    add(path, &mut stream, bytes, &mut content)?;
     // The checksum comes last, perhaps behind extensions of others.
-    io::copy(&mut file, &mut io::sink()).map_err(damaged)?;
-    scene_of(path, unpack(&content, version, sh_degree, fraction))
+    let rest = io::copy(&mut stream, &mut io::sink());
+    rest.map_err(|e| damaged(path, e))?;
+    Ok((header, content))
+}
+
+/// Header and arrays of version 4: a table with the packed and the unpacked size of each array, then a stream for each.
+fn zstd_arrays(path: &Path, file: &[u8], limits: &Limits) -> Result<(Header, Vec<u8>)> {
+    const TABLE_AT: usize = 16;
+    let short = || damaged(path, format!("{} bytes", file.len()));
+    let header = Header::read(path, file.first_chunk().ok_or_else(short)?, 4..=4, limits)?;
+    let fits = header.count * header.widths()[0] <= MAX_RATIO * file.len();
+    ensure!(fits, path, "header"; found "{} Gaussians in {} bytes", header.count, file.len(); expected "fewer"; help "{REMEDY}");
+    let number = |at: usize| Some(u64::from_le_bytes(*file.get(at..)?.first_chunk()?));
+    let table = number(TABLE_AT).ok_or_else(short)? as u32 as usize;
+    let widths = header.widths();
+    let widths: Vec<usize> = widths.into_iter().filter(|&width| width > 0).collect();
+    let mut at = table + 16 * widths.len();
+    let mut content = Vec::new();
+    for (i, width) in widths.iter().enumerate() {
+        let size = number(table + 16 * i).and_then(|size| usize::try_from(size).ok());
+        let packed = size.and_then(|size| file.get(at..at.checked_add(size)?));
+        let packed = packed.ok_or_else(short)?;
+        at += packed.len();
+        let stream = StreamingDecoder::new(packed);
+        let mut stream = stream.map_err(|e| damaged(path, e))?;
+        add(path, &mut stream, width * header.count, &mut content)?;
+    }
+    Ok((header, content))
+}
+
+/// Adds `bytes` bytes of a stream. What a header promises is not allocated before it is there.
+fn add(path: &Path, stream: &mut impl Read, bytes: usize, content: &mut Vec<u8>) -> Result<()> {
+    let found = stream.take(bytes as u64).read_to_end(content);
+    let found = found.map_err(|e| damaged(path, e))?;
+    ensure!(found == bytes, path, "content"; found "{found} bytes"; expected "{bytes}"; help "the file is cut off; copy or export it again");
+    Ok(())
 }
 
 /// The Gaussians of the arrays behind the header.
-fn unpack(content: &[u8], version: u32, sh_degree: usize, fraction: u8) -> Gaussians {
-    let count = content.len() / stride(version, sh_degree);
+fn unpack(header: &Header, content: &[u8]) -> Gaussians {
     let mut rest = content;
-    let mut next = |bytes: usize| {
-        let (array, behind) = rest.split_at(count * bytes);
+    let arrays = header.widths().map(|width| {
+        let (array, behind) = rest.split_at(header.count * width);
         rest = behind;
         array
-    };
-    let step = 0.5_f64.powi(i32::from(fraction));
+    });
+    let [positions, opacities, colors, scales, rotations, higher] = arrays;
+    let step = 0.5_f64.powi(i32::from(header.fraction));
     let position =
         |&[a, b, c]: &[u8; 3]| (f64::from(i32::from_le_bytes([0, a, b, c]) >> 8) * step) as f32;
-    let positions: Vec<f32> = next(9).as_chunks().0.iter().map(position).collect();
-    let opacity_logits = next(1).iter().map(|&v| logit(v)).collect();
+    let positions: Vec<f32> = positions.as_chunks().0.iter().map(position).collect();
+    let opacity_logits = opacities.iter().map(|&v| logit(v)).collect();
     let color = |&v: &u8| ((f64::from(v) / 255.0 - 0.5) / COLOR_SLOPE) as f32;
-    let colors: Vec<f32> = next(3).iter().map(color).collect();
-    let scales: Vec<f32> = next(3)
-        .iter()
-        .map(|&v| f32::from(v) / 16.0 - 10.0)
-        .collect();
-    let rotations = if version == 2 {
+    let colors: Vec<f32> = colors.iter().map(color).collect();
+    let scales: Vec<f32> = scales.iter().map(|&v| f32::from(v) / 16.0 - 10.0).collect();
+    let rotations = if header.version == 2 {
         let part = |&v: &u8| f32::from(v) / 127.5 - 1.0;
         let rotation = |bytes: &[u8; 3]| {
             let [x, y, z] = bytes.each_ref().map(part);
             [(1.0 - x * x - y * y - z * z).max(0.0).sqrt(), x, y, z]
         };
-        next(3).as_chunks().0.iter().map(rotation).collect()
+        rotations.as_chunks().0.iter().map(rotation).collect()
     } else {
         let rotation = |&bytes: &[u8; 4]| unpack_rotation(u32::from_le_bytes(bytes));
-        next(4).as_chunks().0.iter().map(rotation).collect()
+        rotations.as_chunks().0.iter().map(rotation).collect()
     };
-    let mut higher = next(3 * ((sh_degree + 1).pow(2) - 1))
-        .iter()
-        .map(|&v| (f32::from(v) - 128.0) / 128.0);
-    let width = higher.len() / count.max(1);
+    let mut higher = higher.iter().map(|&v| (f32::from(v) - 128.0) / 128.0);
+    let width = header.widths()[5];
     let mut sh = Vec::with_capacity(colors.len() + higher.len());
     for color in colors.as_chunks::<3>().0 {
         sh.extend(color);
@@ -189,6 +254,6 @@ fn unpack(content: &[u8], version: u32, sh_degree: usize, fraction: u8) -> Gauss
         rotations,
         opacity_logits,
         sh,
-        sh_degree,
+        sh_degree: header.sh_degree,
     }
 }

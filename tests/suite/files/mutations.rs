@@ -4,6 +4,7 @@ use crate::support::colmap::{self, pinhole};
 use crate::support::damage::Damage;
 use crate::support::onnx::Onnx;
 use crate::support::pictures::{picture, view};
+use crate::support::spz::version_4;
 use crate::support::{plates, small_scene, torch_file};
 use coseg::checkpoint::Checkpoint;
 use coseg::compare::Plan;
@@ -168,6 +169,9 @@ fn gaussians_in_other_formats() {
     GzDecoder::new(&packed[..])
         .read_to_end(&mut content)
         .expect("gzip");
+    fs::write(at("c.spz"), version_4(&content)).expect("write");
+    read(&at("c.spz")).expect("a scene");
+    survives(&at("c.spz"), read);
     fs::write(at("content"), content).expect("write");
     survives(&at("content"), |file| {
         let mut packed = GzEncoder::new(Vec::new(), Compression::none());

@@ -1,6 +1,7 @@
 //! Gaussians in compressed formats: how exact they are, the bytes of a row, and files that are refused.
 
 use crate::support::rounding::{errors, gaussians, worst};
+use crate::support::spz::version_4;
 use coseg::data::Limits;
 use coseg::splat::SH_0;
 use coseg::splat::formats::{self, Format};
@@ -139,6 +140,8 @@ fn the_bytes_of_a_spz_file_mean_what_they_should() {
         "{:?}",
         g.rotations
     );
+    fs::write(&path, version_4(&spz_by_hand(3))).expect("write");
+    assert_eq!(read(&path).gaussians, g);
     fs::write(&path, gzip(&spz_by_hand(2))).expect("write");
     let older = read(&path).gaussians;
     assert_eq!(older.sh, g.sh);
@@ -198,9 +201,19 @@ fn files_that_cannot_be_used_are_refused() {
     };
     let packed = gzip(&whole);
     for (bytes, found) in [
+        (b"NGSP\x04\0\0\0".to_vec(), "content: found 8 bytes"),
         (
-            b"NGSP\x04\0\0\0".to_vec(),
-            "found version 4, expected version 2 or 3; convert it",
+            [
+                &version_4(&whole)[..8],
+                &[0xFF, 0xFF, 0xFF, 0],
+                &version_4(&whole)[12..],
+            ]
+            .concat(),
+            "found 16777215 Gaussians",
+        ),
+        (
+            version_4(&whole)[..140].to_vec(),
+            "content: found 140 bytes",
         ),
         (b"ply\n".to_vec(), "found a PLY file"),
         (with(4, 9), "found version 9"),

@@ -56,6 +56,7 @@ fn splat_transform_reads_and_writes_the_same_values() {
     }
     for (name, format, options) in [
         ("a.spz", Format::Spz, &["--spz-version", "3"][..]),
+        ("a.spz", Format::Spz, &["--spz-version", "4"]),
         ("a.compressed.ply", Format::CompressedPly, &[]),
     ] {
         formats::write(&at(name), format, &scene, origin, None).expect("write");

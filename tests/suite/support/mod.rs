@@ -46,6 +46,7 @@ pub mod settings_file;
 pub mod short_runs;
 pub mod small_scene;
 pub mod spoilt_masks;
+pub mod spz;
 pub mod torch_file;
 pub mod transforms_json;
 pub mod turned_cameras;
