@@ -3,6 +3,7 @@
 //! Every variant tells the caller a different thing to do:
 //! [`Error::Input`] - correct the named field of the named file; [`Error::Config`] - correct a setting;
 //! [`Error::Argument`] - pass something else to the command or the function; [`Error::Missing`] - name another path;
+//! [`Error::Program`] - see what the other program says;
 //! [`Error::Io`] - look at the path; [`Error::Limit`] - the request does not fit, the numbers are in the message;
 //! [`Error::NonFinite`] - training met a NaN or an infinity, and where; [`Error::Device`] - the backend is not usable.
 
@@ -88,10 +89,10 @@ pub enum Error {
         /// The system's own error.
         source: std::io::Error,
     },
-    /// A file or folder that was named is not there.
+    /// A file or folder that was named, or a program, is not there.
     #[error("no such {what}: {}; {help}", path.display())]
     Missing {
-        /// `file` or `folder`.
+        /// `file`, `folder` or `program`, for instance.
         what: &'static str,
         /// Where it should be.
         path: PathBuf,
@@ -157,6 +158,18 @@ pub enum Error {
         row: usize,
         /// View and iteration, where known; starts with `, ` when not empty.
         context: String,
+    },
+    /// Another program failed.
+    #[error("{program} failed ({status}); its last lines: {output}; {help}")]
+    Program {
+        /// Its name.
+        program: String,
+        /// How it ended.
+        status: String,
+        /// The last lines that it printed.
+        output: String,
+        /// What the user can do.
+        help: String,
     },
     /// The compute device is missing or refused the work.
     #[error("device {device}: {reason}; {help}")]

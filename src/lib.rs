@@ -65,6 +65,7 @@
 
 pub mod backend;
 pub mod bench;
+pub mod capture;
 pub mod checkpoint;
 pub mod compare;
 pub mod config;

@@ -115,25 +115,30 @@ impl DataArgs {
 impl CheckArgs {
     fn run(self) -> Result<()> {
         let config = self.settings.load(Some(&self.dir), None)?;
-        let checked = data::check(&self.dir, &LoadOptions::for_training(&config));
-        for notice in &checked.notices {
-            terminal::note(&format!("note: {notice}"));
-        }
-        fault_list::print(&checked.problems, self.all);
-        let layout = checked
-            .layout
-            .map_or("unknown".to_owned(), |layout| layout.to_string());
-        let field = format!("layout {layout}, {} frames", checked.frames);
-        let count = match checked.problems.len() {
-            0 => "no problems".to_owned(),
-            1 => "1 problem".to_owned(),
-            n => format!("{n} problems"),
-        };
-        ensure!(checked.problems.is_empty(), &self.dir, "{field}"; found "{count}"; expected "none";
-            help "correct the problems above and check again");
-        terminal::say(&format!("{}: {field}, {count}", self.dir.display()));
-        Ok(())
+        check(&self.dir, &LoadOptions::for_training(&config), self.all)
     }
+}
+
+/// Prints every problem of the scene folder `dir`, or the first few of each kind. An error when there is one.
+pub fn check(dir: &Path, options: &LoadOptions, all: bool) -> Result<()> {
+    let checked = data::check(dir, options);
+    for notice in &checked.notices {
+        terminal::note(&format!("note: {notice}"));
+    }
+    fault_list::print(&checked.problems, all);
+    let layout = checked
+        .layout
+        .map_or("unknown".to_owned(), |layout| layout.to_string());
+    let field = format!("layout {layout}, {} frames", checked.frames);
+    let count = match checked.problems.len() {
+        0 => "no problems".to_owned(),
+        1 => "1 problem".to_owned(),
+        n => format!("{n} problems"),
+    };
+    ensure!(checked.problems.is_empty(), dir, "{field}"; found "{count}"; expected "none";
+        help "correct the problems above and check again");
+    terminal::say(&format!("{}: {field}, {count}", dir.display()));
+    Ok(())
 }
 
 impl InfoArgs {

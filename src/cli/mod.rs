@@ -10,6 +10,7 @@ mod edit;
 mod eval;
 mod export;
 mod fault_list;
+mod from_photos;
 mod held_out;
 mod interrupt;
 mod label;
@@ -73,6 +74,7 @@ Examples:
   coseg train                                  the built-in room, both stages, into runs/builtin
   coseg train --data scenes/living --out runs/living
   coseg label --data scenes/living --model segmenter.onnx --out labels/living
+  coseg from-photos photos --out scenes/living a scene folder of photos without poses, or of a video
   coseg data check scenes/living               all problems of a folder at once
   coseg train --resume runs/living             continue a run that was stopped
   coseg eval runs/living                       its scores on the held-out views
@@ -100,6 +102,8 @@ pub enum Command {
     Train(train::TrainArgs),
     /// Label photos by a 2D segmenter: label maps, scores, classes
     Label(label::LabelArgs),
+    /// Make a scene folder of photos or a video: finds the poses
+    FromPhotos(from_photos::FromPhotosArgs),
     /// Check a scene folder, or describe it
     Data(data::DataArgs),
     /// Score a run on held-out views
@@ -135,7 +139,8 @@ impl Command {
     fn writes_over(&self) -> &'static [&'static str] {
         match self {
             Self::Train(_) => &["train"],
-            Self::Label(_) => &["label", "train"],
+            Self::Label(_) => &["label", "train", "from-photos"],
+            Self::FromPhotos(_) => &["from-photos", "label"],
             Self::Data(_) => &["data"],
             Self::Eval(_) => &["eval"],
             Self::Render(_) => &["render"],
@@ -159,6 +164,7 @@ impl Command {
         let done = match self {
             Self::Train(args) => return args.run(),
             Self::Label(args) => return args.run(),
+            Self::FromPhotos(args) => return args.run(),
             Self::Compare(args) => return args.run(),
             Self::Data(args) => args.run(),
             Self::Eval(args) => args.run(),

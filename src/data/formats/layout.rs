@@ -6,7 +6,7 @@ use super::{colmap, replica, scannet, transforms};
 use crate::config::Layout;
 use crate::data::LoadOptions;
 use crate::data::labels::map_geometry::MapGeometries;
-use crate::data::photos::is_photo;
+use crate::data::photos::{HEIC_HELP, is_heic, is_photo, is_video};
 use crate::error::{Error, Result, ensure, invalid};
 use crate::files::names;
 use std::path::Path;
@@ -25,8 +25,12 @@ pub fn locate(dir: &Path, options: &LoadOptions) -> Result<Layout> {
             "give the scene folder that holds the photos and their cameras (--data, or data.dir)";
         return Err(Error::missing("folder", dir, help));
     }
-    ensure!(dir.is_dir(), dir, "scene"; found "a file"; expected "a scene folder";
-        help "give the folder that holds the photos and their cameras, not a file");
+    let help = if is_video(dir) {
+        "`coseg from-photos VIDEO --out DIR` makes one of a video"
+    } else {
+        "give the folder that holds the photos and their cameras, not a file"
+    };
+    ensure!(dir.is_dir(), dir, "scene"; found "a file"; expected "a scene folder"; help "{help}");
     let layout = match options.layout {
         Layout::Auto => detect(dir, options)?,
         named => named,
@@ -112,15 +116,24 @@ fn nothing(dir: &Path, options: &LoadOptions) -> Error {
         found += &format!(", but a folder {folder} of layout {layout}");
         help = format!("give {}", dir.join(folder).display());
     }
-    let photos = [dir.to_owned(), dir.join("images")]
-        .iter()
-        .map(|folder| names(folder, |_, path| is_photo(path)).len())
-        .max();
-    if let Some(photos) = photos.filter(|photos| *photos > 1 && help == "give another folder") {
-        found = format!("no such file, but {photos} photos without poses");
-        help = "find the poses first, by COLMAP (docs/from-photos.md, 1); then `coseg train --data DIR --segmenter FILE.onnx` \
-            makes the label maps too"
-            .to_owned();
+    let most = |is: fn(&Path) -> bool| {
+        let folders = [dir.to_owned(), dir.join("images")];
+        let counts = folders.map(|folder| names(&folder, |_, path| is(path)).len());
+        counts[0].max(counts[1])
+    };
+    if help == "give another folder" {
+        let [photos, heic, videos] = [is_photo, is_heic, is_video].map(most);
+        if photos > 1 {
+            found = format!("no such file, but {photos} photos without poses");
+            help = "`coseg from-photos PHOTOS --out DIR` finds the poses, and makes label maps with --segmenter FILE.onnx; see docs/from-photos.md".to_owned();
+        } else if heic > 0 {
+            found = format!("no such file, but {heic} HEIC photos");
+            help =
+                format!("{HEIC_HELP}; then `coseg from-photos PHOTOS --out DIR` finds their poses");
+        } else if videos > 0 {
+            found = format!("no such file, but {videos} videos");
+            help = "`coseg from-photos VIDEO --out DIR` makes a scene folder of one".to_owned();
+        }
     }
     invalid!(dir, "{}", options.transforms; found "{found}";
         expected "cameras and frames: transforms.json (nerfstudio, instant-ngp), transforms_train.json with \

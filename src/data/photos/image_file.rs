@@ -1,9 +1,15 @@
 //! PNG and JPEG files. Incomplete files are refused, because decoders accept files that were cut off.
 
+use super::HEIC_HELP;
 use crate::data::Limits;
 use crate::error::{Result, bail, ensure, invalid};
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::PngEncoder;
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Rgb, RgbImage};
+use image::{
+    DynamicImage, ImageDecoder, ImageEncoder, ImageError, ImageFormat, ImageReader, ImageResult,
+    Rgb, RgbImage,
+};
 use sha2::{Digest, Sha256};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -19,6 +25,8 @@ const SIZE_HELP: &str = "scale the image to that size (label maps without blendi
     and centre";
 /// Bytes of a pixel while a file is decoded, at most: 16 bits of four channels, and a copy.
 const PIXEL_BYTES: u64 = 16;
+/// Quality of photos that are written anew.
+const JPEG_QUALITY: u8 = 98;
 /// Bytes for all parts of a file that are no pixels.
 const EXTRA_BYTES: u64 = 16 << 20;
 const DAMAGED_HELP: &str = "copy or export it again";
@@ -38,6 +46,9 @@ impl ImageFile {
         let bytes = crate::files::read(path)?;
         let format = match image::guess_format(&bytes) {
             Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,
+            _ if bytes.get(4..8) == Some(b"ftyp") => {
+                bail!(path, "format"; found "HEIC, AVIF or a video"; expected "PNG or JPEG"; help "{HEIC_HELP}");
+            }
             _ => {
                 let start = String::from_utf8_lossy(&bytes[..bytes.len().min(8)])
                     .escape_debug()
@@ -114,6 +125,51 @@ impl ImageFile {
             .is_some_and(|exif| exif < 5 || w == h)
     }
 
+    /// The file without its EXIF orientation, by which the pixels are turned if `turns`. The rest of its EXIF stays: COLMAP starts
+    /// from its focal length. Pixels that are not turned stay as they are.
+    pub fn without_orientation(self, turns: bool) -> Result<Vec<u8>> {
+        if self.exif_orientation().is_none() {
+            return Ok(self.bytes);
+        }
+        self.turned(turns).map_err(|e| {
+            invalid!(&self.path, "image data"; found "{e}"; expected "a photo that can be turned"; help "{DAMAGED_HELP}")
+        })
+    }
+
+    fn turned(&self, turns: bool) -> ImageResult<Vec<u8>> {
+        let pixels = self.size.0 as u64 * self.size.1 as u64;
+        let mut decoder = reader(&self.bytes, self.format, pixels * PIXEL_BYTES).into_decoder()?;
+        let mut exif = decoder.exif_metadata()?.unwrap_or_default();
+        let profile = decoder.icc_profile()?;
+        let find = |exif: &[u8]| {
+            self.bytes
+                .windows(exif.len().max(1))
+                .position(|w| w == exif)
+        };
+        let place = find(&exif);
+        let orientation = Orientation::remove_from_exif_chunk(&mut exif);
+        if !turns
+            && self.format == ImageFormat::Jpeg
+            && let Some(place) = place
+        {
+            let mut bytes = self.bytes.clone();
+            bytes[place..place + exif.len()].copy_from_slice(&exif);
+            return Ok(bytes);
+        }
+        let mut image = DynamicImage::from_decoder(decoder)?;
+        if let Some(orientation) = orientation.filter(|_| turns) {
+            image.apply_orientation(orientation);
+        }
+        let mut bytes = Vec::new();
+        if self.format == ImageFormat::Png {
+            encode(PngEncoder::new(&mut bytes), &image, exif, profile)?;
+        } else {
+            let encoder = JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY);
+            encode(encoder, &image, exif, profile)?;
+        }
+        Ok(bytes)
+    }
+
     /// Bits a sample and colour type of a PNG's header (0 grey, 2 RGB, 3 palette, 4 grey + alpha, 6 RGBA).
     pub fn png_color(&self) -> Option<(u8, u8)> {
         (self.format == ImageFormat::Png)
@@ -149,6 +205,23 @@ impl ImageFile {
         });
         Ok((photo, transparent))
     }
+}
+
+fn encode(
+    mut encoder: impl ImageEncoder,
+    image: &DynamicImage,
+    exif: Vec<u8>,
+    profile: Option<Vec<u8>>,
+) -> ImageResult<()> {
+    encoder
+        .set_exif_metadata(exif)
+        .map_err(ImageError::Unsupported)?;
+    if let Some(profile) = profile {
+        encoder
+            .set_icc_profile(profile)
+            .map_err(ImageError::Unsupported)?;
+    }
+    image.write_with_encoder(encoder)
 }
 
 /// A decoder that allocates no more than `pixel_bytes` and [`EXTRA_BYTES`]: a colour profile may be compressed from gigabytes.

@@ -15,3 +15,17 @@ pub(crate) const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 pub(crate) fn is_photo(path: &Path) -> bool {
     EXTENSIONS.contains(&&*extension(path))
 }
+
+/// Whether a path has the extension of a HEIC photo.
+pub(crate) fn is_heic(path: &Path) -> bool {
+    ["heic", "heif"].contains(&&*extension(path))
+}
+
+/// What to do with HEIC photos.
+pub(crate) const HEIC_HELP: &str =
+    "convert them to JPEG, for instance by ImageMagick: mogrify -format jpg *.HEIC";
+
+/// Whether a path has the extension of a video.
+pub(crate) fn is_video(path: &Path) -> bool {
+    ["mp4", "mov", "m4v", "mkv", "avi", "webm", "mts"].contains(&&*extension(path))
+}

@@ -11,6 +11,7 @@ fn help_names_every_command_and_shows_examples() {
     for word in [
         "train",
         "label",
+        "from-photos",
         "data",
         "eval",
         "render",
@@ -32,6 +33,7 @@ fn help_names_every_command_and_shows_examples() {
     for command in [
         "train",
         "label",
+        "from-photos",
         "data",
         "eval",
         "render",

@@ -11,6 +11,10 @@ pub mod edits;
 pub mod export;
 pub mod features;
 pub mod foreign_files;
+#[cfg(unix)]
+pub mod from_photos;
+#[cfg(unix)]
+pub mod from_photos_programs;
 pub mod hostile;
 pub mod prune;
 pub mod render;

@@ -13,6 +13,7 @@ pub mod device_tensors;
 pub mod devtools;
 pub mod dino_reference;
 pub mod dino_weights;
+pub mod exif_photo;
 pub mod feature_maps;
 pub mod finite_differences;
 pub mod hard_labels;
@@ -34,6 +35,8 @@ pub mod plates;
 #[path = "../../../examples/pretrain_encoder/training.rs"]
 pub mod pretraining;
 pub mod program;
+#[cfg(unix)]
+pub mod programs;
 pub mod raster_precision;
 pub mod raster_reference;
 pub mod raw_labels;

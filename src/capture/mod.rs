@@ -1,0 +1,148 @@
+//! Photos or a video without poses, made into a scene folder (`coseg from-photos`).
+
+mod photos;
+mod poses;
+mod program;
+mod video;
+
+use self::poses::{Place, Solver};
+use crate::error::{Error, Result, ensure};
+use crate::files::{self, atomic, names, own};
+use crate::progress::Progress;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Says what the scene folder was made from, and how far that came.
+const RECORD: &str = "from-photos.json";
+/// Files of ffmpeg and COLMAP, below the scene folder until it is done.
+const WORK: &str = ".from-photos";
+
+/// What to make a scene folder of.
+#[derive(Clone, Copy, Debug)]
+pub struct Capture<'a> {
+    /// A folder of photos, or a video.
+    pub source: &'a Path,
+    /// Frames to take from a video.
+    pub frames: usize,
+    /// The Python whose pycolmap is used; without it `colmap` with CUDA, the pycolmap of `python3`, or another `colmap`.
+    pub python: Option<&'a Path>,
+}
+
+/// What a scene folder was made from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Made {
+    /// Folder or video.
+    pub source: PathBuf,
+    /// SHA-256 of names, sizes and times of the photos or the video, and of the number of frames.
+    pub input: String,
+    /// Photos in `images`; 0 until all are there.
+    pub photos: usize,
+    /// What found the poses, once they are there.
+    pub poses: Option<String>,
+}
+
+impl Capture<'_> {
+    /// Makes the scene folder `out`: photos without EXIF orientation in `images`, or frames of the video, and COLMAP models in
+    /// `sparse`. A folder that was begun is continued: steps that are done are not done again. `None` where `progress` stopped it.
+    ///
+    /// # Errors
+    /// [`Error::Missing`] for the source or a program that is not there; [`Error::Argument`] for a folder with other files, or one
+    /// made from other photos; [`Error::Input`] for photos of several sizes or that cannot be placed; [`Error::Program`];
+    /// [`Error::Io`].
+    pub fn make(&self, out: &Path, progress: &mut dyn Progress) -> Result<Option<Made>> {
+        if !self.source.exists() {
+            let help = "give a folder of photos, or a video";
+            return Err(Error::missing("file or folder", self.source, help));
+        }
+        let photos = self.source.is_dir().then(|| photos::list(self.source));
+        let photos = photos.transpose()?;
+        let input = self.input(photos.as_deref())?;
+        let out = absolute(out)?;
+        let record = out.join(RECORD);
+        let mut made = begun(&out, &record)?;
+        ensure!(made.input.is_empty() || made.input == input, argument "--out";
+            found "{}, made from {}, other files or other frames", out.display(), made.source.display();
+            expected "a new folder, or one made from the same files"; help "name another folder");
+        let solver = made.poses.is_none().then(|| Solver::find(self.python));
+        let solver = solver.transpose()?;
+        made.source = absolute(self.source)?;
+        made.input = input;
+        atomic::write_json(&record, &made)?;
+        let (images, work) = (out.join("images"), out.join(WORK));
+        if made.photos == 0 {
+            let photos = match photos {
+                Some(photos) => photos,
+                None => {
+                    let folder = work.join("frames");
+                    make_empty(&folder)?;
+                    if video::frames(&made.source, self.frames, &folder, progress)?.is_break() {
+                        return Ok(None);
+                    }
+                    photos::list(&folder)?
+                }
+            };
+            if photos::copy(&photos, &images, progress)?.is_break() {
+                return Ok(None);
+            }
+            made.photos = photos.len();
+            atomic::write_json(&record, &made)?;
+        }
+        if let Some(solver) = solver {
+            let place = Place {
+                images: &images,
+                work: &work,
+                models: &out.join("sparse"),
+            };
+            if solver.run(&place, made.photos, progress)?.is_break() {
+                return Ok(None);
+            }
+            made.poses = Some(solver.to_string());
+            atomic::write_json(&record, &made)?;
+        }
+        // What stays does no harm.
+        let _ = fs::remove_dir_all(&work);
+        Ok(Some(made))
+    }
+
+    /// [`Made::input`] for these photos, or for the video.
+    fn input(&self, photos: Option<&[PathBuf]>) -> Result<String> {
+        let video = [self.source.to_owned()];
+        let frames = photos.map_or(self.frames, <[PathBuf]>::len);
+        let mut digest = Sha256::new();
+        for file in photos.unwrap_or(&video) {
+            let failed = |e| Error::io(file, "look at", e);
+            let there = fs::metadata(file).map_err(failed)?;
+            let (size, time) = (there.len(), there.modified().map_err(failed)?);
+            digest.update(format!("{:?} {size} {time:?}\n", file.file_name()));
+        }
+        digest.update(format!("{frames}"));
+        Ok(format!("{:x}", digest.finalize()))
+    }
+}
+
+/// COLMAP and ffmpeg would take names that start with a dash as options.
+fn absolute(path: &Path) -> Result<PathBuf> {
+    std::path::absolute(path).map_err(|e| Error::io(path, "look at", e))
+}
+
+/// How far the folder `out` has come; it may also be new or empty.
+fn begun(out: &Path, record: &Path) -> Result<Made> {
+    if record.is_file() {
+        own::check(record)?;
+        return files::json(record, "the record that `coseg from-photos` wrote");
+    }
+    let others = names(out, |name, _| !name.starts_with('.'));
+    ensure!(others.is_empty(), argument "--out"; found "{}, which holds {}", out.display(), others.join(", ");
+        expected "a new folder, or one that this command began"; help "name another folder");
+    Ok(Made::default())
+}
+
+/// Makes the folder, without what an earlier try left in it.
+fn make_empty(folder: &Path) -> Result<()> {
+    if folder.exists() {
+        fs::remove_dir_all(folder).map_err(|e| Error::io(folder, "remove", e))?;
+    }
+    fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create folder", e))
+}

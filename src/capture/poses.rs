@@ -1,0 +1,205 @@
+//! Poses of photos, by COLMAP: its program or its Python package.
+
+use super::program;
+use crate::error::{Error, Result, ensure};
+use crate::files::{self, atomic, names};
+use crate::progress::{Progress, Viewing};
+use std::fmt;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// How to get COLMAP.
+const INSTALL: &str =
+    "install COLMAP: pip install pycolmap, or apt-get install colmap, or brew install colmap";
+/// What to do where COLMAP fails.
+const HELP: &str = "correct what it names; the same command then continues";
+/// Photos of a block of pairs that COLMAP matches at once, its default.
+const BLOCK: usize = 50;
+
+/// Who finds the poses.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Solver {
+    /// The program `colmap`, and whether it was built for CUDA.
+    Colmap { cuda: bool },
+    /// The package of this Python.
+    Pycolmap(PathBuf),
+}
+
+impl fmt::Display for Solver {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Colmap { .. } => write!(f, "colmap"),
+            Self::Pycolmap(python) => write!(f, "pycolmap of {}", python.display()),
+        }
+    }
+}
+
+/// Where COLMAP works.
+pub(super) struct Place<'a> {
+    pub images: &'a Path,
+    /// Its own files, which let it continue.
+    pub work: &'a Path,
+    /// Gets the models, in folders 0, 1 and so on: one for each group of photos that it could not join to the others.
+    pub models: &'a Path,
+}
+
+impl Solver {
+    /// The package of `python` if that is given. Else the program with CUDA, the package of `python3`, or the program without CUDA,
+    /// which is the slowest.
+    ///
+    /// # Errors
+    /// [`Error::Missing`] with the line that installs one of them.
+    pub fn find(python: Option<&Path>) -> Result<Self> {
+        let colmap = says(Command::new("colmap").arg("help")).filter(|_| python.is_none());
+        let cuda = colmap.as_ref().map(|help| !help.contains("without CUDA"));
+        if cuda == Some(true) {
+            return Ok(Self::Colmap { cuda: true });
+        }
+        let name = python.unwrap_or(Path::new("python3"));
+        if says(Command::new(name).args(["-c", "import pycolmap"])).is_some() {
+            return Ok(Self::Pycolmap(name.to_owned()));
+        }
+        if let Some(cuda) = cuda {
+            return Ok(Self::Colmap { cuda });
+        }
+        let name = name.display();
+        Err(if python.is_none() {
+            let help = format!("{name} has no pycolmap either; {INSTALL}");
+            Error::missing("program", "colmap", help)
+        } else {
+            let help = format!("{name} cannot import it; {INSTALL}");
+            Error::missing("Python package", "pycolmap", help)
+        })
+    }
+
+    /// The command of a step.
+    fn command(&self, step: Step, place: &Place<'_>) -> Command {
+        let database = place.work.join("database.db");
+        let sparse = place.work.join("sparse");
+        if let Self::Pycolmap(python) = self {
+            let mut command = Command::new(python);
+            command.args(["-c", include_str!("pycolmap.py"), step.name()]);
+            command.args([&database, place.images, &sparse]);
+            return command;
+        }
+        let mut command = Command::new("colmap");
+        command.arg(step.of_colmap());
+        command.arg("--database_path").arg(database);
+        if step != Step::Matches {
+            command.arg("--image_path").arg(place.images);
+        }
+        // Without CUDA it would use OpenGL, which needs a screen.
+        if *self == (Self::Colmap { cuda: false }) {
+            let help = says(Command::new("colmap").args([step.of_colmap(), "-h"]));
+            let help = help.unwrap_or_default();
+            // Its name differs between versions.
+            let option = help
+                .split_whitespace()
+                .find(|word| word.ends_with(".use_gpu"));
+            if let Some(option) = option {
+                command.args([option, "0"]);
+            }
+        }
+        match step {
+            Step::Features => {
+                command.args(["--ImageReader.single_camera", "1"]);
+                command.args(["--ImageReader.camera_model", "OPENCV"]);
+            }
+            Step::Matches => {}
+            Step::Poses => {
+                command.arg("--output_path").arg(sparse);
+            }
+        }
+        command
+    }
+
+    /// Finds the poses of `photos` photos.
+    ///
+    /// # Errors
+    /// [`Error::Program`] where COLMAP fails; [`Error::Input`] where it places no photo; [`Error::Io`].
+    pub fn run(
+        &self,
+        place: &Place<'_>,
+        photos: usize,
+        progress: &mut dyn Progress,
+    ) -> Result<ControlFlow<()>> {
+        let sparse = place.work.join("sparse");
+        super::make_empty(&sparse)?;
+        for step in [Step::Features, Step::Matches, Step::Poses] {
+            let mut viewing = Viewing::begin(progress, step.name(), step.length(photos));
+            let mut command = self.command(step, place);
+            let done = program::run(&mut command, HELP, &mut viewing, |line| {
+                usize::from(step.advances(line))
+            })?;
+            if done.is_break() {
+                return Ok(done);
+            }
+            viewing.end();
+        }
+        let models = names(&sparse, |_, path| path.is_dir());
+        ensure!(!models.is_empty(), place.images, "poses"; found "none of {photos} photos placed by {self}";
+            expected "photos that show the same things";
+            help "take sharp photos of which each shares two thirds with the one before, of a place with texture");
+        for model in &models {
+            for name in names(&sparse.join(model), |_, path| path.is_file()) {
+                let bytes = files::read(&sparse.join(model).join(&name))?;
+                atomic::write_bytes(place.models.join(model).join(&name), &bytes)?;
+            }
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+}
+
+/// What a program prints; `None` where it is absent or fails.
+fn says(command: &mut Command) -> Option<String> {
+    let output = command.stdin(Stdio::null()).output().ok()?;
+    let text = [output.stdout, output.stderr].concat();
+    output
+        .status
+        .success()
+        .then(|| String::from_utf8_lossy(&text).into_owned())
+}
+
+/// A step of COLMAP.
+#[derive(Clone, Copy, PartialEq)]
+enum Step {
+    Features,
+    Matches,
+    Poses,
+}
+
+impl Step {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Features => "features",
+            Self::Matches => "matches",
+            Self::Poses => "poses",
+        }
+    }
+
+    fn of_colmap(self) -> &'static str {
+        match self {
+            Self::Features => "feature_extractor",
+            Self::Matches => "exhaustive_matcher",
+            Self::Poses => "mapper",
+        }
+    }
+
+    /// Photos or blocks of the step.
+    fn length(self, photos: usize) -> usize {
+        match self {
+            Self::Matches => photos.div_ceil(BLOCK).pow(2),
+            Self::Features | Self::Poses => photos,
+        }
+    }
+
+    /// Whether a line of the output says that another photo or block is done.
+    fn advances(self, line: &str) -> bool {
+        line.contains(match self {
+            Self::Features => "Processed file [",
+            Self::Matches => " block [",
+            Self::Poses => "Registering image #",
+        })
+    }
+}

@@ -1,0 +1,106 @@
+//! Other programs, run to their end or until they are stopped.
+
+use crate::error::{Error, Result, clipped};
+use crate::progress::Viewing;
+use std::collections::VecDeque;
+use std::io::{BufRead, BufReader, Read};
+use std::ops::ControlFlow;
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{self, RecvTimeoutError, Sender};
+use std::time::Duration;
+
+/// Last lines of the output that an error quotes.
+const QUOTED: usize = 5;
+/// How long a program may be silent until the run is asked whether to stop.
+const PATIENCE: Duration = Duration::from_millis(100);
+
+/// Runs `command` to its end. `done` tells how many views of `viewing` a line of its output is about. When the run is stopped, the
+/// program is ended, with all that it started.
+///
+/// # Errors
+/// [`Error::Program`] with its last lines where it fails; [`Error::Missing`] where it is not installed; `help` says what to do.
+pub(super) fn run(
+    command: &mut Command,
+    help: &str,
+    viewing: &mut Viewing<'_>,
+    mut done: impl FnMut(&str) -> usize,
+) -> Result<ControlFlow<()>> {
+    let program = command.get_program().to_string_lossy().into_owned();
+    command.stdin(Stdio::null());
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    // A group of its own, which can be ended as a whole.
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(command, 0);
+    let child = command.spawn().map_err(|e| match e.kind() {
+        std::io::ErrorKind::NotFound => Error::missing("program", &program, help),
+        _ => Error::io(&program, "start", e),
+    })?;
+    let mut running = Running(child);
+    let (sender, lines) = mpsc::channel();
+    read_lines(running.0.stdout.take(), sender.clone());
+    read_lines(running.0.stderr.take(), sender);
+    let mut last = VecDeque::new();
+    loop {
+        let more = match lines.recv_timeout(PATIENCE) {
+            Ok(line) => {
+                let more = done(&line);
+                last.push_back(clipped(line));
+                if last.len() > QUOTED {
+                    last.pop_front();
+                }
+                more
+            }
+            Err(RecvTimeoutError::Timeout) => 0,
+            Err(RecvTimeoutError::Disconnected) => break,
+        };
+        if viewing.advance(more).is_break() {
+            return Ok(ControlFlow::Break(()));
+        }
+    }
+    let status = running.0.wait();
+    let status = status.map_err(|e| Error::io(&program, "wait for", e))?;
+    if !status.success() {
+        return Err(Error::Program {
+            program,
+            status: status.to_string(),
+            output: Vec::from(last).join(" | "),
+            help: help.to_owned(),
+        });
+    }
+    Ok(ControlFlow::Continue(()))
+}
+
+/// A program with all that it started, which end when this is dropped.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        if !matches!(self.0.try_wait(), Ok(None)) {
+            return;
+        }
+        // SAFETY: the group is that of a child whose end nobody has waited for, so that its number is not another's.
+        #[cfg(unix)]
+        unsafe {
+            libc::killpg(self.0.id().cast_signed(), libc::SIGKILL);
+        }
+        // It may have ended by itself.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Sends the lines of `output` that are not blank.
+fn read_lines(output: Option<impl Read + Send + 'static>, sender: Sender<String>) {
+    let Some(output) = output else { return };
+    std::thread::spawn(move || {
+        let mut output = BufReader::new(output);
+        let mut bytes = Vec::new();
+        while output.read_until(b'\n', &mut bytes).is_ok_and(|n| n > 0) {
+            let line = String::from_utf8_lossy(&bytes).trim().to_owned();
+            if !line.is_empty() && sender.send(line).is_err() {
+                return;
+            }
+            bytes.clear();
+        }
+    });
+}

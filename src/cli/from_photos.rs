@@ -1,0 +1,134 @@
+//! `coseg from-photos`: a scene folder of photos without poses, or of a video.
+
+use super::data::check;
+use super::label::{BEST, SegmenterArgs};
+use super::progress::Bars;
+use super::train::quoted;
+use super::{interrupt, terminal};
+use clap::Args;
+use clap::builder::RangedU64ValueParser;
+use coseg::capture::Capture;
+use coseg::config::Config;
+use coseg::data::LoadOptions;
+use coseg::error::Result;
+use coseg::files::lock::Lock;
+use coseg::files::own;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+/// The folder of the labels, in the scene folder.
+const LABELS: &str = "labels_segmenter";
+
+const HELP: &str = "\
+Copies the photos, without their EXIF orientation, or takes the sharpest frames of a video by ffmpeg; finds their poses by
+COLMAP, taking all photos as those of one lens; checks the result as `coseg data check` does. COLMAP is the program `colmap` or
+the package pycolmap of python3; where both are there, the program if it has CUDA. The photos themselves stay as they are.
+Writes into a new folder
+  images/           the photos or frames
+  sparse/           COLMAP's models
+  labels_segmenter/ with --segmenter: label maps, as `coseg label` writes them
+  from-photos.json  what it was made from
+Ctrl-C stops; the same command continues. Steps that are done are not done again.
+
+Examples:
+  coseg from-photos photos --out scenes/living
+  coseg from-photos walk.mp4 --frames 200 --out scenes/living
+  coseg from-photos photos --out scenes/living --python venv/bin/python --segmenter net.onnx --classes mine.toml
+  coseg train --data scenes/living --out runs/living --set spatial.scale=0";
+
+/// Arguments of `coseg from-photos`.
+#[derive(Args, Debug)]
+#[command(after_help = HELP)]
+pub struct FromPhotosArgs {
+    /// Folder of photos (PNG or JPEG), or a video
+    #[arg(value_name = "DIR|VIDEO")]
+    source: PathBuf,
+    /// Scene folder to write; new, or one that this command began
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Frames to take from a video: the sharpest of each of N windows
+    #[arg(long, value_name = "N", default_value_t = 120, value_parser = RangedU64ValueParser::<usize>::new().range(2..=1000))]
+    frames: usize,
+    /// The Python whose pycolmap finds the poses [default: python3, or the program colmap]
+    #[arg(long, value_name = "FILE")]
+    python: Option<PathBuf>,
+    /// Label the photos too, by this segmenter; see `coseg label --help`
+    #[arg(long, value_name = "FILE.onnx")]
+    segmenter: Option<PathBuf>,
+    #[command(flatten)]
+    labelling: SegmenterArgs,
+}
+
+impl FromPhotosArgs {
+    /// Makes the scene folder, unless it is stopped.
+    pub fn run(self) -> Result<ExitCode> {
+        if self.segmenter.is_none() {
+            self.labelling.expect_none()?;
+        }
+        interrupt::watch();
+        let done = {
+            let _lock = Lock::new(&self.out)?;
+            self.make().inspect_err(|_| own::remove_empty(&self.out))?
+        };
+        if !done {
+            terminal::note("stopped; the same command continues");
+            return Ok(ExitCode::from(interrupt::EXIT));
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+
+    /// False where it was stopped.
+    fn make(&self) -> Result<bool> {
+        let capture = Capture {
+            source: &self.source,
+            frames: self.frames,
+            python: self.python.as_deref(),
+        };
+        let Some(made) = capture.make(&self.out, &mut Bars::default())? else {
+            return Ok(false);
+        };
+        let out = &self.out;
+        let by = made.poses.unwrap_or_default();
+        terminal::say(&format!(
+            "{}: {} photos, poses by {by}",
+            out.display(),
+            made.photos
+        ));
+        let config = Config::load_for(Some(out), None, &[])?;
+        let options = LoadOptions::for_training(&config);
+        check(out, &options, false)?;
+        if let Some(model) = &self.segmenter {
+            let scene = (out.as_path(), &options);
+            if self
+                .labelling
+                .label(scene, model, BEST, &out.join(LABELS))?
+                .stopped
+            {
+                return Ok(false);
+            }
+        }
+        next(out, self.segmenter.is_some());
+        Ok(true)
+    }
+}
+
+/// Prints the commands that may follow.
+fn next(out: &Path, labelled: bool) {
+    let data = quoted(out.display().to_string());
+    let train = format!("coseg train --data {data} --set spatial.scale=0");
+    let lines = if labelled {
+        vec![format!("{train} --set data.raw_labels={LABELS}")]
+    } else {
+        vec![
+            format!(
+                "{train} --segmenter FILE.onnx      labels by a segmenter; docs/from-photos.md has other ways"
+            ),
+            format!("coseg data suggest {data}      names photos to label by hand"),
+            format!("{train}      the Gaussians alone"),
+        ]
+    };
+    terminal::say("next:");
+    for line in lines {
+        terminal::say(&format!("  {line}"));
+    }
+}

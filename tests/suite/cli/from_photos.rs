@@ -1,0 +1,306 @@
+//! `coseg from-photos`, with scripts in the place of colmap, Python and ffmpeg, and with these programs where they are there.
+
+use crate::support::exif_photo::photo;
+use crate::support::program::{fails, listed, read_json, utf8};
+use crate::support::programs::Place;
+use coseg::data::{LoadOptions, check};
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+/// Steps as the scripts note them, for COLMAP and its Python package.
+const STEPS: [&str; 3] = ["features", "matches", "poses"];
+
+#[test]
+fn photos_become_a_scene_folder_once() {
+    for python in [false, true] {
+        let place = Place::new();
+        let (photos, room) = (place.photos(), place.path("room"));
+        if python {
+            place.pycolmap();
+        } else {
+            place.colmap();
+        }
+        let said = place.succeeds(&photos, &[]);
+        let by = if python {
+            "pycolmap of python3"
+        } else {
+            "poses by colmap"
+        };
+        for part in [
+            by,
+            "6 photos",
+            "no problems",
+            "coseg train --data",
+            "spatial.scale=0",
+        ] {
+            assert!(said.contains(part), "{part:?} is not in: {said}");
+        }
+        assert_eq!(place.log(), STEPS);
+        assert_eq!(listed(&room), ["from-photos.json", "images", "sparse"]);
+        assert!(!room.join(".from-photos").exists(), "COLMAP's own files");
+        for name in listed(&photos) {
+            let [given, copied] =
+                [&photos, &room.join("images")].map(|dir| fs::read(dir.join(&name)).unwrap());
+            assert_eq!(given, copied, "{name}");
+        }
+        assert_eq!(check(&room, &LoadOptions::default()).frames, 6);
+        // What is done is not done again.
+        assert!(place.succeeds(&photos, &[]).contains("6 photos"));
+        assert_eq!(place.log(), STEPS);
+        fs::remove_file(photos.join("Bild ö 0.png")).unwrap();
+        place.fails(&photos, &[], &["--out", "made from", "another folder"]);
+        assert_eq!(listed(&room.join("images")).len(), 6);
+    }
+}
+
+#[test]
+fn one_lens_is_asked_for() {
+    let place = Place::new();
+    place.colmap();
+    place.succeeds(&place.photos(), &[]);
+    let arguments = fs::read_to_string(place.path("arguments")).unwrap();
+    for part in [
+        "single_camera 1",
+        "--SiftExtraction.use_gpu 0",
+        "camera_model OPENCV",
+        "database.db",
+        "room/images",
+    ] {
+        assert!(arguments.contains(part), "{arguments}");
+    }
+}
+
+#[test]
+fn photos_are_turned_by_their_orientation_where_that_gives_one_size() {
+    let exif = |dir: &Path, name: &str| {
+        use image::ImageDecoder;
+        let reader = image::ImageReader::open(dir.join(name)).unwrap();
+        let mut decoder = reader.into_decoder().unwrap();
+        let size = decoder.dimensions();
+        (
+            size,
+            decoder.orientation().unwrap().to_exif(),
+            decoder.exif_metadata().unwrap().is_some(),
+        )
+    };
+    // Sizes and orientations of two photos, and what becomes of the first.
+    for (sizes, orientations, size) in [
+        ([(30, 20); 2], [6, 6], (20, 30)),
+        ([(30, 20), (20, 30)], [6, 1], (20, 30)),
+        ([(30, 20); 2], [6, 1], (30, 20)),
+        ([(30, 20); 2], [3, 1], (30, 20)),
+    ] {
+        let place = Place::new();
+        place.script("colmap", "exit 0");
+        let photos = place.path("photos");
+        fs::create_dir(&photos).unwrap();
+        for i in 0..2 {
+            photo(&photos.join(format!("{i}.jpg")), sizes[i], orientations[i]);
+        }
+        let given = fs::read(photos.join("0.jpg")).unwrap();
+        place.fails(&photos, &[], &["none of 2 photos", "texture"]);
+        let images = place.path("room/images");
+        assert_eq!(
+            exif(&images, "0.jpg"),
+            (size, 1, true),
+            "{sizes:?} {orientations:?}"
+        );
+        assert_eq!(fs::read(photos.join("0.jpg")).unwrap(), given);
+        let differ = |a: &Path, b: &Path| {
+            let [a, b] = [a, b].map(|dir| image::open(dir.join("0.jpg")).unwrap().into_rgb8());
+            let off = a.iter().zip(b.iter()).map(|(a, b)| a.abs_diff(*b)).max();
+            off.unwrap_or_default()
+        };
+        if orientations == [6, 1] && sizes[0] == sizes[1] {
+            assert_eq!(differ(&photos, &images), 0, "a mix keeps its pixels");
+        }
+        if orientations[0] == 3 {
+            assert!(differ(&photos, &images) > 10, "upside down");
+        }
+    }
+    let place = Place::new();
+    place.colmap();
+    let photos = place.path("photos");
+    fs::create_dir(&photos).unwrap();
+    for (i, size) in [(30, 20), (30, 20), (30, 24)].into_iter().enumerate() {
+        photo(&photos.join(format!("{i}.jpg")), size, 1);
+    }
+    place.fails(&photos, &[], &["2 of 30x20, 1 of 30x24", "one size"]);
+    photo(&photos.join("2.jpeg"), (30, 20), 1);
+    place.fails(&photos, &[], &["2.jpeg and 2.jpg", "before the extension"]);
+}
+
+#[test]
+fn what_is_missing_is_named_with_its_remedy() {
+    let place = Place::new();
+    let photos = place.photos();
+    place.fails(
+        &photos,
+        &[],
+        &[
+            "no such program: colmap",
+            "python3 has no pycolmap",
+            "pip install pycolmap",
+        ],
+    );
+    place.script("python3", "exit 1");
+    place.fails(
+        &photos,
+        &["--python", "python3"],
+        &["pycolmap", "python3 cannot import it", "pip install"],
+    );
+    place.colmap();
+    let video = place.path("walk.mp4");
+    fs::write(&video, "film").unwrap();
+    place.fails(
+        &video,
+        &[],
+        &["no such program: ffmpeg", "apt-get install ffmpeg"],
+    );
+    fs::remove_dir_all(place.path("room")).unwrap();
+    place.fails(
+        &place.path("nothing"),
+        &[],
+        &["no such file or folder", "nothing"],
+    );
+    let heic = place.path("heic");
+    fs::create_dir(&heic).unwrap();
+    place.fails(&heic, &[], &["0 PNG or JPEG files", "two or more"]);
+    fs::write(heic.join("a.HEIC"), b"\0\0\0\x18ftypheic").unwrap();
+    place.fails(&heic, &[], &["1 HEIC files", "mogrify"]);
+    for command in [&["data", "check"][..], &["train", "--data"]] {
+        let message = fails(&[command, &[utf8(&heic)]].concat(), 1);
+        assert!(
+            message.contains("1 HEIC photos") && message.contains("from-photos"),
+            "{message}"
+        );
+        let message = fails(&[command, &[utf8(&video)]].concat(), 1);
+        assert!(message.contains("from-photos VIDEO"), "{message}");
+    }
+    fs::copy(heic.join("a.HEIC"), heic.join("a.jpg")).unwrap();
+    fs::copy(heic.join("a.HEIC"), heic.join("b.jpg")).unwrap();
+    place.fails(&heic, &[], &["a.jpg", "found HEIC", "mogrify"]);
+    fs::remove_dir_all(place.path("room")).unwrap();
+    fs::create_dir(place.path("room")).unwrap();
+    fs::write(place.path("room/mine.txt"), "years of work").unwrap();
+    place.fails(&photos, &[], &["--out", "mine.txt", "new folder"]);
+    assert!(place.log().is_empty());
+}
+
+#[test]
+fn a_program_that_fails_is_quoted_and_continued() {
+    let place = Place::new();
+    let photos = place.photos();
+    place.script(
+        "colmap",
+        "test $1 != help || exit 0; for i in 1 2 3 4 5 6 7 8; do echo \"line $i\"; done; echo 'no room' >&2; exit 3",
+    );
+    place.fails(
+        &photos,
+        &[],
+        &[
+            "colmap failed (exit status: 3)",
+            "line 8",
+            "no room",
+            "continues",
+        ],
+    );
+    let images = place.path("room/images");
+    let first = fs::metadata(images.join("Bild ö 0.png"))
+        .unwrap()
+        .modified()
+        .unwrap();
+    place.colmap();
+    place.succeeds(&photos, &[]);
+    let again = fs::metadata(images.join("Bild ö 0.png"))
+        .unwrap()
+        .modified()
+        .unwrap();
+    assert_eq!(
+        (first, place.log()),
+        (again, STEPS.map(str::to_owned).to_vec())
+    );
+}
+
+#[test]
+fn a_stop_ends_the_programs_too() {
+    let place = Place::new();
+    let photos = place.photos();
+    let (begun, left) = (place.path("begun"), place.path("left"));
+    let wait = format!(
+        "test $1 != help || exit 0; (sleep 2; touch '{}') & touch '{}'; wait",
+        utf8(&left),
+        utf8(&begun)
+    );
+    place.script("colmap", &wait);
+    let out = place.path("room");
+    let mut running = place
+        .command(&[utf8(&photos), "--out", utf8(&out)])
+        .spawn()
+        .unwrap();
+    let started = Instant::now();
+    while !begun.exists() {
+        assert!(started.elapsed() < Duration::from_secs(60));
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let stop = format!("kill -INT {}", running.id());
+    assert!(
+        Command::new("sh")
+            .args(["-c", &stop])
+            .status()
+            .unwrap()
+            .success()
+    );
+    assert_eq!(running.wait().unwrap().code(), Some(130));
+    std::thread::sleep(Duration::from_millis(2500));
+    assert!(!left.exists(), "what COLMAP started goes on");
+    place.colmap();
+    place.succeeds(&photos, &[]);
+}
+
+#[test]
+fn the_sharpest_frames_of_a_video_are_taken() {
+    let place = Place::new();
+    let (photos, video) = (place.photos(), place.path("Gang 1.mp4"));
+    fs::write(&video, "film").unwrap();
+    place.colmap();
+    let dir = utf8(place.0.path()).to_owned();
+    let model = fs::read_to_string(place.path("model/images.txt")).unwrap();
+    let frames = (0..3).fold(model, |text, i| {
+        text.replace(
+            &format!("Bild ö {i}.png"),
+            &format!("frame_000{}.jpg", i + 1),
+        )
+    });
+    let three: Vec<&str> = frames.lines().take(6).collect();
+    fs::write(place.path("model/images.txt"), three.join("\n")).unwrap();
+    for i in 0..3 {
+        let photo = image::open(photos.join(format!("Bild ö {i}.png"))).unwrap();
+        photo
+            .into_rgb8()
+            .save(place.path(&format!("frame_000{}.jpg", i + 1)))
+            .unwrap();
+    }
+    // Seven frames, and the sharpness of each.
+    place.script(
+        "ffmpeg",
+        &format!(
+            "echo \"$*\" >>'{dir}/ffmpeg'
+            case \"$*\" in
+            *signalstats*) for v in 3 1 2 5 4 0 7; do echo \"lavfi.signalstats.YAVG=$v\"; done;;
+            *select=*) cp '{dir}'/frame_*.jpg .;; esac"
+        ),
+    );
+    let said = place.succeeds(&video, &["--frames", "3"]);
+    assert!(said.contains("3 photos"), "{said}");
+    let calls = fs::read_to_string(place.path("ffmpeg")).unwrap();
+    assert!(
+        calls.contains("(eq(n,0)+(eq(n,3)+eq(n,6)))") && calls.contains("file:/"),
+        "{calls}"
+    );
+    let record = read_json(&place.path("room/from-photos.json"));
+    assert_eq!(record["photos"], 3);
+    place.fails(&video, &["--frames", "4"], &["other frames"]);
+}
