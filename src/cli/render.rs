@@ -52,7 +52,9 @@ renders folder. Label maps show the PLY's label of each Gaussian. Only a run wit
 the preset \"paper\", has other ones: those of blended scores.
 
 Paths: frames path_0000, path_0001, ... and their cameras as cameras.json.
+  --path              sway where the cameras look one way, as at a wall, else orbit
   --path interpolate  through the cameras in file order, of --split if given; turns on the spot take frames as well
+  --path sway         on a small ellipse among the cameras, looking where they look
   --path orbit        once around the point that the cameras look at, at their median distance and height, with the lens
                       of the first one; lower --radius in rooms, where furniture and walls may be in the way
   --object OBJECT     around the box of one object, closer to a small one; `coseg edit --keep OBJECT` isolates it
@@ -63,6 +65,7 @@ Examples:
   coseg render --scene runs/room --out pictures --split test --labels
   coseg render --scene runs/room --out walk --path interpolate --split train --frames 300 --size 1280,960
   coseg render --scene runs/room --out dataset --split train --labels --annotations coco,yolo
+  coseg render --scene runs/room --out film --path
   coseg render --scene runs/room --out features --split test --features pca
   coseg render --scene runs/room --out sofa --path orbit --object sofa
   coseg render --scene other.ply --cameras path.json --out arrays --format npy --background 1,1,1 --alpha-max 0.99";

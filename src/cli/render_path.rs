@@ -9,7 +9,7 @@ use coseg::data::formats::transforms;
 use coseg::data::{NamedCamera, Split, atomic};
 use coseg::error::{Result, bail, ensure};
 use coseg::splat::camera::Camera;
-use coseg::splat::camera_path::{CameraPath, Orbit};
+use coseg::splat::camera_path::{CameraPath, Orbit, is_front_facing, sway};
 use coseg::splat::ply::PlyScene;
 use glam::DVec3;
 use std::path::Path;
@@ -22,8 +22,8 @@ const PREFIX: &str = "path_";
 /// Arguments of a path.
 #[derive(Args, Debug)]
 pub struct PathArgs {
-    /// New views: through the cameras, or around what they look at
-    #[arg(long, value_enum, value_name = "KIND")]
+    /// New views along a path of this kind [default: sway where the cameras look one way, else orbit]
+    #[arg(long, value_enum, value_name = "KIND", num_args = 0..=1, default_missing_value = "auto")]
     path: Option<PathKind>,
     /// Frames of the path, evenly spaced [default: 120]
     #[arg(long, value_name = "N", requires = "path", value_parser = RangedU64ValueParser::<usize>::new().range(1..=65_536))]
@@ -39,8 +39,11 @@ pub struct PathArgs {
 /// Kinds of paths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum PathKind {
+    // Sway where the cameras look one way, else orbit.
+    Auto,
     Interpolate,
     Orbit,
+    Sway,
 }
 
 fn parse_radius(text: &str) -> std::result::Result<f64, String> {
@@ -57,7 +60,8 @@ impl PathArgs {
             ("--object", self.object.is_some()),
             ("--radius", self.radius.is_some()),
         ] {
-            ensure!(!is_given || kind == PathKind::Orbit, argument "{flag}"; found "--path interpolate";
+            let orbits = matches!(kind, PathKind::Auto | PathKind::Orbit);
+            ensure!(!is_given || orbits, argument "{flag}"; found "a path that is no orbit";
                 expected "--path orbit"; help "leave one of them out");
         }
         let file = out.join(CAMERAS);
@@ -89,18 +93,25 @@ impl PathArgs {
     ) -> Result<Option<Vec<NamedCamera>>> {
         let count = self.frames.unwrap_or(FRAMES);
         let keys: Vec<Camera> = keys.iter().map(|key| key.camera.clone()).collect();
-        let cameras = match self.path {
-            None => return Ok(None),
-            Some(PathKind::Interpolate) => CameraPath::through(&keys)?.frames(count),
-            Some(PathKind::Orbit) => {
+        let Some(kind) = self.path else {
+            return Ok(None);
+        };
+        let center = || {
+            let center = scene.gaussians.median_center().unwrap_or_default();
+            DVec3::from(center.map(f64::from)) + scene.origin
+        };
+        let is_orbit = self.object.is_some() || self.radius.is_some() || !is_front_facing(&keys);
+        let cameras = match kind {
+            PathKind::Interpolate => CameraPath::through(&keys)?.frames(count),
+            PathKind::Sway => sway(&keys, center(), count)?,
+            PathKind::Auto if !is_orbit => sway(&keys, center(), count)?,
+            PathKind::Auto | PathKind::Orbit => {
                 let orbit = if let Some(object) = &self.object {
                     let scene = ObjectScene::new(path.to_owned(), scene.clone(), None)?;
                     let (low, high) = scene.bounds(object, "--object")?;
                     Orbit::of_box(&keys, low, high)?
                 } else {
-                    let center = scene.gaussians.median_center().unwrap_or_default();
-                    let center = DVec3::from(center.map(f64::from)) + scene.origin;
-                    Orbit::of_cameras(&keys, center)?
+                    Orbit::of_cameras(&keys, center())?
                 };
                 let radius = self.radius.unwrap_or(orbit.radius);
                 Orbit { radius, ..orbit }.frames(&keys[0], count)?

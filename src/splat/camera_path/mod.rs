@@ -1,12 +1,14 @@
-//! Camera paths: a smooth path through given cameras, and a circle around what they look at.
+//! Camera paths: a smooth path through given cameras, a circle around what they look at, and an ellipse among them.
 //!
-//! Both return [`super::camera::Camera`]s in the coordinates of the given ones.
+//! All return [`super::camera::Camera`]s in the coordinates of the given ones.
 
 mod interpolate;
 mod orbit;
+mod sway;
 
 pub use self::interpolate::CameraPath;
 pub use self::orbit::{Orbit, focus};
+pub use self::sway::{is_front_facing, sway};
 
 use super::camera::Camera;
 use crate::error::{Error, Result, bail, ensure};

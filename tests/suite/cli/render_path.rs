@@ -217,6 +217,51 @@ fn an_orbit_shows_the_scene_or_one_object() {
 }
 
 #[test]
+fn a_path_sways_before_what_the_cameras_look_at_from_one_side() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run, out) = (run_folder(folder.path()), folder.path().join("film"));
+    render(&run, &out, &["--path", "--frames", "8"]);
+    let path = read_cameras(&out.join("cameras.json"), None).unwrap();
+    let (eyes, ahead) = (
+        path.iter().map(|named| named.camera.center),
+        glam::DVec3::NEG_Z,
+    );
+    // The photos are taken from 4 before the plates, up to 1.2 to either side.
+    assert!(
+        eyes.clone().all(|eye| eye.z > 3.7 && eye.x.abs() < 1.2),
+        "{path:?}"
+    );
+    assert!(
+        eyes.clone().any(|eye| eye.x > 0.5) && eyes.clone().any(|eye| eye.x < -0.5),
+        "{path:?}"
+    );
+    for named in &path {
+        let forward = named.camera.rotation.row(2);
+        assert!(forward.dot(ahead) > 0.95, "{named:?}");
+        let (u, v, _) = named.camera.project(glam::DVec3::ZERO).unwrap();
+        assert!((u - 40.0).abs() < 2.0 && (v - 32.0).abs() < 2.0, "{u}, {v}");
+    }
+    let message = fails(
+        &[
+            "render",
+            "--scene",
+            utf8(&run),
+            "--out",
+            utf8(&out),
+            "--path",
+            "sway",
+            "--object",
+            "red",
+        ],
+        1,
+    );
+    assert!(
+        message.contains("--object") && message.contains("--path orbit"),
+        "{message}"
+    );
+}
+
+#[test]
 fn ordinary_frames_take_another_size() {
     let folder = tempfile::tempdir().unwrap();
     let (run, out) = (run_folder(folder.path()), folder.path().join("large"));

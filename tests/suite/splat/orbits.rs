@@ -2,7 +2,7 @@
 
 use crate::support::turned_cameras::{assert_rotation, camera, looking};
 use coseg::splat::camera::{Camera, level_up};
-use coseg::splat::camera_path::{Orbit, focus};
+use coseg::splat::camera_path::{Orbit, focus, is_front_facing, sway};
 use glam::{DQuat, DVec3};
 use std::f64::consts::TAU;
 
@@ -171,4 +171,43 @@ fn strays_do_not_move_the_middle_of_a_scene() {
         "{before:?} became {moved:?}"
     );
     assert_eq!(gaussians.select(&[]).median_center(), None);
+}
+
+#[test]
+fn cameras_that_look_one_way_sway_among_themselves() {
+    let at = DVec3::new(4e5, 5e6, 12.0);
+    let arc = |half: f64| -> Vec<Camera> {
+        let angle = |i: usize| half.to_radians() * (i as f64 / 4.0 - 1.0);
+        let eye = |i: usize| at + 5.0 * DVec3::new(angle(i).sin(), -angle(i).cos(), 0.0);
+        (0..9).map(|i| looking(eye(i), at)).collect()
+    };
+    assert!(!is_front_facing(&rings(at)) && !is_front_facing(&arc(90.0)));
+    assert!(is_front_facing(&arc(45.0)) && is_front_facing(&arc(0.0)));
+    let cameras = arc(20.0);
+    let frames = sway(&cameras, DVec3::ZERO, 8).unwrap();
+    let wide = 5.0 * 20_f64.to_radians().sin();
+    for (i, frame) in frames.iter().enumerate() {
+        assert_rotation(frame);
+        let offset = frame.center - at;
+        assert!(
+            offset.x.abs() < wide && offset.y < -4.5,
+            "frame {i}: {offset}"
+        );
+        let (u, v, _) = frame.project(at).expect("in front");
+        assert!(
+            (u - 40.0).abs() < 1e-3 && (v - 30.0).abs() < 1e-3,
+            "frame {i} looks at {u}, {v}"
+        );
+        let (_, above, _) = frame.project(at + DVec3::Z).expect("in front");
+        assert!(above < 29.0, "up is up in frame {i}");
+    }
+    let [left, right] = [2, 6].map(|i| frames[i].center.x - at.x);
+    assert!(
+        left * right < 0.0 && left.abs() > 0.5 * wide,
+        "{left} {right}"
+    );
+    // One place and one direction: parallel, or at the centre of the scene where that is ahead.
+    let alone = sway(&arc(0.0), at + DVec3::NEG_Y * 9.0, 3).unwrap();
+    assert!(alone.iter().all(|frame| frame.center == alone[0].center));
+    assert!(sway(&[], at, 3).is_err());
 }
