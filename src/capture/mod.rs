@@ -62,7 +62,9 @@ impl Capture<'_> {
         let out = absolute(out)?;
         let record = out.join(RECORD);
         let mut made = begun(&out, &record)?;
-        ensure!(made.input.is_empty() || made.input == input, argument "--out";
+        let images = out.join("images");
+        let work = out.join(WORK);
+        ensure!(made.input == input || !images.exists(), argument "--out";
             found "{}, made from {}, other files or other frames", out.display(), made.source.display();
             expected "a new folder, or one made from the same files"; help "name another folder");
         let solver = made.poses.is_none().then(|| Solver::find(self.python));
@@ -70,7 +72,6 @@ impl Capture<'_> {
         made.source = absolute(self.source)?;
         made.input = input;
         atomic::write_json(&record, &made)?;
-        let (images, work) = (out.join("images"), out.join(WORK));
         if made.photos == 0 {
             let photos = match photos {
                 Some(photos) => photos,

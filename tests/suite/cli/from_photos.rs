@@ -159,7 +159,6 @@ fn what_is_missing_is_named_with_its_remedy() {
         &[],
         &["no such program: ffmpeg", "apt-get install ffmpeg"],
     );
-    fs::remove_dir_all(place.path("room")).unwrap();
     place.fails(
         &place.path("nothing"),
         &[],
