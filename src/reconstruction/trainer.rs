@@ -49,9 +49,8 @@ pub struct StepReport {
 /// Trains Gaussians on the training views of a scene.
 ///
 /// An iteration renders one view and compares it with its photo (`(1 - w) L1 + w (1 - SSIM)`). It takes one Adam step on all
-/// parameters. It densifies or resets when the [`Schedule`] says so. [`crate::config::Strategy::Mcmc`] adds a regularisation of
-/// opacities and scales to the loss, and noise to the means after the step. The same scene, settings and seed give the same bits at
-/// any thread count, interrupted or not.
+/// parameters. It densifies, reviews or resets when the [`Schedule`] says so. The same scene, settings and seed give the same bits
+/// at any thread count, interrupted or not.
 pub struct Trainer<'a> {
     pub(super) config: Config,
     pub(super) settings: Settings,
