@@ -64,7 +64,10 @@ impl Capture<'_> {
         let mut made = begun(&out, &record)?;
         let images = out.join("images");
         let work = out.join(WORK);
-        ensure!(made.input == input || !images.exists(), argument "--out";
+        let has_photos = images.exists();
+        ensure!(made.photos == 0 || has_photos, argument "--out"; found "{}, whose images are gone", out.display();
+            expected "the folder as this command left it"; help "name another folder");
+        ensure!(made.input == input || !has_photos, argument "--out";
             found "{}, made from {}, other files or other frames", out.display(), made.source.display();
             expected "a new folder, or one made from the same files"; help "name another folder");
         let solver = made.poses.is_none().then(|| Solver::find(self.python));

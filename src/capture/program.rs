@@ -63,7 +63,11 @@ pub(super) fn run(
         return Err(Error::Program {
             program,
             status: status.to_string(),
-            output: Vec::from(last).join(" | "),
+            output: if last.is_empty() {
+                "none".to_owned()
+            } else {
+                Vec::from(last).join(" | ")
+            },
             help: help.to_owned(),
         });
     }

@@ -47,7 +47,8 @@ pub(super) fn frames(
         return Ok(measured);
     }
     viewing.end();
-    ensure!(!sharpness.is_empty(), video, "frames"; found "none"; expected "a video"; help "give a photo folder or a video");
+    ensure!(sharpness.len() > 1, video, "frames"; found "{}", sharpness.len(); expected "two or more";
+        help "give a longer video, or a folder of photos");
 
     let chosen = sharpest(&sharpness, count);
     // Equal times, so that ffmpeg repeats and drops none.

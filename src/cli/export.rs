@@ -1,13 +1,13 @@
 //! `coseg export`: a scene, or each of its objects, in formats of other programs.
 
-use super::object_scene::{ObjectScene, ObjectSceneArgs, check_output, write_classes};
-use super::scene_file::{CLASSES, copy_cameras, read_scene, scene_path};
+use super::object_scene::{ObjectScene, ObjectSceneArgs, check_output, has_table, write_classes};
+use super::scene_file::{CAMERAS, CLASSES, copy_cameras, read_scene, scene_path};
 use super::terminal;
 use clap::{Args, ValueEnum};
 use coseg::data::{Classes, atomic};
 use coseg::error::{Error, Result, bail, ensure, invalid};
-use coseg::files::{extension, names};
-use coseg::splat::formats::{self, Format};
+use coseg::files::{extension, names, own};
+use coseg::splat::formats::{self, Format, label_path};
 use coseg::splat::{Gaussians, ply};
 use glam::DVec3;
 use std::io;
@@ -112,6 +112,8 @@ impl ExportArgs {
         let format = FileFormat::of(&self.out).filter(|_| !self.out.is_dir());
         ensure!(format.is_some() || self.out.is_dir() || extension(&self.out).is_empty(), argument "--out"; found "{}", self.out.display();
             expected "a name that ends in .ply, .compressed.ply, .spz, .sog or .glb, or a folder"; help "change the name");
+        ensure!(format.is_none() || self.format.is_none(), argument "--format"; found "a file as --out"; expected "a folder";
+            help "leave it out: the name of a file says its format");
         let is_whole = format.is_some() && self.only.is_empty();
         if is_whole && ply.labels.is_none() {
             let rows = (0..ply.gaussians.len() as u32).collect();
@@ -135,8 +137,6 @@ impl ExportArgs {
             .iter()
             .filter(|object| only.is_empty() || only.contains(&object.id));
         if let Some(format) = format {
-            ensure!(self.format.is_none(), argument "--format"; found "a file as --out"; expected "a folder";
-                help "leave it out: the name of a file says its format");
             let mut rows: Vec<u32> = chosen.flat_map(|object| &object.rows).copied().collect();
             rows.sort_unstable();
             return self.write(&scene, format, vec![(self.out.clone(), rows)]);
@@ -159,7 +159,8 @@ impl ExportArgs {
     /// Refuses a folder that has scenes in it which this call will not write: they would look like objects.
     fn check_folder(&self, format: FileFormat, parts: &[Part]) -> Result<()> {
         let is_other = |name: &str, path: &Path| {
-            name.ends_with(format.suffix()) && parts.iter().all(|(file, _)| file != path)
+            FileFormat::of(Path::new(name)) == Some(format)
+                && parts.iter().all(|(file, _)| file != path)
         };
         if let Some(other) = names(&self.out, is_other).first() {
             bail!(argument "--out"; found "{}", self.out.join(other).display(); expected "a folder without scenes of another export";
@@ -171,7 +172,13 @@ impl ExportArgs {
     fn write(&self, scene: &ObjectScene, format: FileFormat, parts: Vec<Part>) -> Result<()> {
         for (out, _) in &parts {
             check_output(out, self.force, &self.input, &scene.path, &scene.classes)?;
+            let beside = label_path(out);
+            if self.force {
+                own::allow(&beside);
+            }
+            own::check(&beside)?;
         }
+        let keeps = self.keeps_side_files(scene, &parts)?;
         let all = scene.ply.gaussians.len();
         for (out, rows) in &parts {
             let gaussians = scene.ply.gaussians.select(rows);
@@ -188,10 +195,41 @@ impl ExportArgs {
             ));
         }
         if let Some((out, _)) = parts.first() {
-            write_classes(&scene.classes, &out.with_file_name(CLASSES))?;
-            copy_cameras(&scene.path, out)?;
+            if !keeps || !scene.classes.is_empty() {
+                write_classes(&scene.classes, &out.with_file_name(CLASSES))?;
+            }
+            if !keeps || scene.path.with_file_name(CAMERAS).is_file() {
+                copy_cameras(&scene.path, out)?;
+            }
         }
         Ok(())
+    }
+
+    /// Whether other scenes lie beside `parts`, to which classes.json and cameras.json belong too. Refuses names or cameras that would
+    /// replace those of others.
+    fn keeps_side_files(&self, scene: &ObjectScene, parts: &[Part]) -> Result<bool> {
+        let Some((out, _)) = parts.first() else {
+            return Ok(false);
+        };
+        let folder = out.parent().unwrap_or(Path::new(""));
+        let is_other = |name: &str, path: &Path| {
+            FileFormat::of(Path::new(name)).is_some() && parts.iter().all(|(file, _)| file != path)
+        };
+        let others = names(folder, is_other);
+        let Some(other) = others.first().filter(|_| !self.force) else {
+            return Ok(false);
+        };
+        let table = out.with_file_name(CLASSES);
+        let has_table =
+            !table.exists() || scene.classes.is_empty() || has_table(&table, &scene.classes)?;
+        ensure!(has_table, &table, "classes"; found "those of {other}"; expected "those of the scene to export";
+            help "export into another folder, or write over them by --force");
+        let [from, to] = [&scene.path, out].map(|path| path.with_file_name(CAMERAS));
+        let content = |path: &Path| std::fs::read(path).map_err(|e| Error::io(path, "read", e));
+        let has_cameras = !from.is_file() || !to.is_file() || content(&from)? == content(&to)?;
+        ensure!(has_cameras, &to, "cameras"; found "those of {other}"; expected "those of the scene to export";
+            help "export into another folder, or write over them by --force");
+        Ok(true)
     }
 }
 

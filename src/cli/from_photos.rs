@@ -28,7 +28,7 @@ Writes into a new folder
   sparse/           COLMAP's models
   labels_segmenter/ with --segmenter: label maps, as `coseg label` writes them
   from-photos.json  what it was made from
-Ctrl-C stops; the same command continues. Steps that are done are not done again.
+Ctrl-C stops; the same command continues. Steps that are done are not done again, but the photos must still be there.
 
 Examples:
   coseg from-photos photos --out scenes/living

@@ -14,8 +14,8 @@ use std::path::{Path, PathBuf};
 /// Arguments that name the scene and its classes.
 #[derive(Args, Debug)]
 pub struct ObjectSceneArgs {
-    /// Scene: a 3DGS PLY with a `label` column, as vote and associate write it, or a run folder
-    #[arg(long, value_name = "FILE.ply|RUN")]
+    /// Scene with labels: a PLY, .spz or .splat file, or a run folder
+    #[arg(long, value_name = "FILE|RUN")]
     pub scene: PathBuf,
     /// Names of the labels [default: classes.json beside the scene, if it is there]
     #[arg(long, value_name = "FILE.json")]
@@ -113,7 +113,7 @@ pub fn check_output(
 }
 
 /// Whether the file `names` is there and has `classes`, or neither is.
-fn has_table(names: &Path, classes: &Classes) -> Result<bool> {
+pub fn has_table(names: &Path, classes: &Classes) -> Result<bool> {
     if !names.exists() {
         return Ok(classes.is_empty());
     }

@@ -35,10 +35,12 @@ For each frame, with STEM its file name without extension, the output folder get
                  `coseg train` lifted onto the Gaussians, as red, green and blue, blended over the background: like
                  colours are like features. Needs feature_colors.safetensors beside the scene
   --depth        STEM.depth.png  16-bit grey, thousandths of a world unit along the viewing direction; npy: [H, W] float32,
-                 world units. The mean of the Gaussians that a pixel shows; 0 where STEM.label.png has none
+                 world units. The mean of the Gaussians that a pixel shows; 0 where alpha is below the run's
+                 segmentation.min_coverage, or 0.5
   --annotations coco   instances.json: COCO instances with run lengths, one a label and frame, whose key `label` is its id
                 yolo   STEM.txt, data.yaml: YOLO segmentation, a line a connected region
-                       Both call the frame STEM.png, as its photo. An object has the category of its class.
+                       instances.json calls a frame STEM.png, also where its photo is STEM.jpg. An object has the
+                       category of its class.
                 index  STEM.index.png: 8-bit PNG with the colours of the classes as its palette
 
 Cameras

@@ -39,8 +39,8 @@ struct LabelFile {
     labels: Vec<u16>,
 }
 
-/// The file with the labels of the scene `path`.
-fn label_path(path: &Path) -> PathBuf {
+/// The file with the labels of the scene `path`, for formats without a place for them.
+pub fn label_path(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".labels.json");
     name.into()

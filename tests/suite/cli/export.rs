@@ -205,3 +205,57 @@ fn what_cannot_be_written_is_refused() {
         "{message}"
     );
 }
+
+#[test]
+fn names_and_cameras_of_earlier_exports_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let path = |name: &str| folder.path().join(name);
+    let labelled = utf8(folder.path());
+    let first = path("out/first.spz");
+    succeeds(&["export", "--scene", labelled, "--out", utf8(&first)]);
+    let table = std::fs::read(path("out/classes.json")).unwrap();
+    // Without its labels a scene has no names either.
+    let bare = path("bare/cloud.spz");
+    succeeds(&["export", "--scene", labelled, "--out", utf8(&bare)]);
+    std::fs::remove_file(path("bare/cloud.spz.labels.json")).unwrap();
+    let second = path("out/cloud.ply");
+    succeeds(&["export", "--scene", utf8(&bare), "--out", utf8(&second)]);
+    assert_eq!(std::fs::read(path("out/classes.json")).unwrap(), table);
+
+    std::fs::write(path("names.json"), r#"{"1": "other"}"#).unwrap();
+    let third = path("out/third.ply");
+    let names = path("names.json");
+    let mut other = vec!["export", "--scene", labelled, "--classes", utf8(&names)];
+    other.extend(["--out", utf8(&third)]);
+    let message = fails(&other, 1);
+    assert!(
+        message.contains("classes.json") && message.contains("found those of"),
+        "{message}"
+    );
+    assert!(!third.exists());
+    other.push("--force");
+    succeeds(&other);
+    assert_ne!(std::fs::read(path("out/classes.json")).unwrap(), table);
+}
+
+#[test]
+fn labels_of_others_are_not_written_over() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let out = folder.path().join("s.spz");
+    let beside = folder.path().join("s.spz.labels.json");
+    std::fs::write(&beside, "mine").unwrap();
+    let arguments = [
+        "export",
+        "--scene",
+        utf8(folder.path()),
+        "--out",
+        utf8(&out),
+    ];
+    let message = fails(&arguments, 1);
+    assert!(message.contains("s.spz.labels.json"), "{message}");
+    assert!(!out.exists());
+    assert_eq!(std::fs::read(&beside).unwrap(), b"mine");
+    succeeds(&[&arguments[..], &["--force"]].concat());
+}
