@@ -202,7 +202,7 @@ mod tests {
     ];
 
     #[test]
-    fn there_are_at_most_sixty_keys() {
+    fn there_are_at_most_sixty_keys_besides_those_of_labels() {
         let mut keys = Vec::new();
         flatten(template(), "", &mut keys);
         keys.retain(|(key, _)| !LABELS.contains(&key.as_str()));
