@@ -16,10 +16,8 @@ use rand::Rng;
 use rand::seq::index::sample;
 use rand_chacha::ChaCha8Rng;
 
-/// The PSNR of held-back views that a review may take while the scene grows, dB: what adds little then may be needed later.
-const LOSS_IN_GROWTH: f64 = 0.05;
-/// The same afterwards. The Gaussians that stay win more than that back as training goes on.
-const LOSS: f64 = 0.3;
+/// The PSNR of held-back views that a review may take, dB. Training goes on afterwards and wins it back.
+const LOSS: f64 = 0.05;
 /// Growth ends when the PSNR of views that are trained on is this far above that of held-back ones, dB.
 pub(crate) const MAX_GAP: f64 = 3.0;
 /// Training views that a review measures the Gaussians in, at most.
@@ -66,12 +64,7 @@ impl<'a> Trainer<'a> {
         }
         let held_back = self.views(self.schedule.judges());
         let before = scene.psnr(&held_back, &[])?;
-        let loss = if self.schedule.grows(self.iteration) {
-            LOSS_IN_GROWTH
-        } else {
-            LOSS
-        };
-        let kept = scene.prune(&costs, &held_back, before - loss, costs.len())?;
+        let kept = scene.prune(&costs, &held_back, before - LOSS, costs.len())?;
         let psnr_trained = scene.psnr(&measured, &[])?;
         self.parameters.select(&kept);
         self.statistics.select(&kept);
