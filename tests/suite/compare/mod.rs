@@ -3,3 +3,4 @@
 mod plans;
 mod runs;
 mod statistics;
+mod tables;

@@ -3,6 +3,7 @@
 use crate::support::capture::{
     CONVENTIONS, Capture, Convention, matrix, name, one_problem, suspected, without_cloud,
 };
+use crate::support::colmap::image_line;
 use crate::support::transforms_json::edit;
 use coseg::data::{LoadOptions, check, load};
 use glam::{DMat3, DMat4, DQuat, DVec3};
@@ -26,19 +27,7 @@ fn colmap(capture: &Capture, dir: &Path, convention: Convention) {
         let m = matrix(c, convention);
         let (q, t) = (DQuat::from_mat3(&DMat3::from_mat4(m)), m.w_axis);
         let name = path.file_name().unwrap().to_str().unwrap();
-        writeln!(
-            images,
-            "{} {} {} {} {} {} {} {} {i} {name}\n",
-            i + 1,
-            q.w,
-            q.x,
-            q.y,
-            q.z,
-            t.x,
-            t.y,
-            t.z
-        )
-        .unwrap();
+        images += &image_line(i + 1, (q, t.truncate()), i, name);
     }
     let cloud = fs::read_to_string(&capture.cloud).unwrap();
     for (i, line) in cloud

@@ -1,5 +1,6 @@
 //! Tests of `coseg::segmentation`.
 
+pub mod algorithm_one;
 pub mod attendance;
 pub mod blended_loss;
 pub mod consistency;

@@ -6,23 +6,22 @@ use coseg::config::{Normalisation, Resolution, UnprojectionConfig};
 use coseg::data::View;
 use coseg::features::{FeatureMap, Steps};
 use coseg::raster::{Projected, Settings, Splats};
-use coseg::segmentation::unprojection::{EPSILON, Sums};
+use coseg::segmentation::unprojection::Sums;
 use coseg::splat::Gaussians;
-use glam::DVec3;
 
 fn wide(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&x| f64::from(x)).collect()
 }
 
 /// The geometry in f64.
-struct Wide([Vec<f64>; 4]);
+pub(super) struct Wide([Vec<f64>; 4]);
 
 impl Wide {
-    fn of(g: &Gaussians) -> Self {
+    pub(super) fn of(g: &Gaussians) -> Self {
         let s = g.splats();
         Self([s.means, s.log_scales, s.rotations, s.opacity_logits].map(wide))
     }
-    fn splats(&self) -> Splats<'_, f64> {
+    pub(super) fn splats(&self) -> Splats<'_, f64> {
         let [means, log_scales, rotations, opacity_logits] = &self.0;
         Splats {
             means,
@@ -265,118 +264,6 @@ fn a_constant_map_unprojects_to_that_constant() {
             !lifted.seen[scene.len() - 1] && !lifted.keep[scene.len() - 1],
             "nobody sees the last one"
         );
-    }
-}
-
-#[test]
-fn count_is_algorithm_one_by_brute_force() {
-    // Every pixel, every Gaussian, in depth order, from the formulas of the blending alone.
-    let (scene, views) = (cloud(12), views(40, 30));
-    let (wide, settings) = (Wide::of(&scene), Settings::default());
-    let maps = |i: usize| {
-        [
-            map(40, 30, 3, i),
-            map(20, 15, 2, i + 7),
-            map(10, 8, 2, i + 8),
-            map(5, 4, 2, i + 9),
-        ]
-    };
-    let set = features(&views, maps);
-    let config = UnprojectionConfig {
-        normalisation: Normalisation::Count,
-        resolution: Resolution::Feature,
-        attendance: 0.02,
-        attendance_pixels: 0.0,
-    };
-    let mut exact = Sums::<f64>::new(scene.len(), &maps(0).each_ref().map(|m| m.channels));
-    for (view, features) in views.iter().zip(&set.views) {
-        exact
-            .add(
-                &wide.splats(),
-                &view.camera,
-                &features.maps,
-                None,
-                config.resolution,
-                &settings,
-            )
-            .expect("sums");
-    }
-    let exact = exact.normalised(Normalisation::Count).buffers;
-    let lifted = unproject(
-        &scene,
-        views.iter(),
-        &set,
-        &config,
-        &settings,
-        &crate::support::device(),
-    )
-    .expect("features");
-    let n = scene.len();
-    for (scale, exact) in exact.iter().enumerate() {
-        let c = set.views[0].maps[scale].channels;
-        let (mut counter, mut buffer, mut pixels) = (vec![0_u64; n], vec![0.0; n * c], 0);
-        for (view, features) in views.iter().zip(&set.views) {
-            let map = &features.maps[scale];
-            let camera = view.camera.resized(map.width, map.height);
-            pixels += map.cells();
-            let projected =
-                Projected::<f64>::new(&wide.splats(), &camera, &settings).expect("view");
-            let w = projected.weights(None);
-            for p in 0..map.cells() {
-                let (x, y) = ((p % map.width) as f64 + 0.5, (p / map.width) as f64 + 0.5);
-                for i in 0..n {
-                    let radius = f64::from(projected.radii()[i]);
-                    if radius == 0.0 {
-                        continue;
-                    }
-                    let m = scene.means[i].map(f64::from);
-                    let (u, v, _) = camera
-                        .project(DVec3::from_array(m))
-                        .expect("before the camera");
-                    counter[i] += u64::from((x - u).powi(2) + (y - v).powi(2) <= radius * radius);
-                    // The buffer is W^T F: a splat more opaque than 0.35 reaches a little beyond its 3 sigma radius.
-                    let (columns, weights) = w.row(p);
-                    let weight = columns
-                        .iter()
-                        .zip(weights)
-                        .find(|(id, _)| **id as usize == i)
-                        .map_or(0.0, |(_, w)| f64::from(*w));
-                    for k in 0..c {
-                        buffer[i * c + k] += weight * f64::from(map.data[p * c + k]);
-                    }
-                }
-            }
-        }
-        assert_eq!(lifted.counts[scale], counter);
-        let largest = buffer
-            .iter()
-            .zip(0..)
-            .map(|(b, k)| (b / (counter[k / c] as f64 + EPSILON)).abs())
-            .fold(0.0, f64::max);
-        for (k, (&x, &single)) in exact.iter().zip(&lifted.features[scale]).enumerate() {
-            let expected = buffer[k] / (counter[k / c] as f64 + EPSILON);
-            assert!(
-                (x - expected).abs() < 1e-6 * largest,
-                "{scale} {k}: {x} {expected}"
-            ); // W is rounded to f32 here
-            assert!(
-                (f64::from(single) - expected).abs() < 1e-4 * largest,
-                "{scale} {k}: {single} {expected}"
-            );
-        }
-        if scale == 0 {
-            let keep: Vec<bool> = counter
-                .iter()
-                .map(|&n| n as f64 >= 0.02 * pixels as f64)
-                .collect();
-            assert_eq!(lifted.keep, keep);
-            let pruned = keep.iter().filter(|k| !**k).count();
-            assert!(
-                pruned > 0 && pruned < n,
-                "{pruned} pruned of {n}: the threshold decides something"
-            );
-            assert!((lifted.pruned_share() - pruned as f64 / n as f64).abs() < 1e-12);
-        }
     }
 }
 

@@ -6,5 +6,6 @@ pub mod formats;
 pub mod level;
 pub mod orbits;
 pub mod ply;
+pub mod ply_refused;
 pub mod properties;
 pub mod splat_transform;

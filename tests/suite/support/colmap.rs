@@ -165,3 +165,9 @@ pub fn scene(write: fn(&Path, &Calibrated), camera: &Calibrated) -> TempDir {
     .expect("classes");
     dir
 }
+
+/// A line of `images.txt` and the empty one that follows it: the world-to-camera pose of photo `name`, by camera `camera`.
+pub fn image_line(id: usize, (q, t): (DQuat, DVec3), camera: usize, name: &str) -> String {
+    let pose = [q.w, q.x, q.y, q.z, t.x, t.y, t.z].map(|v| v.to_string());
+    format!("{id} {} {camera} {name}\n\n", pose.join(" "))
+}

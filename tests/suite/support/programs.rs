@@ -1,5 +1,6 @@
 //! Photos, and scripts in the place of the programs that `coseg from-photos` calls.
 
+use crate::support::colmap::image_line;
 use crate::support::plates::{HEIGHT, WIDTH, camera, plates, scene};
 use crate::support::program::{text, utf8};
 use glam::DQuat;
@@ -39,17 +40,7 @@ impl Place {
             let camera = camera(i);
             let q = DQuat::from_mat3(&camera.rotation);
             let t = -(camera.rotation * camera.center);
-            images += &format!(
-                "{} {} {} {} {} {} {} {} 1 {name}\n\n",
-                i + 1,
-                q.w,
-                q.x,
-                q.y,
-                q.z,
-                t.x,
-                t.y,
-                t.z
-            );
+            images += &image_line(i + 1, (q, t), 1, &name);
         }
         fs::write(model.join("images.txt"), images).unwrap();
         let points = plates().0.means.into_iter().enumerate();

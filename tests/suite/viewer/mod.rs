@@ -1,5 +1,6 @@
 //! Tests of `coseg::viewer`.
 
+pub mod drawing;
 #[cfg(unix)]
 pub mod edit_history;
 #[cfg(unix)]
