@@ -27,18 +27,23 @@ pub(super) fn run(
 ) -> Result<ControlFlow<()>> {
     let program = command.get_program().to_string_lossy().into_owned();
     command.stdin(Stdio::null());
-    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    // One pipe for both, so that the last lines are the last ones.
+    let failed = |e| Error::io(&program, "start", e);
+    let (output, input) = std::io::pipe().map_err(failed)?;
+    command.stdout(input.try_clone().map_err(failed)?);
+    command.stderr(input);
     // A group of its own, which can be ended as a whole.
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(command, 0);
     let child = command.spawn().map_err(|e| match e.kind() {
         std::io::ErrorKind::NotFound => Error::missing("program", &program, help),
-        _ => Error::io(&program, "start", e),
+        _ => failed(e),
     })?;
+    // The command holds ends of the pipe too.
+    command.stdout(Stdio::null()).stderr(Stdio::null());
     let mut running = Running(child);
     let (sender, lines) = mpsc::channel();
-    read_lines(running.0.stdout.take(), sender.clone());
-    read_lines(running.0.stderr.take(), sender);
+    read_lines(output, sender);
     let mut last = VecDeque::new();
     loop {
         let more = match lines.recv_timeout(PATIENCE) {
@@ -94,8 +99,7 @@ impl Drop for Running {
 }
 
 /// Sends the lines of `output` that are not blank.
-fn read_lines(output: Option<impl Read + Send + 'static>, sender: Sender<String>) {
-    let Some(output) = output else { return };
+fn read_lines(output: impl Read + Send + 'static, sender: Sender<String>) {
     std::thread::spawn(move || {
         let mut output = BufReader::new(output);
         let mut bytes = Vec::new();
