@@ -6,6 +6,7 @@ use crate::support::program::utf8;
 use coseg::data::Limits;
 use coseg::splat::ply;
 use serde_json::json;
+use std::path::Path;
 
 #[test]
 fn everything_is_undone_and_done_again_bit_for_bit() {
@@ -123,14 +124,7 @@ fn edits_outlive_a_reload_and_leaving_asks_while_they_are_not_saved() {
     tab.send("Page.setDownloadBehavior", folder);
     tab.value("document.getElementById('save').click()");
     assert_eq!(tab.text(summary), "2 edits, saved");
-    let saved = dir.path().join("edits.json");
-    for _ in 0..100 {
-        if saved.is_file() {
-            break;
-        }
-        std::thread::sleep(std::time::Duration::from_millis(50));
-    }
-    assert_eq!(std::fs::read_to_string(&saved).unwrap(), text);
+    assert_eq!(downloaded(&dir.path().join("edits.json")), text);
     tab.drag(&[[5.0, 400.0]], 0);
     assert!(!tab.reload());
     assert_eq!(tab.text(summary), "2 edits, saved");
@@ -259,4 +253,18 @@ fn names_hold_no_control_characters() {
     tab.value("page.rename(2, ' red\\trug ')");
     assert_eq!(tab.text("page.state.object(2).name"), "red rug");
     assert_applied(&mut tab, dir.path());
+}
+
+/// The text of a file that the browser downloads. The browser makes the file empty and fills it later, so this waits for its text.
+fn downloaded(path: &Path) -> String {
+    for _ in 0..600 {
+        match std::fs::read_to_string(path) {
+            Ok(text) if !text.is_empty() => return text,
+            _ => std::thread::sleep(std::time::Duration::from_millis(50)),
+        }
+    }
+    panic!(
+        "{} is not there, or empty, after 30 seconds",
+        path.display()
+    );
 }
