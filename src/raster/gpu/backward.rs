@@ -1,7 +1,7 @@
 //! Backward pass over the tiles: the kernel.
 //!
-//! A cube takes [`BATCH`] Gaussians of its tile at a time. First every unit is a pixel: it blends them once more, front to back,
-//! and leaves `alpha' T` and `g = dL/dalpha' alpha'` in shared memory. Then [`LANES`] units share a Gaussian and sum over all
+//! A cube loads [`LOADED`] Gaussians of its tile at a time and takes [`BATCH`] of them together. First every unit is a pixel: it
+//! blends them once more, front to back, and leaves `alpha' T` and `g = dL/dalpha' alpha'` in shared memory. Then [`LANES`] units share a Gaussian and sum over all
 //! pixels; their sums meet in shared memory again. The sums of a tile entry go to its own row. The rows of a Gaussian are
 //! neighbours, and a second kernel adds them. So there are no atomics, and the bits are the same every time. Everything is linear
 //! in the gradient of the image, so that channels come in blocks, and the moments of the blocks add up.
@@ -22,6 +22,9 @@ pub(super) const MOMENTS: usize = 6;
 pub(super) const ABSOLUTE_MOMENTS: usize = 8;
 /// Gaussians that a cube takes together.
 const BATCH: usize = 8;
+/// Gaussians that a cube loads at a time: to wait for memory takes longer than a batch. Shared memory of 32 KB has room for these
+/// beside 12 channels.
+const LOADED: usize = 3 * BATCH;
 /// Units that sum for one Gaussian.
 const LANES: usize = UNITS as usize / BATCH;
 /// They are as many as the pixels of a patch.
@@ -39,9 +42,9 @@ const fn pairs_of(moments: usize) -> usize {
 /// Widest block that this device has shared memory for.
 pub(super) fn widest(gpu: &Gpu, moments: usize) -> usize {
     let floats = gpu.client.properties().hardware.max_shared_memory_size / size_of::<f32>();
-    // A batch, its patches and entries, and slots.
-    let others = pairs_of(moments) + BATCH * (SPLAT + 2 * PATCHES + 1) + 64;
-    let fits = floats.saturating_sub(others) / (UNITS as usize + BATCH) / 4 * 4;
+    // What is loaded, patches that a batch touches, and slots.
+    let others = pairs_of(moments) + LOADED * (SPLAT + PATCHES + 1) + BATCH * PATCHES + 64;
+    let fits = floats.saturating_sub(others) / (UNITS as usize + LOADED) / 4 * 4;
     fits.clamp(COMMON_BLOCK_CHANNELS, WIDEST[usize::from(moments == 0)])
 }
 
@@ -80,13 +83,13 @@ pub(super) fn tiles_backward(
     let rounds = comptime![columns.div_ceil(pairs_of(moments) / UNITS as usize)];
     let together = comptime![columns.div_ceil(rounds)];
     let fours = comptime![block.div_ceil(4)];
-    let mut batch = Shared::<[Four]>::new_slice(BATCH * SPLAT_FOURS);
-    let mut values = Shared::<[Four]>::new_slice(BATCH * fours);
+    let mut loaded = Shared::<[Four]>::new_slice(LOADED * SPLAT_FOURS);
+    let mut values = Shared::<[Four]>::new_slice(LOADED * fours);
     let mut d_pixels = Shared::<[Four]>::new_slice(units * fours);
     let mut pairs = Shared::<[f32]>::new_slice(comptime![pairs_of(moments)]);
-    let mut batch_entries = Shared::<[u32]>::new_slice(BATCH);
+    let mut loaded_entries = Shared::<[u32]>::new_slice(LOADED);
     // Whether a Gaussian may show in a patch, and whether it contributes to a pixel of the patch.
-    let mut reached = Shared::<[u32]>::new_slice(BATCH * PATCHES);
+    let mut reached = Shared::<[u32]>::new_slice(LOADED * PATCHES);
     let touched = Shared::<[Atomic<u32>]>::new_slice(BATCH * PATCHES);
     let live = Shared::<[Atomic<u32>]>::new_slice(3usize);
     let rule = rule(view);
@@ -120,6 +123,9 @@ pub(super) fn tiles_backward(
     if unit == 0 {
         live[0].store(0u32);
     }
+    if unit < BATCH * PATCHES {
+        touched[unit].store(0u32);
+    }
     let patch = unit / PATCH;
     // The pixels that this unit sums over: the same one of every patch.
     let member = unit / LANES;
@@ -137,164 +143,175 @@ pub(super) fn tiles_backward(
         if entries[at as usize] >= end_entry {
             end = at;
         }
-        let count = min(end - at, BATCH as u32);
-        let before = count > 0u32 && entries[(at + count - 1u32) as usize] < first_entry;
-        if unit < count as usize * SPLAT_FOURS {
+        let count = min(end - at, LOADED as u32) as usize;
+        if unit < count * SPLAT_FOURS {
             let id = gaussians[at as usize + unit / SPLAT_FOURS] as usize;
-            batch[unit] = splat_four(splats, id, unit % SPLAT_FOURS);
+            loaded[unit] = splat_four(splats, id, unit % SPLAT_FOURS);
         }
-        if comptime![moments > 0] && unit < count as usize * fours {
+        if comptime![moments > 0] && unit < count * fours {
             let id = gaussians[at as usize + unit / fours] as usize;
             let channel = first_channel + 4u32 * (unit % fours) as u32;
             values[unit] = four_values(all_values, id, channel, channels);
         }
-        if unit < count as usize {
-            batch_entries[unit] = entries[at as usize + unit];
+        if unit < count {
+            loaded_entries[unit] = entries[at as usize + unit];
         }
-        if unit < BATCH * PATCHES {
-            touched[unit].store(0u32);
+        if unit < LOADED * PATCHES {
             let mut reaches = false;
-            if unit / PATCHES < count as usize {
+            if unit / PATCHES < count {
                 let id = gaussians[at as usize + unit / PATCHES] as usize;
                 reaches = reaches_patch(splats, id, tile, (unit % PATCHES) as u32, width, height);
             }
             reached[unit] = u32::cast_from(reaches);
         }
-        if unit == 0 {
-            live[((slot + 1u32) % 3u32) as usize].store(0u32);
-        }
         sync_cube();
 
-        for j in 0..BATCH {
-            let mut weight = 0.0f32;
-            let mut g = 0.0f32;
-            let reached = reached[j * PATCHES + patch] > 0u32;
-            if reached && !done {
-                let taken = take(&batch, j, own.x, own.y, t, &rule);
-                if taken.shows {
-                    if taken.next <= rule.t_min {
-                        done = true;
-                    } else {
-                        let alpha = taken.alpha;
-                        weight = alpha * t;
-                        if comptime![moments > 0] {
-                            let mut d = 0.0f32;
-                            #[unroll]
-                            for k in 0..fours {
-                                d += d_own[k].dot(values[j * fours + k]);
+        let mut first = 0usize;
+        while first < count {
+            let members = min(count - first, BATCH);
+            let before = loaded_entries[first + members - 1] < first_entry;
+            let next_slot = (slot + 1u32) % 3u32;
+            if unit == 0 {
+                live[next_slot as usize].store(0u32);
+            }
+            for j in 0..BATCH {
+                let mut weight = 0.0f32;
+                let mut g = 0.0f32;
+                let reached = reached[(first + j) * PATCHES + patch] > 0u32;
+                if reached && !done {
+                    let taken = take(&loaded, first + j, own.x, own.y, t, &rule);
+                    if taken.shows {
+                        if taken.next <= rule.t_min {
+                            done = true;
+                        } else {
+                            let alpha = taken.alpha;
+                            weight = alpha * t;
+                            if comptime![moments > 0] {
+                                let mut d = 0.0f32;
+                                #[unroll]
+                                for k in 0..fours {
+                                    d += d_own[k].dot(values[(first + j) * fours + k]);
+                                }
+                                let share = weight * d;
+                                rest -= share;
+                                // No gradient passes the cap.
+                                if alpha < rule.alpha_max {
+                                    g = share - rest * (alpha / (1.0f32 - alpha));
+                                }
                             }
-                            let share = weight * d;
-                            rest -= share;
-                            // No gradient passes the cap.
-                            if alpha < rule.alpha_max {
-                                g = share - rest * (alpha / (1.0f32 - alpha));
-                            }
+                            t = taken.next;
+                            touched[j * PATCHES + patch].store(1u32);
                         }
-                        t = taken.next;
-                        touched[j * PATCHES + patch].store(1u32);
                     }
                 }
-            }
-            if reached {
-                pairs[j * units + unit] = weight;
-                if comptime![moments > 0] {
-                    pairs[(BATCH + j) * units + unit] = g;
-                }
-            }
-        }
-        if !done {
-            live[slot as usize].store(1u32);
-        }
-        sync_cube();
-
-        if !before {
-            let mut sums = Array::<f32>::new(rounds * together);
-            #[unroll]
-            for k in 0..rounds * together {
-                sums[k] = 0.0f32;
-            }
-            let mut value_sums = Array::<Four>::new(fours);
-            #[unroll]
-            for k in 0..fours {
-                value_sums[k] = Four::new(0.0f32);
-            }
-            let splat = batch[member * SPLAT_FOURS];
-            let (slope, du) = (splat.extract(2usize), splat.extract(3usize));
-            let dv = batch[member * SPLAT_FOURS + 1].extract(0usize);
-            let dx = lane_x - splat.extract(0usize);
-            let dy = lane_y - splat.extract(1usize);
-            for i in 0..PATCHES {
-                if touched[member * PATCHES + i].load() > 0u32 {
-                    let at_pixel = i * PATCH + lane;
+                if reached {
+                    pairs[j * units + unit] = weight;
                     if comptime![moments > 0] {
-                        let g = pairs[(BATCH + member) * units + at_pixel];
-                        let row = dy + f32::cast_from(((i / PATCHES_ACROSS) * PATCH_HEIGHT) as u32);
-                        let column =
-                            dx + f32::cast_from(((i % PATCHES_ACROSS) * PATCH_WIDTH) as u32);
-                        let u = du * (column - slope * row);
-                        let v = dv * row;
-                        sums[0] += g;
-                        sums[1] += g * u;
-                        sums[2] += g * v;
-                        sums[3] += g * u * u;
-                        sums[4] += g * u * v;
-                        sums[5] += g * v * v;
-                        if comptime![moments == ABSOLUTE_MOMENTS] {
-                            sums[6] += (g * u).abs();
-                            sums[7] += (g * (v * dv - slope * (u * du))).abs();
+                        pairs[(BATCH + j) * units + unit] = g;
+                    }
+                }
+            }
+            if !done {
+                live[slot as usize].store(1u32);
+            }
+            sync_cube();
+
+            if !before {
+                let mut sums = Array::<f32>::new(rounds * together);
+                #[unroll]
+                for k in 0..rounds * together {
+                    sums[k] = 0.0f32;
+                }
+                let mut value_sums = Array::<Four>::new(fours);
+                #[unroll]
+                for k in 0..fours {
+                    value_sums[k] = Four::new(0.0f32);
+                }
+                let splat = loaded[(first + member) * SPLAT_FOURS];
+                let (slope, du) = (splat.extract(2usize), splat.extract(3usize));
+                let dv = loaded[(first + member) * SPLAT_FOURS + 1].extract(0usize);
+                let dx = lane_x - splat.extract(0usize);
+                let dy = lane_y - splat.extract(1usize);
+                for i in 0..PATCHES {
+                    if touched[member * PATCHES + i].load() > 0u32 {
+                        let at_pixel = i * PATCH + lane;
+                        if comptime![moments > 0] {
+                            let g = pairs[(BATCH + member) * units + at_pixel];
+                            let row =
+                                dy + f32::cast_from(((i / PATCHES_ACROSS) * PATCH_HEIGHT) as u32);
+                            let column =
+                                dx + f32::cast_from(((i % PATCHES_ACROSS) * PATCH_WIDTH) as u32);
+                            let u = du * (column - slope * row);
+                            let v = dv * row;
+                            sums[0] += g;
+                            sums[1] += g * u;
+                            sums[2] += g * v;
+                            sums[3] += g * u * u;
+                            sums[4] += g * u * v;
+                            sums[5] += g * v * v;
+                            if comptime![moments == ABSOLUTE_MOMENTS] {
+                                sums[6] += (g * u).abs();
+                                sums[7] += (g * (v * dv - slope * (u * du))).abs();
+                            }
+                        }
+                        let weight = Four::new(pairs[member * units + at_pixel]);
+                        #[unroll]
+                        for k in 0..fours {
+                            value_sums[k] += weight * d_pixels[k * units + at_pixel];
                         }
                     }
-                    let weight = Four::new(pairs[member * units + at_pixel]);
-                    #[unroll]
-                    for k in 0..fours {
-                        value_sums[k] += weight * d_pixels[k * units + at_pixel];
-                    }
                 }
-            }
-            #[unroll]
-            for k in 0..block {
-                sums[moments + k] = value_sums[k / 4].extract_dynamic(k % 4);
-            }
-            #[unroll]
-            for round in 0..rounds {
-                sync_cube();
                 #[unroll]
-                for k in 0..together {
-                    pairs[k * units + unit] = sums[round * together + k];
+                for k in 0..block {
+                    sums[moments + k] = value_sums[k / 4].extract_dynamic(k % 4);
                 }
-                sync_cube();
-                let sum_of = unit / together;
-                let column = round * together + unit % together;
-                if sum_of < count as usize && column < columns {
-                    let mut sum = 0.0f32;
-                    for i in 0..LANES {
-                        // Each unit starts elsewhere, so that no two of a warp meet in a memory bank.
-                        sum +=
-                            pairs[(unit % together) * units + sum_of * LANES + (i + unit) % LANES];
+                #[unroll]
+                for round in 0..rounds {
+                    sync_cube();
+                    #[unroll]
+                    for k in 0..together {
+                        pairs[k * units + unit] = sums[round * together + k];
                     }
-                    let entry = batch_entries[sum_of];
+                    sync_cube();
+                    let sum_of = unit / together;
+                    let column = round * together + unit % together;
+                    if sum_of < members && column < columns {
+                        let mut sum = 0.0f32;
+                        for i in 0..LANES {
+                            // Each unit starts elsewhere, so that no two of a warp meet in a memory bank.
+                            sum += pairs
+                                [(unit % together) * units + sum_of * LANES + (i + unit) % LANES];
+                        }
+                        let entry = loaded_entries[first + sum_of];
+                        if entry >= first_entry && entry < end_entry {
+                            rows[(entry - first_entry) as usize * columns + column] = sum;
+                        }
+                    }
+                }
+            }
+            if unit < BATCH * PATCHES {
+                touched[unit].store(0u32);
+            }
+            first += members;
+            let going = live[slot as usize].load();
+            slot = next_slot;
+            sync_cube();
+            if going == 0u32 {
+                // No light reaches the rest of the list.
+                let from = at as usize + first;
+                let left = (end as usize - from) * columns;
+                let mut k = unit;
+                while k < left {
+                    let entry = entries[from + k / columns];
                     if entry >= first_entry && entry < end_entry {
-                        rows[(entry - first_entry) as usize * columns + column] = sum;
+                        rows[(entry - first_entry) as usize * columns + k % columns] = 0.0f32;
                     }
+                    k += units;
                 }
+                end = at;
+                first = count;
             }
         }
-        at += count;
-        let going = live[slot as usize].load();
-        slot = (slot + 1u32) % 3u32;
-        sync_cube();
-        if going == 0u32 {
-            // No light reaches the rest of the list.
-            let left = (end - at) as usize * columns;
-            let mut k = unit;
-            while k < left {
-                let entry = entries[at as usize + k / columns];
-                if entry >= first_entry && entry < end_entry {
-                    rows[(entry - first_entry) as usize * columns + k % columns] = 0.0f32;
-                }
-                k += units;
-            }
-            end = at;
-        }
+        at += count as u32;
     }
 }

@@ -169,7 +169,6 @@ fn colours_backward(
     let length = length_of(&offset);
     let d = direction(&offset, length);
     let b = basis(&d, degree);
-    let mut d_basis = Array::<f32>::new(16usize);
     #[unroll]
     for k in 0..stored {
         let at = 3 * (i * stored + k);
@@ -177,7 +176,6 @@ fn colours_backward(
             d_sh[at] = b[k] * gx;
             d_sh[at + 1] = b[k] * gy;
             d_sh[at + 2] = b[k] * gz;
-            d_basis[k] = sh[at] * gx + sh[at + 1] * gy + sh[at + 2] * gz;
         } else {
             d_sh[at] = 0.0f32;
             d_sh[at + 1] = 0.0f32;
@@ -185,6 +183,13 @@ fn colours_backward(
         }
     }
     if comptime![degree > 0] && radii[i] > 0u32 && length > 0.0f32 {
+        // Not in the loop above: a load that follows a store waits for it.
+        let mut d_basis = Array::<f32>::new(16usize);
+        #[unroll]
+        for k in 0..terms {
+            let at = 3 * (i * stored + k);
+            d_basis[k] = sh[at] * gx + sh[at + 1] * gy + sh[at + 2] * gz;
+        }
         let d_direction = basis_backward(&d, &d_basis, degree);
         let along = dot(&d, &d_direction);
         d_means[3 * i] += (d_direction.x - d.x * along) / length;
