@@ -23,7 +23,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Labels of a frame, and channels beside colour.
 const LABELS: usize = 20;
@@ -35,6 +35,8 @@ const CHANNELS: [(&str, bool, usize); 3] = [
 ];
 const SIZES: [[usize; 2]; 2] = [[480, 360], [1920, 1080]];
 const VIEWS: usize = 6;
+/// A GPU that was idle takes this long to reach its clock.
+const WARM_UP: Duration = Duration::from_secs(1);
 
 #[derive(Parser)]
 struct Arguments {
@@ -172,9 +174,13 @@ impl View<'_> {
         Ok(())
     }
 
-    /// Milliseconds of the mean view, for each pass after the first.
+    /// Milliseconds of the mean view, for each pass after the [`WARM_UP`].
     fn passes(&self, mut pass: impl FnMut() -> Result<()>) -> Result<Vec<f64>> {
+        let start = Instant::now();
         pass()?;
+        while start.elapsed() < WARM_UP {
+            pass()?;
+        }
         let timed = (0..self.repeats.max(1)).map(|_| {
             let start = Instant::now();
             pass()?;

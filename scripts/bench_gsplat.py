@@ -118,6 +118,7 @@ def smallest(subject):
 
 
 TILE = 16
+WARM_UP = 1  # seconds: a GPU that was idle takes as long to reach its clock
 AGREE = 60  # dB between the pictures of the two programs; what crosses a cut-off in f32 leaves some 90
 
 
@@ -149,8 +150,11 @@ def render_together(g, view, extra):
 
 
 def timed(work, repeats):
-    """Milliseconds of the median run, after one that is not counted."""
+    """Milliseconds of the median run, after a second of runs that are not counted."""
+    start = time.perf_counter()
     work()
+    while time.perf_counter() - start < WARM_UP:
+        work()
     seconds = []
     for _ in range(repeats):
         start = time.perf_counter()
