@@ -227,9 +227,14 @@ fn a_program_that_fails_is_quoted_and_continued() {
 fn a_stop_ends_the_programs_too() {
     let place = Place::new();
     let photos = place.photos();
-    let (begun, left) = (place.path("begun"), place.path("left"));
+    let begun = place.path("begun");
+    let stopped = place.path("stopped");
+    let left = place.path("left");
+    // A child that outlives the stop says so.
     let wait = format!(
-        "test $1 != help || exit 0; (sleep 2; touch '{}') & touch '{}'; wait",
+        "test $1 != help || exit 0; \
+         (for i in $(seq 600); do test -e '{}' && touch '{}' && exit; sleep 0.1; done) & touch '{}'; wait",
+        utf8(&stopped),
         utf8(&left),
         utf8(&begun)
     );
@@ -253,7 +258,8 @@ fn a_stop_ends_the_programs_too() {
             .success()
     );
     assert_eq!(running.wait().unwrap().code(), Some(130));
-    std::thread::sleep(Duration::from_millis(2500));
+    fs::write(&stopped, "").unwrap();
+    std::thread::sleep(Duration::from_millis(2000));
     assert!(!left.exists(), "what COLMAP started goes on");
     place.colmap();
     place.succeeds(&photos, &[]);
