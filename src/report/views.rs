@@ -30,11 +30,12 @@ pub(super) fn views(report: &Report<'_>, path: &Path) -> Result<Markup> {
     let (open, folded) = shown.split_at(shown.len().min(UNFOLDED));
     let has_labels = |v: &HeldOutView| !v.labels.is_empty() || v.view.truth.is_some();
     Ok(html! {
-        @if shown.len() < report.held_out {
-            p.quiet {
+        p.quiet {
+            @if shown.len() < report.held_out {
                 (shown.len()) " of " (report.held_out) " held-out views, evenly spaced in file order. All are in "
-                code { "renders/" } "."
+                code { "renders/" } ". "
             }
+            "A click enlarges a picture, and another one shrinks it."
         }
         @if report.views.iter().any(has_labels) { (legend(report)) }
         (scales(report))
@@ -146,10 +147,14 @@ fn figure(
     path: &Path,
 ) -> Result<Markup> {
     let data = base64::engine::general_purpose::STANDARD.encode(png(image, path)?);
+    // A box that is ticked enlarges the picture behind it: the page has no script.
     Ok(html! {
         figure {
-            img class=[class] width=(image.width()) height=(image.height()) loading="lazy" alt=(caption)
-                src={ "data:image/png;base64," (data) };
+            label {
+                input type="checkbox" aria-label={ "enlarge " (caption) };
+                img class=[class] width=(image.width()) height=(image.height()) loading="lazy" alt=(caption)
+                    src={ "data:image/png;base64," (data) };
+            }
             figcaption { (caption) " " span { (note) } }
         }
     })

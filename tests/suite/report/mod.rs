@@ -1,4 +1,5 @@
 //! Tests of `coseg::report`.
 
+mod page;
 pub mod results;
 mod sheet;

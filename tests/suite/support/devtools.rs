@@ -26,8 +26,15 @@ pub struct Tab {
 }
 
 impl Tab {
+    /// A tab of this size with the viewer at `path`.
+    pub fn open(browser: &str, path: &Path, size: [u32; 2]) -> Self {
+        let mut tab = Self::page(browser, path, size);
+        tab.expect_ready();
+        tab
+    }
+
     /// A tab of this size with the page at `path`.
-    pub fn open(browser: &str, path: &Path, [width, height]: [u32; 2]) -> Self {
+    pub fn page(browser: &str, path: &Path, [width, height]: [u32; 2]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let pipe = |name: &str| folder.path().join(name);
         let (commands, answers) = (pipe("commands"), pipe("answers"));
@@ -70,7 +77,7 @@ impl Tab {
         tab.resize([width, height], false);
         let url = format!("file://{}", path.canonicalize().unwrap().display());
         tab.send("Page.navigate", json!({"url": url}));
-        tab.wait_until_ready();
+        tab.wait_for("Page.loadEventFired");
         tab
     }
 
@@ -85,8 +92,7 @@ impl Tab {
         );
     }
 
-    fn wait_until_ready(&mut self) {
-        self.wait_for("Page.loadEventFired");
+    fn expect_ready(&mut self) {
         assert_eq!(
             self.value("document.body.dataset.ready"),
             "yes",
@@ -112,7 +118,8 @@ impl Tab {
         if asked {
             self.send("Page.handleJavaScriptDialog", json!({"accept": true}));
         }
-        self.wait_until_ready();
+        self.wait_for("Page.loadEventFired");
+        self.expect_ready();
         asked
     }
 
