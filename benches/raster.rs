@@ -35,7 +35,7 @@ const CHANNELS: [(&str, bool, usize); 3] = [
 ];
 const SIZES: [[usize; 2]; 2] = [[480, 360], [1920, 1080]];
 const VIEWS: usize = 6;
-/// A GPU that was idle takes this long to reach its clock.
+/// A GPU that was idle needs time to reach its clock.
 const WARM_UP: Duration = Duration::from_secs(1);
 
 #[derive(Parser)]

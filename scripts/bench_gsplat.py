@@ -118,7 +118,7 @@ def smallest(subject):
 
 
 TILE = 16
-WARM_UP = 1  # seconds: a GPU that was idle takes as long to reach its clock
+WARM_UP = 1  # seconds: a GPU that was idle needs time to reach its clock
 AGREE = 60  # dB between the pictures of the two programs; what crosses a cut-off in f32 leaves some 90
 
 

@@ -31,7 +31,7 @@ where its photos agree. Only training photos are named: nothing learns from held
 of the pixels of all training photos.
 
 Examples:
-  coseg data suggest --data scenes/living --count 6       # label these in LabelMe, see docs/from-photos.md
+  coseg data suggest scenes/living --count 6              # label these in LabelMe, see docs/from-photos.md
   coseg train --data scenes/living --set data.raw_labels=FOLDER";
 
 /// Arguments of `coseg data`.
@@ -91,8 +91,8 @@ struct SuggestArgs {
     /// Number of photos
     #[arg(long, default_value_t = 6)]
     count: usize,
-    /// Scene in the 3DGS PLY convention, or a run folder, whose Gaussians are to be shown
-    #[arg(long, value_name = "FILE.ply|RUN")]
+    /// Scene, a PLY, .spz or .splat file, or its folder, whose Gaussians are to be shown
+    #[arg(long, value_name = "FILE|DIR")]
     scene: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]

@@ -156,10 +156,15 @@ impl EditArgs {
         for (rows, motion) in &motions {
             editing.displace(rows, motion);
         }
+        let mut removals = 0;
         for object in scene.objects.iter().filter(|object| !stays(object.id)) {
             editing.remove(&object.rows);
+            removals += 1;
         }
-        let done = format!("turns and moves: {}", motions.len());
+        let done = format!(
+            "objects removed: {removals}, turns and moves: {}",
+            motions.len()
+        );
         Ok((editing.finish("--keep, --remove")?, done))
     }
 

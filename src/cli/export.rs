@@ -259,7 +259,7 @@ fn convert(path: &Path, format: FileFormat, gaussians: &Gaussians, origin: DVec3
     let done = done.map_err(|e| match e.kind() {
         io::ErrorKind::NotFound => {
             invalid!(argument "--out"; found "a {} file, which {CONVERTER} has to write, and no {CONVERTER} on the PATH", format.suffix();
-                expected "this program, or a .ply, .compressed.ply or .spz file"; help "npm install -g @playcanvas/splat-transform")
+                expected "splat-transform on the PATH, or a name that ends in .ply, .compressed.ply or .spz"; help "npm install -g @playcanvas/splat-transform")
         }
         _ => failed(e),
     })?;

@@ -16,8 +16,8 @@ use std::path::PathBuf;
 /// Arguments that name both, and where to write.
 #[derive(Args, Debug)]
 pub struct LabelledArgs {
-    /// Scene in the 3DGS PLY convention, or a run folder
-    #[arg(long, value_name = "FILE.ply|RUN")]
+    /// Scene, a PLY, .spz or .splat file, or its folder
+    #[arg(long, value_name = "FILE|DIR")]
     pub scene: PathBuf,
     /// Scene folder: photos, cameras, raw labels
     #[arg(long, value_name = "DIR")]

@@ -93,7 +93,7 @@ Examples:
 
 No command writes over files that it did not write, except `train --resume` in its run, and `edit`, `separate` and
 `export` with --force.
-Exit code: 0 success, 1 an error that says what to do, 2 a mistake on the command line, 130 stopped by Ctrl-C.";
+Exit code: 0 success, 1 an error that says what to do, 2 options or settings that cannot be read, 130 stopped by Ctrl-C.";
 
 /// The subcommands.
 #[derive(Debug, Subcommand)]

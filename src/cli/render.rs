@@ -76,8 +76,8 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_help = HELP)]
 pub struct RenderArgs {
-    /// Scene in the 3DGS PLY convention, or a run folder; its `label` column is needed for --labels
-    #[arg(long, value_name = "FILE.ply|RUN")]
+    /// Scene, a PLY, .spz or .splat file, or its folder; its `label` column is needed for --labels
+    #[arg(long, value_name = "FILE|DIR")]
     scene: PathBuf,
     /// Cameras of this or another tool, see below [default: cameras.json beside the scene]
     #[arg(long, value_name = "FILE.json|DIR")]

@@ -26,7 +26,7 @@ const GRAPHDECO: &str = "point_cloud.ply";
 /// The PLY file that `--scene` means: the file itself, scene.ply in a folder, or the last of a model folder of graphdeco's
 /// 3DGS.
 pub fn scene_path(given: &Path) -> Result<PathBuf> {
-    const HELP: &str = "give a .ply, .spz or .splat file, or the folder that `coseg train` wrote";
+    const HELP: &str = "give a .ply, .spz or .splat file, or the folder that `coseg train` or graphdeco's 3DGS wrote";
     let exists = given.try_exists();
     if !exists.map_err(|e| Error::io(given, "look at", e))? {
         return Err(Error::missing("file", given, HELP));

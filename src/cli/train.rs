@@ -72,8 +72,8 @@ pub struct TrainArgs {
     /// Scene folder with photos, cameras and label maps [default: the built-in room]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// 3DGS PLY of this or another trainer whose Gaussians to label, instead of building new ones
-    #[arg(long, value_name = "FILE.ply|RUN", conflicts_with = "resume")]
+    /// Scene whose Gaussians to label instead of new ones: a PLY, .spz or .splat file, or its folder
+    #[arg(long, value_name = "FILE|DIR", conflicts_with = "resume")]
     scene: Option<PathBuf>,
     /// Label the photos first by this segmenter, into labels/ of the run folder; see `coseg label --help`
     #[arg(long, value_name = "FILE.onnx", conflicts_with = "resume")]

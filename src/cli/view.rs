@@ -34,8 +34,8 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_help = HELP)]
 pub struct ViewArgs {
-    /// Scene in the 3DGS PLY convention, or a run folder; with a `label` column it has objects
-    #[arg(long, value_name = "FILE.ply|RUN")]
+    /// Scene, a PLY, .spz or .splat file, or its folder; with a `label` column it has objects
+    #[arg(long, value_name = "FILE|DIR")]
     scene: PathBuf,
     /// Page to write [default: viewer.html beside the scene, or in the folder]
     #[arg(long, value_name = "FILE.html")]

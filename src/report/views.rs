@@ -35,7 +35,7 @@ pub(super) fn views(report: &Report<'_>, path: &Path) -> Result<Markup> {
                 (shown.len()) " of " (report.held_out) " held-out views, evenly spaced in file order. All are in "
                 code { "renders/" } ". "
             }
-            "A click enlarges a picture, and another one shrinks it."
+            "Click a picture, or press the space bar on it, to enlarge it; again to shrink it."
         }
         @if report.views.iter().any(has_labels) { (legend(report)) }
         (scales(report))
@@ -150,8 +150,8 @@ fn figure(
     // A box that is ticked enlarges the picture behind it: the page has no script.
     Ok(html! {
         figure {
-            label {
-                input type="checkbox" aria-label={ "enlarge " (caption) };
+            label style={ "aspect-ratio:" (image.width()) "/" (image.height()) } {
+                input type="checkbox" autocomplete="off" aria-label={ "enlarge " (caption) };
                 img class=[class] width=(image.width()) height=(image.height()) loading="lazy" alt=(caption)
                     src={ "data:image/png;base64," (data) };
             }

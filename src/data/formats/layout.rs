@@ -21,8 +21,7 @@ const MAX_FOLDERS: usize = 256;
 /// several.
 pub fn locate(dir: &Path, options: &LoadOptions) -> Result<Layout> {
     if !dir.try_exists().map_err(|e| Error::io(dir, "look at", e))? {
-        let help =
-            "give the scene folder that holds the photos and their cameras (--data, or data.dir)";
+        let help = "give the scene folder that holds the photos and their cameras";
         return Err(Error::missing("folder", dir, help));
     }
     let help = if is_video(dir) {

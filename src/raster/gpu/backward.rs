@@ -1,10 +1,10 @@
 //! Backward pass over the tiles: the kernel.
 //!
 //! A cube loads [`LOADED`] Gaussians of its tile at a time and takes [`BATCH`] of them together. First every unit is a pixel: it
-//! blends them once more, front to back, and leaves `alpha' T` and `g = dL/dalpha' alpha'` in shared memory. Then [`LANES`] units share a Gaussian and sum over all
-//! pixels; their sums meet in shared memory again. The sums of a tile entry go to its own row. The rows of a Gaussian are
-//! neighbours, and a second kernel adds them. So there are no atomics, and the bits are the same every time. Everything is linear
-//! in the gradient of the image, so that channels come in blocks, and the moments of the blocks add up.
+//! blends them once more, front to back, and leaves `alpha' T` and `g = dL/dalpha' alpha'` in shared memory. Then [`LANES`] units
+//! share a Gaussian and sum over all pixels; their sums meet in shared memory again. The sums of a tile entry go to its own row. The
+//! rows of a Gaussian are neighbours, and a second kernel adds them. So there are no float atomics, and the bits are the same every
+//! time. Everything is linear in the gradient of the image, so that channels come in blocks, and the moments of the blocks add up.
 
 use super::blend::four_values;
 use super::pixel::{
@@ -22,8 +22,8 @@ pub(super) const MOMENTS: usize = 6;
 pub(super) const ABSOLUTE_MOMENTS: usize = 8;
 /// Gaussians that a cube takes together.
 const BATCH: usize = 8;
-/// Gaussians that a cube loads at a time: to wait for memory takes longer than a batch. Shared memory of 32 KB has room for these
-/// beside 12 channels.
+/// Gaussians that a cube loads at a time: waiting for memory takes longer than computing a batch. Shared memory of 32 KB has room
+/// for these beside 12 channels.
 const LOADED: usize = 3 * BATCH;
 /// Units that sum for one Gaussian.
 const LANES: usize = UNITS as usize / BATCH;
@@ -33,6 +33,9 @@ const _: () = assert!(LANES == PATCH);
 pub(super) const COMMON_BLOCK_CHANNELS: usize = 8;
 /// Widest block with and without moments where shared memory suffices. Chosen by counting registers, not by a measurement.
 const WIDEST: [usize; 2] = [24, 32];
+// Each unit loads one value at most, and batches are whole.
+const _: () = assert!(LOADED.is_multiple_of(BATCH) && LOADED * PATCHES <= UNITS as usize);
+const _: () = assert!(LOADED * WIDEST[0] / 4 <= UNITS as usize);
 
 /// Floats that all units of a cube leave for each other: alpha' T and, for the moments, g of every pixel of a batch.
 const fn pairs_of(moments: usize) -> usize {
@@ -169,7 +172,8 @@ pub(super) fn tiles_backward(
         let mut first = 0usize;
         while first < count {
             let members = min(count - first, BATCH);
-            let before = loaded_entries[first + members - 1] < first_entry;
+            let before_slab = loaded_entries[first + members - 1] < first_entry;
+            let in_slab = !before_slab && loaded_entries[first] < end_entry;
             let next_slot = (slot + 1u32) % 3u32;
             if unit == 0 {
                 live[next_slot as usize].store(0u32);
@@ -216,7 +220,7 @@ pub(super) fn tiles_backward(
             }
             sync_cube();
 
-            if !before {
+            if in_slab {
                 let mut sums = Array::<f32>::new(rounds * together);
                 #[unroll]
                 for k in 0..rounds * together {

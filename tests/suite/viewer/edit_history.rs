@@ -255,16 +255,16 @@ fn names_hold_no_control_characters() {
     assert_applied(&mut tab, dir.path());
 }
 
-/// The text of a file that the browser downloads. The browser makes the file empty and fills it later, so this waits for its text.
+/// The text of a JSON file that the browser downloads. The browser makes the file empty and fills it later.
 fn downloaded(path: &Path) -> String {
     for _ in 0..600 {
         match std::fs::read_to_string(path) {
-            Ok(text) if !text.is_empty() => return text,
+            Ok(text) if serde_json::from_str::<serde_json::Value>(&text).is_ok() => return text,
             _ => std::thread::sleep(std::time::Duration::from_millis(50)),
         }
     }
     panic!(
-        "{} is not there, or empty, after 30 seconds",
+        "{} is not there, or not complete, after 30 seconds",
         path.display()
     );
 }
