@@ -52,14 +52,14 @@ pub(super) fn copy(
     progress: &mut dyn Progress,
 ) -> Result<ControlFlow<()>> {
     let limits = Limits::default();
-    let headers: Result<Vec<_>> = photos
-        .par_iter()
-        .map(|path| {
-            let file = ImageFile::open(path, &limits)?;
-            Ok((file.size, file.exif_orientation()))
-        })
-        .collect();
-    let turns = turns(&photos[0], &headers?)?;
+    let headers = photos.par_iter().map(|path| {
+        let file = ImageFile::open(path, &limits)?;
+        Ok((file.size, file.exif_orientation()))
+    });
+    // Two steps: of several photos that cannot be read, the first is named in every run.
+    let headers: Vec<Result<_>> = headers.collect();
+    let headers: Vec<_> = headers.into_iter().collect::<Result<_>>()?;
+    let turns = turns(&photos[0], &headers)?;
     let mut viewing = Viewing::begin(progress, "photos", photos.len());
     for some in photos.chunks(rayon::current_num_threads()) {
         some.par_iter().try_for_each(|path| {

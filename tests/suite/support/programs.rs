@@ -5,7 +5,6 @@ use crate::support::plates::{HEIGHT, WIDTH, camera, plates, scene};
 use crate::support::program::{text, utf8};
 use glam::DQuat;
 use std::fs;
-use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use tempfile::TempDir;
@@ -50,9 +49,15 @@ impl Place {
     }
 
     pub fn script(&self, name: &str, body: &str) {
-        let file = self.path("bin").join(name);
-        fs::write(&file, format!("#!/bin/sh\nPATH=/usr/bin:/bin\n{body}\n")).unwrap();
-        fs::set_permissions(&file, fs::Permissions::from_mode(0o755)).unwrap();
+        let text = self.path("script");
+        fs::write(&text, format!("#!/bin/sh\nPATH=/usr/bin:/bin\n{body}\n")).unwrap();
+        // Another process writes what is run: a program that another test starts meanwhile would keep a file of this process open,
+        // and nothing runs a file that is open for writing.
+        let install = Command::new("install")
+            .args(["-m", "755"])
+            .args([&text, &self.path("bin").join(name)])
+            .status();
+        assert!(install.unwrap().success());
     }
 
     /// A `colmap` that notes its steps in `log` and gives the model of [`Place::photos`].
