@@ -51,6 +51,38 @@ pub(super) fn widest(gpu: &Gpu, moments: usize) -> usize {
     fits.clamp(COMMON_BLOCK_CHANNELS, WIDEST[usize::from(moments == 0)])
 }
 
+/// How a projected Gaussian lies in the image: `u = du (x - slope y)` and `v = dv y` of a pixel that is `x` and `y` from its centre.
+#[derive(CubeType)]
+struct Axes {
+    slope: f32,
+    du: f32,
+    dv: f32,
+}
+
+/// Adds to the moments what a pixel with the gradient `g`, `x` and `y` from the centre, contributes.
+#[cube]
+fn add_moments(
+    sums: &mut Array<f32>,
+    g: f32,
+    x: f32,
+    y: f32,
+    axes: &Axes,
+    #[comptime] moments: usize,
+) {
+    let u = axes.du * (x - axes.slope * y);
+    let v = axes.dv * y;
+    sums[0] += g;
+    sums[1] += g * u;
+    sums[2] += g * v;
+    sums[3] += g * u * u;
+    sums[4] += g * u * v;
+    sums[5] += g * v * v;
+    if comptime![moments == ABSOLUTE_MOMENTS] {
+        sums[6] += (g * u).abs();
+        sums[7] += (g * (v * axes.dv - axes.slope * (u * axes.du))).abs();
+    }
+}
+
 #[cube(launch)]
 pub(super) fn tiles_backward(
     ranges: &[u32],
@@ -232,8 +264,11 @@ pub(super) fn tiles_backward(
                     value_sums[k] = Four::new(0.0f32);
                 }
                 let splat = loaded[(first + member) * SPLAT_FOURS];
-                let (slope, du) = (splat.extract(2usize), splat.extract(3usize));
-                let dv = loaded[(first + member) * SPLAT_FOURS + 1].extract(0usize);
+                let axes = Axes {
+                    slope: splat.extract(2usize),
+                    du: splat.extract(3usize),
+                    dv: loaded[(first + member) * SPLAT_FOURS + 1].extract(0usize),
+                };
                 let dx = lane_x - splat.extract(0usize);
                 let dy = lane_y - splat.extract(1usize);
                 for i in 0..PATCHES {
@@ -245,18 +280,7 @@ pub(super) fn tiles_backward(
                                 dy + f32::cast_from(((i / PATCHES_ACROSS) * PATCH_HEIGHT) as u32);
                             let column =
                                 dx + f32::cast_from(((i % PATCHES_ACROSS) * PATCH_WIDTH) as u32);
-                            let u = du * (column - slope * row);
-                            let v = dv * row;
-                            sums[0] += g;
-                            sums[1] += g * u;
-                            sums[2] += g * v;
-                            sums[3] += g * u * u;
-                            sums[4] += g * u * v;
-                            sums[5] += g * v * v;
-                            if comptime![moments == ABSOLUTE_MOMENTS] {
-                                sums[6] += (g * u).abs();
-                                sums[7] += (g * (v * dv - slope * (u * du))).abs();
-                            }
+                            add_moments(&mut sums, g, column, row, &axes, moments);
                         }
                         let weight = Four::new(pairs[member * units + at_pixel]);
                         #[unroll]
