@@ -7,10 +7,20 @@
 //! [`Error::Io`] - look at the path; [`Error::Limit`] - the request does not fit, the numbers are in the message;
 //! [`Error::NonFinite`] - training met a NaN or an infinity, and where; [`Error::Device`] - the backend is not usable.
 
+use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
 /// Shorthand for results of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// All results, or the first error in their order, whichever thread met one first: a run names the same error every time.
+pub(crate) fn in_order<T: Send>(
+    results: impl IndexedParallelIterator<Item = Result<T>>,
+) -> Result<Vec<T>> {
+    let mut all = Vec::new();
+    results.collect_into_vec(&mut all);
+    all.into_iter().collect()
+}
 
 /// An error with its parts by name; each part is a format string, perhaps with arguments. [`Error::Input`] names a file and a
 /// field of it: `invalid!(path, "line {line}"; found "{word:?}"; expected "a number"; help "correct the file")`.

@@ -3,7 +3,7 @@
 use crate::data::Limits;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::photos::{HEIC_HELP, is_heic, is_photo};
-use crate::error::{Error, Result, bail, ensure};
+use crate::error::{Error, Result, bail, ensure, in_order};
 use crate::files::{atomic, file_name, names};
 use crate::progress::{Progress, Viewing};
 use rayon::prelude::*;
@@ -52,21 +52,18 @@ pub(super) fn copy(
     progress: &mut dyn Progress,
 ) -> Result<ControlFlow<()>> {
     let limits = Limits::default();
-    let headers = photos.par_iter().map(|path| {
+    let headers = in_order(photos.par_iter().map(|path| {
         let file = ImageFile::open(path, &limits)?;
         Ok((file.size, file.exif_orientation()))
-    });
-    // Two steps: of several photos that cannot be read, the first is named in every run.
-    let headers: Vec<Result<_>> = headers.collect();
-    let headers: Vec<_> = headers.into_iter().collect::<Result<_>>()?;
+    }))?;
     let turns = turns(&photos[0], &headers)?;
     let mut viewing = Viewing::begin(progress, "photos", photos.len());
     for some in photos.chunks(rayon::current_num_threads()) {
-        some.par_iter().try_for_each(|path| {
+        in_order(some.par_iter().map(|path| {
             let photo = ImageFile::open(path, &limits)?.without_orientation(turns)?;
             let name = file_name(path).unwrap_or_default();
             atomic::write_bytes(out.join(name), &photo)
-        })?;
+        }))?;
         if viewing.advance(some.len()).is_break() {
             return Ok(ControlFlow::Break(()));
         }

@@ -156,13 +156,14 @@ impl EditArgs {
         for (rows, motion) in &motions {
             editing.displace(rows, motion);
         }
-        let mut removals = 0;
-        for object in scene.objects.iter().filter(|object| !stays(object.id)) {
+        let leaving = scene.objects.iter().filter(|object| !stays(object.id));
+        let leaving: Vec<_> = leaving.collect();
+        for object in &leaving {
             editing.remove(&object.rows);
-            removals += 1;
         }
         let done = format!(
-            "objects removed: {removals}, turns and moves: {}",
+            "objects removed: {}, turns and moves: {}",
+            leaving.len(),
             motions.len()
         );
         Ok((editing.finish("--keep, --remove")?, done))

@@ -4,7 +4,7 @@ use crate::config::Config;
 use crate::data::{Scene, Split, View};
 use crate::error::Result;
 use crate::random::{Purpose, stream};
-use crate::reconstruction::pruning::{PrunedScene, cheapest_first, in_order};
+use crate::reconstruction::pruning::{PrunedScene, ascending, cheapest_first};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 
@@ -63,7 +63,7 @@ pub fn prune(
                 if surplus == 0 {
                     break;
                 }
-                in_order(&cheapest_first(&left.costs(&views, &mut rng)?)[surplus..])
+                ascending(&cheapest_first(&left.costs(&views, &mut rng)?)[surplus..])
             }
             Keep::Within(loss) => {
                 let costs = left.costs(&views, &mut rng)?;

@@ -104,7 +104,7 @@ impl PrunedScene {
             }
             step /= 2;
         }
-        Ok(in_order(&order[left_out..]))
+        Ok(ascending(&order[left_out..]))
     }
 
     /// Mean PSNR of `views` without the Gaussians `left_out`, dB.
@@ -153,7 +153,7 @@ pub(crate) fn cheapest_first(costs: &[f64]) -> Vec<u32> {
     order
 }
 
-pub(crate) fn in_order(rows: &[u32]) -> Vec<u32> {
+pub(crate) fn ascending(rows: &[u32]) -> Vec<u32> {
     let mut rows = rows.to_vec();
     rows.sort_unstable();
     rows

@@ -2,14 +2,14 @@
 
 use super::notices;
 use crate::config::Layout;
-use crate::data::formats::folder::{Problems, in_order, scene_name};
+use crate::data::formats::folder::{Problems, scene_name};
 use crate::data::formats::frame::Frame;
 use crate::data::formats::frame_labels::FrameLabels;
 use crate::data::formats::listing::Listing;
 use crate::data::labels::raw::RawMap;
 use crate::data::options::evenly;
 use crate::data::{Classes, LabelMap, LoadOptions, Split};
-use crate::error::Result;
+use crate::error::{Result, in_order};
 use glam::DVec3;
 use image::RgbImage;
 use image::imageops::{FilterType, resize};

@@ -1,7 +1,7 @@
 //! The scene of a listing: photos, label maps and the initial cloud are decoded.
 
 use super::colmap;
-use super::folder::{in_order, scene_name};
+use super::folder::scene_name;
 use super::frame::Frame;
 use super::frame_labels::FrameLabels;
 use super::listing::{Cloud, Listing};
@@ -9,7 +9,7 @@ use super::points::MAX_STRAY;
 use crate::data::{
     Classes, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, View,
 };
-use crate::error::Result;
+use crate::error::{Result, in_order};
 use crate::splat::camera::{Camera, level_up};
 use glam::DVec3;
 use rayon::prelude::*;

@@ -1,10 +1,9 @@
 //! An initial cloud from the depth images of a recorded sequence.
 
-use super::folder::in_order;
 use super::frame::Frame;
 use crate::data::options::evenly;
 use crate::data::{LabelMap, Limits, Points, Split};
-use crate::error::Result;
+use crate::error::{Result, in_order};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};

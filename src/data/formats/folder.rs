@@ -4,7 +4,6 @@ use crate::config::Layout;
 use crate::data::LoadOptions;
 use crate::error::{Error, Result};
 use crate::files::file_name;
-use rayon::prelude::*;
 use std::path::Path;
 
 /// A scene folder, and how it is read.
@@ -49,13 +48,4 @@ impl Problems {
 pub fn scene_name(dir: &Path) -> String {
     let full = dir.canonicalize().unwrap_or_else(|_| dir.to_owned());
     file_name(&full).unwrap_or_else(|| "scene".into())
-}
-
-/// All results, or the first error in frame order, whichever thread met one first.
-pub(crate) fn in_order<T: Send>(
-    results: impl IndexedParallelIterator<Item = Result<T>>,
-) -> Result<Vec<T>> {
-    let mut all = Vec::new();
-    results.collect_into_vec(&mut all);
-    all.into_iter().collect()
 }

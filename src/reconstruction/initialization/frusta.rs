@@ -1,7 +1,7 @@
 //! Initial points of scenes without a point cloud: pixels at the depth at which other photos agree best.
 
 use crate::data::{Points, View};
-use crate::error::Result;
+use crate::error::{Result, in_order};
 use crate::splat::camera::spread;
 use glam::{DMat3, DVec3};
 use image::RgbImage;
@@ -144,10 +144,7 @@ struct Drawn {
 /// Calls `look` with the photos of all views, a few at a time: index of the first one, and the photos.
 fn each_photo(views: &[&View], mut look: impl FnMut(usize, &[Arc<RgbImage>])) -> Result<()> {
     for (batch, views) in views.chunks(PHOTOS_IN_MEMORY).enumerate() {
-        let photos = views
-            .par_iter()
-            .map(|view| view.image.pixels())
-            .collect::<Result<Vec<_>>>()?;
+        let photos = in_order(views.par_iter().map(|view| view.image.pixels()))?;
         look(batch * PHOTOS_IN_MEMORY, &photos);
     }
     Ok(())
