@@ -10,4 +10,5 @@ pub mod object_classes;
 pub mod renderer;
 pub mod segments;
 pub mod separate;
+pub mod separate_refused;
 pub mod votes;

@@ -1,16 +1,15 @@
 //! Things of one label that do not touch.
 
 use coseg::data::{Class, Classes, ObjectOf};
-use coseg::error::Error;
 use coseg::objects::{Separated, Separation};
 use coseg::splat::Gaussians;
 
 /// Opacity logits of 0.95 and 0.04.
-const SOLID: f32 = 2.944;
+pub(super) const SOLID: f32 = 2.944;
 const FAINT: f32 = -3.178;
 
 /// Balls of this spread, at these places, with these opacity logits.
-fn balls(parts: &[([f32; 3], f32, f32)]) -> Gaussians {
+pub(super) fn balls(parts: &[([f32; 3], f32, f32)]) -> Gaussians {
     Gaussians {
         means: parts.iter().map(|p| p.0).collect(),
         log_scales: parts.iter().map(|p| [p.1.ln(); 3]).collect(),
@@ -22,25 +21,25 @@ fn balls(parts: &[([f32; 3], f32, f32)]) -> Gaussians {
 }
 
 /// `count` balls side by side along x from `x` on, each touching the next.
-fn row(x: f32, count: usize) -> Vec<([f32; 3], f32, f32)> {
+pub(super) fn row(x: f32, count: usize) -> Vec<([f32; 3], f32, f32)> {
     (0..count)
         .map(|i| ([x + 0.1 * i as f32, 0.0, 0.0], 0.05, SOLID))
         .collect()
 }
 
 /// For things of a few Gaussians.
-const SMALL: Separation = Separation {
+pub(super) const SMALL: Separation = Separation {
     level: 0.1,
     smallest: 0.01,
     fewest: 1,
     neighbours: 24,
 };
 
-fn classes() -> Classes {
+pub(super) fn classes() -> Classes {
     Classes::from_names(0, [(1, "wall"), (2, "chair"), (7, "lamp")])
 }
 
-fn separated(gaussians: &Gaussians, labels: &[u16]) -> Separated {
+pub(super) fn separated(gaussians: &Gaussians, labels: &[u16]) -> Separated {
     SMALL
         .apply(gaussians, labels, &classes(), |_| true)
         .expect("pieces")
@@ -317,85 +316,4 @@ fn what_is_not_asked_for_or_has_no_label_stays_whole() {
     assert!(one.pieces.is_empty() && separated(&balls(&[]), &[]).labels.is_empty());
     let all_faint: Vec<_> = parts.iter().map(|p| (p.0, p.1, FAINT)).collect();
     assert!(separated(&balls(&all_faint), &[2; 20]).pieces.is_empty());
-}
-
-#[test]
-fn bad_input_is_an_error() {
-    let gaussians = balls(&row(0.0, 3));
-    let apply = |rules: Separation, gaussians: &Gaussians, labels: &[u16]| {
-        rules
-            .apply(gaussians, labels, &classes(), |_| true)
-            .expect_err("an error")
-    };
-    let default = SMALL;
-    for rules in [
-        Separation {
-            level: 0.0,
-            ..default
-        },
-        Separation {
-            level: f64::NAN,
-            ..default
-        },
-        Separation {
-            smallest: 1.5,
-            ..default
-        },
-        Separation {
-            neighbours: 0,
-            ..default
-        },
-    ] {
-        assert!(
-            matches!(apply(rules, &gaussians, &[2; 3]), Error::Argument { .. }),
-            "{rules:?}"
-        );
-    }
-    assert!(
-        matches!(apply(default, &gaussians, &[2; 2]), Error::Argument { .. }),
-        "too few labels"
-    );
-    let mut broken = gaussians.clone();
-    broken.means[1][2] = f32::NAN;
-    assert!(matches!(
-        apply(default, &broken, &[2; 3]),
-        Error::NonFinite { row: 1, .. }
-    ));
-    // An id that the table lacks gets a name.
-    let parts = balls(&[row(0.0, 3), row(2.0, 3)].concat());
-    let found = separated(&parts, &[5; 6]);
-    let names: Vec<_> = found
-        .classes
-        .entries
-        .iter()
-        .map(|c| (c.id, c.name.as_str()))
-        .collect();
-    assert_eq!(
-        names,
-        [
-            (1, "wall"),
-            (2, "chair"),
-            (5, "label 5 1"),
-            (7, "lamp"),
-            (8, "label 5 2")
-        ]
-    );
-    // Lower ids are taken where no higher one is left. Too many pieces are reported.
-    let found = separated(&parts, &[65_535; 6]);
-    assert_eq!(found.labels, [vec![65_535; 3], vec![3; 3]].concat());
-    let lone: Vec<_> = (0..66_000)
-        .map(|i| ([i as f32, 0.0, 0.0], 0.05, SOLID))
-        .collect();
-    let all = Separation {
-        smallest: 0.0,
-        ..default
-    };
-    assert!(matches!(
-        apply(all, &balls(&lone), &vec![2; lone.len()]),
-        Error::Limit { .. }
-    ));
-    // Scales beyond f32's powers are no bodies, and no fault.
-    let mut huge = gaussians;
-    huge.log_scales[0] = [1e4; 3];
-    assert_eq!(separated(&huge, &[2; 3]).labels, [2; 3]);
 }
