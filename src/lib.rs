@@ -89,6 +89,8 @@ pub mod segmentation;
 pub mod segmenter;
 pub mod splat;
 pub mod viewer;
+#[cfg(feature = "serve")]
+pub mod watch;
 pub mod weights;
 
 pub use crate::error::{Error, Result};

@@ -1,6 +1,8 @@
 //! Progress of a running stage, as events for its caller.
 
+use crate::data::Scene;
 use crate::metrics::ImageScores;
+use crate::splat::Gaussians;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 
@@ -35,6 +37,13 @@ pub enum Event {
     Reviewed(Review),
     /// The held-out views were scored.
     Evaluated(CurvePoint),
+    /// A variant of the labels is done.
+    Scored {
+        /// Its name for people.
+        variant: &'static str,
+        /// Mean IoU of the held-out labels, where some have a truth.
+        miou: Option<f64>,
+    },
     /// The stage is done. Not sent for stages that were stopped early.
     Finished,
 }
@@ -83,6 +92,17 @@ pub trait Progress {
     fn stop(&mut self) -> bool {
         false
     }
+
+    /// Called once the scene is loaded, and again when association has made other classes.
+    fn scene(&mut self, _scene: &Scene) {}
+
+    /// Whether to call [`Progress::gaussians`] after this iteration. Copying them costs time.
+    fn wants_gaussians(&mut self) -> bool {
+        false
+    }
+
+    /// The Gaussians as they are now, relative to the origin of the scene, and a label id of each once they have labels.
+    fn gaussians(&mut self, _gaussians: &Gaussians, _labels: Option<&[u16]>) {}
 }
 
 /// Progress of a stage that goes through views and learns nothing.

@@ -2,7 +2,6 @@
 
 use super::labelled::LabelledArgs;
 use super::progress::Bars;
-use super::scene_file::cameras_of;
 use super::{held_out, terminal};
 use clap::Args;
 use coseg::config::Association;
@@ -64,7 +63,7 @@ impl AssociateArgs {
                 map.map().write_wide(&folder.join(format!("{name}.png")))?;
             }
         }
-        transforms::write_cameras(&out.join("cameras.json"), &cameras_of(&scene))?;
+        transforms::write_cameras(&out.join("cameras.json"), &scene.cameras())?;
         let train = scene.split(Split::Train);
         let identities = vote(&ply.gaussians, train, classes, &settings, &device)?.identities();
         let ids = identities.ids(classes);

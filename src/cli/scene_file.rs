@@ -1,7 +1,7 @@
 //! The files of a scene: given by name, or in the folder that `coseg train` wrote.
 
 use coseg::config::Config;
-use coseg::data::{Classes, Limits, NamedCamera, Scene, View, atomic};
+use coseg::data::{Classes, Limits, atomic};
 use coseg::error::{Error, Result, ensure, invalid};
 use coseg::files::{extension, own};
 use coseg::splat::formats;
@@ -72,16 +72,6 @@ pub fn classes_beside(scene: &Path, given: Option<&Path>) -> Result<Classes> {
         None if beside.is_file() => Classes::read(&beside),
         None => Ok(Classes::default()),
     }
-}
-
-/// The cameras of all views of a scene, in world units.
-pub fn cameras_of(scene: &Scene) -> Vec<NamedCamera> {
-    let named = |view: &View| NamedCamera {
-        name: view.name.clone(),
-        split: view.split,
-        camera: view.camera.moved(scene.origin),
-    };
-    scene.views.iter().map(named).collect()
 }
 
 /// Reads a scene that must hold Gaussians.

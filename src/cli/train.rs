@@ -4,7 +4,7 @@ use super::held_out;
 use super::label::{BEST, SegmenterArgs};
 use super::progress::Bars;
 use super::run_folder::{IDENTITIES, RENDERS, REPORT, RunFolder};
-use super::scene_file::{CAMERAS, FEATURE_COLORS, SCENE, VIEWER, cameras_of, scene_path};
+use super::scene_file::{CAMERAS, FEATURE_COLORS, SCENE, VIEWER, scene_path};
 use super::{BackendArgs, Settings, interrupt, terminal};
 use burn::tensor::Device;
 use clap::Args;
@@ -16,10 +16,12 @@ use coseg::error::{Result, bail};
 use coseg::files::{own, sha256};
 use coseg::pipeline;
 use coseg::pipeline::{Outcome, VariantOutcome};
+use coseg::progress::Progress;
 use coseg::report::{Command, Metrics, Report, held_out_views};
 use coseg::splat::ply;
 use coseg::viewer::Viewer;
-use glam::DVec3;
+#[cfg(feature = "serve")]
+use coseg::watch::Watch;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -62,6 +64,7 @@ Examples:
   coseg train --data scenes/fox --segmenter net.onnx --classes mine.toml      photos alone: labels them first
   coseg train --data scenes/fox --scene other/point_cloud.ply          stage two alone, on Gaussians of another trainer
   coseg train --data scenes/fox --scene other/point_cloud.ply --set building.iterations=2000      trained further first
+  coseg train --data scenes/fox --view                                 shows the scene and its curves as they grow
   coseg train --resume runs/fox
   coseg train --resume runs/fox --data elsewhere/fox                   its scene has moved";
 
@@ -86,6 +89,10 @@ pub struct TrainArgs {
     /// Continue this run from its last checkpoint; add --data if its scene has moved
     #[arg(long, value_name = "RUN", conflicts_with_all = ["out", "seed", "config"])]
     resume: Option<PathBuf>,
+    /// Serve a page on which a browser of this machine watches the run; its address is printed
+    #[cfg(feature = "serve")]
+    #[arg(long)]
+    view: bool,
     /// Seed of every random choice [default: 0]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
@@ -131,7 +138,8 @@ impl TrainArgs {
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };
         let started = run.start(&config, command)?;
-        let outcome = pipeline::run(&config, run.path(), &device, &mut Bars::default());
+        let mut progress = self.progress(&config)?;
+        let outcome = pipeline::run(&config, run.path(), &device, &mut *progress);
         let outcome = outcome.inspect_err(|_| started.remove_new())?;
         started.write_commands()?;
         if outcome.stopped {
@@ -145,6 +153,18 @@ impl TrainArgs {
         terminal::say(&format!("report: {}", run.file(REPORT).display()));
         terminal::say(&viewer);
         Ok(ExitCode::SUCCESS)
+    }
+
+    /// Who listens to the run: the terminal, and a browser where `--view` asks for it.
+    fn progress(&self, _config: &Config) -> Result<Box<dyn Progress>> {
+        #[cfg(feature = "serve")]
+        if self.view {
+            let alpha_max = _config.raster.alpha_max;
+            let watch = Watch::start(&scene_name(_config), alpha_max, Bars::default())?;
+            terminal::note(&format!("watch: {}", watch.address()));
+            return Ok(Box::new(watch));
+        }
+        Ok(Box::new(Bars::default()))
     }
 
     /// Labels the photos by the segmenter, if one is given; its labels become the raw ones. True where it was stopped.
@@ -223,7 +243,7 @@ fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<String> {
         Some(colors) => colors.write(&run.file(FEATURE_COLORS))?,
         None => atomic::remove(run.file(FEATURE_COLORS))?,
     }
-    let cameras = cameras_of(scene);
+    let cameras = scene.cameras();
     transforms::write_cameras(&run.file(CAMERAS), &cameras)?;
     let page_bytes = Viewer::bytes(gaussians, ids.is_some());
     if page_bytes > MAX_PAGE_BYTES {
@@ -246,8 +266,7 @@ fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<String> {
         labels: ids.as_deref(),
         classes: &scene.classes,
         cameras: &cameras,
-        // Where the scene says so; else as for other scenes.
-        up: Some(scene.up).filter(|up| *up == DVec3::Z),
+        up: scene.known_up(),
         alpha_max: outcome.config.raster.alpha_max,
     };
     viewer.write(&run.file(VIEWER))?;

@@ -172,6 +172,21 @@ impl Scene {
         Ok(())
     }
 
+    /// The camera of every view in world units, in file order.
+    pub fn cameras(&self) -> Vec<NamedCamera> {
+        let named = |view: &View| NamedCamera {
+            name: view.name.clone(),
+            split: view.split,
+            camera: view.camera.moved(self.origin),
+        };
+        self.views.iter().map(named).collect()
+    }
+
+    /// [`Scene::up`] where the files say it; elsewhere cameras tell better.
+    pub fn known_up(&self) -> Option<DVec3> {
+        Some(self.up).filter(|up| *up == DVec3::Z)
+    }
+
     /// Views of one split, in file order.
     pub fn split(&self, split: Split) -> impl Iterator<Item = &View> {
         self.views.iter().filter(move |v| v.split == split)

@@ -187,6 +187,7 @@ pub fn run_on(
         }
     }
     check_scores(least_count(&scene, config), &scene, config)?;
+    progress.scene(&scene);
     let files = RunFiles::new(out);
     let reconstruction = reconstruct(&scene, config, &files, device, progress)?;
     let complete = reconstruction.complete;
@@ -216,6 +217,7 @@ impl Outcome {
         };
         self.association = Some(counts);
         self.semantics = semantics;
+        progress.scene(&self.scene);
         Ok(true)
     }
 
@@ -248,6 +250,7 @@ impl Outcome {
             return Ok(false);
         };
         self.gaussians = lifted.gaussians;
+        progress.gaussians(&self.gaussians, None);
         self.test = lifted.pruned.scores_after;
         self.pruned = Some(lifted.pruned);
         [self.seconds.features, self.seconds.unprojection] = lifted.seconds;

@@ -16,7 +16,7 @@ use crate::metrics::Compactness;
 use crate::objects::{
     Identities, NeighbourGraph, PooledVote, Votes, pooled_vote, refined_vote, vote,
 };
-use crate::progress::Progress;
+use crate::progress::{Event, Progress};
 use std::cell::OnceCell;
 use std::path::Path;
 use std::time::Instant;
@@ -75,6 +75,14 @@ pub fn train_variants(
             neighbours_differ: neighbours.disagreement(identities),
         };
         outcome.compactness = outcome.identities.as_ref().map(compactness);
+        if let Some(identities) = &outcome.identities {
+            let ids = identities.ids(&inputs.scene.classes);
+            progress.gaussians(inputs.gaussians, Some(&ids));
+            progress.event(&Event::Scored {
+                variant: variant.title(),
+                miou: outcome.scores.miou(),
+            });
+        }
         stopped = variant != Variant::Raw && outcome.identities.is_none();
         rows.push(outcome);
         if stopped {

@@ -261,6 +261,9 @@ impl<'a> Trainer<'a> {
             if self.schedule.evaluates(iteration) {
                 progress.event(&Event::Evaluated(self.evaluate()?));
             }
+            if progress.wants_gaussians() {
+                progress.gaussians(&self.gaussians()?, None);
+            }
             let stop = progress.stop();
             if stop || self.schedule.saves(iteration) {
                 self.save()?;

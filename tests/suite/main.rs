@@ -19,3 +19,5 @@ mod segmenter;
 mod splat;
 mod support;
 mod viewer;
+#[cfg(feature = "serve")]
+mod watch;

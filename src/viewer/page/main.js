@@ -17,8 +17,11 @@ function plain(text) {
 class Page extends Editor {
   constructor() {
     const bare = /[#&]bare\b/.test(location.hash);
-    super(Scene.embedded(), !bare);
+    const watched = /[#&]watch\b/.test(location.hash);
+    super(Scene.embedded(), !bare && !watched);
     this.bare = bare;
+    /** Whether the page is part of that of a run, which has controls of its own. */
+    this.watched = watched;
     this.canvas = document.getElementById("picture");
     this.shaders = JSON.parse(document.getElementById("shaders").textContent);
     this.renderer = new Renderer(this.canvas, this.scene, this.shaders);
@@ -37,6 +40,7 @@ class Page extends Editor {
     this.speed = Math.max(Math.hypot(...minus(high, low)) / 6, 1e-3);
     this.reach = 2 * this.speed;
     document.body.classList.toggle("bare", this.bare);
+    document.body.classList.toggle("watched", this.watched);
     this.tools = new Tools(this);
     this.details = new Details(this);
     this.panel = new Panel(this);
@@ -61,7 +65,7 @@ class Page extends Editor {
     });
   }
 
-  /** `#view=NAME&mode=labels`, and `&bare` for the picture alone, of the camera's own size. */
+  /** `#view=NAME&mode=labels`, and `&bare` for the picture alone, of the camera's own size. `#watch` is for the page of a run. */
   fromAddress() {
     const pairs = location.hash.slice(1).split("&").map((pair) => pair.split("=").map(plain));
     const asked = new Map(pairs);
@@ -82,6 +86,10 @@ class Page extends Editor {
 
   listen() {
     this.navigation = new Navigation(this.canvas, this);
+    if (this.watched) {
+      this.resized();
+      return;
+    }
     this.keys = new Keys(this);
     this.hint = new Hint(this);
     window.addEventListener("beforeunload", (e) => {
@@ -155,6 +163,15 @@ class Page extends Editor {
     if (this.navigation) this.ask();
   }
 
+  /** Takes over camera and background of another page of the scene. */
+  lookAs({ source, fitted, background }) {
+    const { rotation, center } = fitted;
+    this.source = new Camera({ ...source, rotation, center });
+    this.fitted = this.source.fitted(...this.room());
+    this.background = background;
+    this.changed();
+  }
+
   sort() {
     this.order.sort(this.fitted, this.state);
     this.surface = null;
@@ -175,7 +192,7 @@ class Page extends Editor {
 
   /** Chooses what is at a point; with Shift too, with Alt no longer. */
   clicked(x, y, { shiftKey, altKey }) {
-    if (!this.scene.labelled) return;
+    if (!this.scene.labelled || this.watched) return;
     const found = this.pickAt(x, y)?.object ?? null;
     const how = altKey ? "subtract" : shiftKey ? "add" : "new";
     const isAlone = this.chosen.size === 1 && this.chosen.has(found);

@@ -3,7 +3,11 @@
 use crate::support::plates::scene;
 use crate::support::program::{succeeds, utf8};
 use std::ffi::OsStr;
+#[cfg(feature = "serve")]
+use std::io::Write;
 use std::io::{BufRead, BufReader, Read};
+#[cfg(feature = "serve")]
+use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, ChildStderr, Command, Stdio};
 
@@ -37,14 +41,14 @@ impl Running {
         Self::start(env!("CARGO_BIN_EXE_coseg"), arguments)
     }
 
-    /// Waits for a line that starts so.
+    /// Waits for a line that starts so, and returns it.
     #[track_caller]
-    fn until(&mut self, start: &str) {
+    fn until(&mut self, start: &str) -> String {
         let mut said = String::new();
         for line in self.said.by_ref().lines() {
             let line = line.unwrap();
             if line.starts_with(start) {
-                return;
+                return line;
             }
             said += &(line + "\n");
         }
@@ -164,4 +168,52 @@ fn a_run_under_nohup_outlives_its_terminal() {
         !said.contains("stopping") && run.join("report.html").is_file(),
         "{said}"
     );
+}
+
+/// Asks the server of a run, without waiting for what it says.
+#[cfg(feature = "serve")]
+fn ask(address: &str, method: &str, what: &str) {
+    let (host, token) = address.split_once('/').unwrap();
+    let request = format!(
+        "{method} /{token}{what} HTTP/1.1\r\nHost: {host}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+    );
+    let mut stream = TcpStream::connect(host).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 20"), "{answer}");
+}
+
+#[cfg(feature = "serve")]
+#[test]
+fn a_run_that_is_watched_gives_the_same_scene_and_can_be_stopped() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let alone = folder.path().join("alone");
+    let watched = folder.path().join("watched");
+    let arguments = |run: &Path| {
+        let mut arguments = long(folder.path(), run);
+        arguments.extend(["--set".to_owned(), "building.iterations=60".to_owned()]);
+        arguments.extend(["--set".to_owned(), "segmentation.rows=vote".to_owned()]);
+        arguments
+    };
+    let words: Vec<String> = arguments(&alone);
+    succeeds(&words.iter().map(String::as_str).collect::<Vec<_>>());
+
+    let mut words = arguments(&watched);
+    words.push("--view".to_owned());
+    let mut running = Running::start(env!("CARGO_BIN_EXE_coseg"), &words);
+    let line = running.until("watch: http://127.0.0.1:");
+    let address = line.strip_prefix("watch: http://").unwrap();
+    ask(address, "GET", "status");
+    running.until("building 30/");
+    ask(address, "GET", "status");
+    ask(address, "GET", "scene.html");
+    ask(address, "POST", "stop");
+    let (code, said) = running.end();
+    assert_eq!(code, Some(130), "{said}");
+    assert!(said.contains("stopped; resume with"), "{said}");
+    succeeds(&["train", "--resume", utf8(&watched)]);
+    let scene = |run: &Path| std::fs::read(run.join("scene.ply")).unwrap();
+    assert!(scene(&alone) == scene(&watched), "not the same bytes");
 }

@@ -5,7 +5,11 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 use tempfile::TempDir;
+
+/// How long a page may take for what it was asked for.
+const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Bits of `modifiers`.
 pub const ALT: u32 = 1;
@@ -34,7 +38,13 @@ impl Tab {
     }
 
     /// A tab of this size with the page at `path`.
-    pub fn page(browser: &str, path: &Path, [width, height]: [u32; 2]) -> Self {
+    pub fn page(browser: &str, path: &Path, size: [u32; 2]) -> Self {
+        let url = format!("file://{}", path.canonicalize().unwrap().display());
+        Self::visit(browser, &url, size)
+    }
+
+    /// A tab of this size with the page at `url`.
+    pub fn visit(browser: &str, url: &str, [width, height]: [u32; 2]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let pipe = |name: &str| folder.path().join(name);
         let (commands, answers) = (pipe("commands"), pipe("answers"));
@@ -75,7 +85,6 @@ impl Tab {
         tab.send("Page.enable", json!({}));
         tab.send("Runtime.enable", json!({}));
         tab.resize([width, height], false);
-        let url = format!("file://{}", path.canonicalize().unwrap().display());
         tab.send("Page.navigate", json!({"url": url}));
         tab.wait_for("Page.loadEventFired");
         tab
@@ -175,6 +184,15 @@ impl Tab {
             answer["exceptionDetails"]
         );
         answer["result"]["value"].clone()
+    }
+
+    /// Waits until an expression is true.
+    pub fn until(&mut self, expression: &str) {
+        let start = Instant::now();
+        while self.value(expression) != true {
+            assert!(start.elapsed() < PATIENCE, "never true: {expression}");
+            std::thread::sleep(Duration::from_millis(50));
+        }
     }
 
     /// The value of an expression that is a text.

@@ -1,0 +1,104 @@
+//! A run that browsers on this machine can watch: its figures, its curves, and its Gaussians as they are.
+//!
+//! [`Watch`] listens to a run in place of another [`Progress`], which it keeps informed. A server thread answers browsers from a
+//! copy of what `Watch` has heard, so no browser can hold the run up. It listens on 127.0.0.1 alone. Its address has a random
+//! token, without which it answers nothing.
+
+mod run_state;
+mod server;
+
+use self::run_state::RunState;
+use self::server::Server;
+use crate::data::Scene;
+use crate::error::Result;
+use crate::progress::{Event, Progress};
+use crate::splat::Gaussians;
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::{Duration, Instant};
+
+/// How long the end of a run waits for a browser that is there: it asks every second.
+const FAREWELL: Duration = Duration::from_millis(1_500);
+
+/// What the run and the server share.
+type Shared = Arc<Mutex<RunState>>;
+
+/// A listener that a browser looks through.
+pub struct Watch<P> {
+    listener: P,
+    shared: Shared,
+    server: Server,
+}
+
+impl<P: Progress> Watch<P> {
+    /// Starts the server of a run called `title`, on a free port. `alpha_max` is the run's cap of a splat's opacity. All events
+    /// reach `listener` too.
+    ///
+    /// # Errors
+    /// [`crate::Error::Io`] when no port can be opened.
+    pub fn start(title: &str, alpha_max: f64, listener: P) -> Result<Self> {
+        let shared = Arc::new(Mutex::new(RunState::new(title, alpha_max)));
+        let server = Server::start(shared.clone())?;
+        Ok(Self {
+            listener,
+            shared,
+            server,
+        })
+    }
+
+    /// The page for a browser on this machine. Whoever has this address may watch and stop the run.
+    pub fn address(&self) -> &str {
+        self.server.address()
+    }
+}
+
+impl<P> Drop for Watch<P> {
+    /// A browser that is there gets the last figures.
+    fn drop(&mut self) {
+        locked(&self.shared).end();
+        let start = Instant::now();
+        while start.elapsed() < FAREWELL && locked(&self.shared).awaits_visit() {
+            std::thread::sleep(FAREWELL / 30);
+        }
+    }
+}
+
+/// The state, also after a panic of another thread: every field is replaced as a whole.
+fn locked(shared: &Shared) -> MutexGuard<'_, RunState> {
+    shared
+        .lock()
+        .unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+impl<P: Progress> Progress for Watch<P> {
+    fn event(&mut self, event: &Event) {
+        locked(&self.shared).record(event);
+        self.listener.event(event);
+    }
+
+    fn stop(&mut self) -> bool {
+        let asked = locked(&self.shared).stopping;
+        self.listener.stop() || asked
+    }
+
+    fn scene(&mut self, scene: &Scene) {
+        locked(&self.shared).set_scene(scene);
+        self.listener.scene(scene);
+    }
+
+    fn wants_gaussians(&mut self) -> bool {
+        let wanted = locked(&self.shared).wants_gaussians();
+        self.listener.wants_gaussians() || wanted
+    }
+
+    fn gaussians(&mut self, gaussians: &Gaussians, labels: Option<&[u16]>) {
+        let start = Instant::now();
+        let copy = gaussians.clone();
+        let labels_copy = labels.map(<[u16]>::to_vec);
+        let mut state = locked(&self.shared);
+        state.set_gaussians(copy, labels_copy);
+        // The run has read them from its device, which takes about as long.
+        state.rest(2 * start.elapsed());
+        drop(state);
+        self.listener.gaussians(gaussians, labels);
+    }
+}

@@ -1,0 +1,177 @@
+// The page of a run: asks for its figures every second, and for its scene when there is a new one.
+
+const SECOND = 1000;
+const MISSED = 3; // answers in a row after which the run has ended
+const FIGURES = {
+  "PSNR, dB": [(point) => point.held_out.psnr, (v) => v.toFixed(2)],
+  SSIM: [(point) => point.held_out.ssim, (v) => v.toFixed(3)],
+  loss: [(point) => point.loss, (v) => v.toFixed(4)],
+  Gaussians: [(point) => point.gaussians, (v) => v.toLocaleString("en")],
+};
+
+const at = (id) => document.getElementById(id);
+
+/** The program in a frame; none where it could not be loaded. */
+function pageOf(frame) {
+  try {
+    return frame?.contentWindow.page;
+  } catch {
+    return undefined;
+  }
+}
+
+class Watch {
+  constructor() {
+    /** Number of the copy of the Gaussians in the picture. */
+    this.shown = 0;
+    this.frame = null;
+    this.loading = false;
+    this.missed = 0;
+    this.ended = false;
+    this.mode = "colour";
+    this.charted = "";
+    at("stop").addEventListener("click", () => this.stop());
+    at("views").addEventListener("change", () => this.goTo(Number(at("views").value)));
+    for (const button of at("modes").children) button.addEventListener("click", () => this.setMode(button.dataset.mode));
+    document.addEventListener("visibilitychange", () => this.look());
+    this.look();
+  }
+
+  /** Asks until the run has ended; not while nobody sees the page. */
+  async look() {
+    clearTimeout(this.timer);
+    if (document.hidden || this.ended) return;
+    try {
+      const answer = await fetch("status");
+      if (!answer.ok) throw new Error(answer.statusText);
+      this.missed = 0;
+      const status = await answer.json();
+      this.show(status);
+      if (status.ended) this.end();
+    } catch {
+      this.missed++;
+      if (this.missed === MISSED) this.end();
+    }
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.look(), SECOND);
+  }
+
+  show(status) {
+    at("title").textContent = status.title;
+    const share = status.iterations ? status.done / status.iterations : 0;
+    document.title = `${Math.floor(100 * share)} % ${status.stage} – ${status.title}`;
+    at("stage").textContent = status.stage ? `${status.stage}, ${status.done} of ${status.iterations}` : "The photos are being read.";
+    at("bar").value = share;
+    at("stop").disabled = status.stopping;
+    if (status.stopping) at("stop").textContent = "Stopping";
+    this.list({
+      loss: status.loss?.toFixed(4),
+      Gaussians: status.gaussians ? status.gaussians.toLocaleString("en") : undefined,
+      time: `${Math.floor(status.seconds / 60)} min ${Math.floor(status.seconds % 60)} s`,
+    });
+    this.chart(status);
+    if (at("views").length !== status.views.length) this.listViews(status.views);
+    at("modes").hidden = !status.labelled;
+    if (status.copy > this.shown && !this.loading) this.load(status.copy);
+  }
+
+  list(figures) {
+    const known = Object.entries(figures).filter(([, text]) => text !== undefined);
+    at("figures").replaceChildren(
+      ...known.map(([name, text]) => {
+        const row = element("div", null);
+        row.append(element("dt", name), element("dd", text));
+        return row;
+      }),
+    );
+  }
+
+  /** Curves of the stage that makes pictures, and the scores of labels; of those in training too. */
+  chart({ curves, rows, stage }) {
+    const text = JSON.stringify([curves, rows, stage]);
+    if (text === this.charted) return;
+    this.charted = text;
+    const pictures = curves.find((curve) => curve.stage === "building" && curve.points.length);
+    const charts = pictures ? Object.entries(FIGURES) : [];
+    const drawn = charts.map(([name, [value, written]]) => {
+      const points = pictures.points.map((point) => [point.iteration, value(point)]);
+      const known = points.filter(([, y]) => y !== null);
+      return known.length ? chart(name, known, written) : null;
+    });
+    at("charts").replaceChildren(...drawn.filter((box) => box));
+    const training = curves.find((curve) => curve.stage === stage && curve !== pictures && !curve.finished)?.points.at(-1);
+    const scored = rows.map(({ variant, miou }) => [variant, miou]);
+    if (training && !this.ended) scored.push([`in training, ${training.iteration} steps`, training.miou]);
+    const shown = scored.map(([name, miou]) => {
+      const row = element("tr", null);
+      row.append(element("td", name), element("td", miou === null ? "\u2013" : (100 * miou).toFixed(1)));
+      return row;
+    });
+    at("rows").tBodies[0].replaceChildren(...shown);
+    at("rows").hidden = !shown.length;
+  }
+
+  listViews(views) {
+    this.views = views;
+    at("views").replaceChildren(...views.map(({ name, split }, i) => element("option", split === "test" ? `${name} (held out)` : name, { value: i })));
+    const heldOut = views.findIndex(({ split }) => split === "test");
+    at("views").value = Math.max(heldOut, 0);
+    this.goTo(Math.max(heldOut, 0));
+  }
+
+  /** The view and its photo beside it. */
+  goTo(index) {
+    pageOf(this.frame)?.goTo(index);
+    const view = this.views[index];
+    at("photo").src = `photo/${index}`;
+    at("photo").alt = `photo ${view.name}`;
+    at("caption").textContent = view.split === "test" ? "Its photo, which the run never sees" : "Its photo";
+    at("photo").parentElement.hidden = false;
+  }
+
+  setMode(mode) {
+    this.mode = mode;
+    for (const button of at("modes").children) button.setAttribute("aria-pressed", button.dataset.mode === mode);
+    pageOf(this.frame)?.setMode(mode);
+  }
+
+  /** Loads the scene behind the picture, then shows it from where the picture was. */
+  load(copy) {
+    this.loading = true;
+    const next = element("iframe", null, { title: "scene", className: "next", src: "scene.html#watch" });
+    next.addEventListener("load", () => {
+      this.loading = false;
+      const page = pageOf(next);
+      if (!page) {
+        next.remove();
+        return;
+      }
+      const before = pageOf(this.frame);
+      if (before) page.lookAs(before);
+      else page.goTo(Number(at("views").value));
+      page.setMode(this.mode);
+      next.className = "";
+      this.frame?.remove();
+      this.frame = next;
+      this.shown = copy;
+      at("waiting").hidden = true;
+    });
+    at("picture").append(next);
+  }
+
+  async stop() {
+    at("stop").disabled = true;
+    at("stop").textContent = "Stopping";
+    await fetch("stop", { method: "POST" }).catch(() => {});
+  }
+
+  end() {
+    this.ended = true;
+    at("stop").hidden = true;
+    at("bar").hidden = true;
+    at("stage").textContent = "The run has ended. The terminal says where its results are.";
+    document.title = `ended – ${at("title").textContent}`;
+  }
+}
+
+window.watch = new Watch();

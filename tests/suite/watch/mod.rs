@@ -1,0 +1,5 @@
+//! Tests of `coseg::watch`.
+
+#[cfg(unix)]
+pub mod page;
+pub mod server;

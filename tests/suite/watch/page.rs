@@ -1,0 +1,92 @@
+//! The page of a run in a real browser.
+
+use crate::support::browser::browser;
+use crate::support::devtools::Tab;
+use crate::support::plates::loaded;
+use coseg::progress::{CurvePoint, Event, Progress, Silent};
+use coseg::watch::Watch;
+use serde_json::json;
+
+/// The picture that the page shows.
+const PICTURE: &str = "document.querySelector('iframe:not(.next)').contentWindow.page";
+
+#[test]
+fn the_page_follows_the_run_from_its_first_copy_to_its_end() {
+    let Some(browser) = browser() else { return };
+    let (scene, gaussians, labels, _folder) = loaded();
+    let mut watch = Watch::start("plates", 0.999, Silent).unwrap();
+    let mut tab = Tab::visit(&browser, watch.address(), [900, 700]);
+    tab.until("document.getElementById('stage').textContent === 'The photos are being read.'");
+    watch.scene(&scene);
+    watch.event(&Event::Started {
+        stage: "building",
+        done: 0,
+        iterations: 100,
+    });
+    watch.gaussians(&gaussians, None);
+    tab.until("watch.shown === 1");
+    let first = tab.text("document.getElementById('views').selectedOptions[0].textContent");
+    assert!(first.ends_with("(held out)"), "{first}");
+    assert_eq!(
+        tab.value("document.getElementById('photo').naturalWidth"),
+        80
+    );
+    assert_eq!(tab.value(&format!("{PICTURE}.scene.gaussians")), 111);
+
+    // The person turns the view; the next copy is shown from there.
+    tab.drag(&[[300.0, 300.0], [340.0, 310.0]], 0);
+    let place = format!("{PICTURE}.fitted.center.map((v) => v.toFixed(6)).join()");
+    let turned = tab.text(&place);
+    watch.gaussians(&gaussians, Some(&labels));
+    tab.until("watch.shown === 2");
+    assert_eq!(tab.text(&place), turned);
+    tab.value("document.querySelector('[data-mode=labels]').click()");
+    assert_eq!(tab.text(&format!("{PICTURE}.mode")), "labels");
+    assert_eq!(
+        tab.value("document.querySelectorAll('iframe').length"),
+        1,
+        "the old picture is gone"
+    );
+
+    for iteration in [10, 20] {
+        let mut point = CurvePoint {
+            iteration,
+            gaussians: 111,
+            ..CurvePoint::default()
+        };
+        point.held_out.psnr = Some(20.0 + iteration as f64 / 10.0);
+        watch.event(&Event::Evaluated(point));
+    }
+    tab.until("document.querySelector('.chart')?.textContent === 'PSNR, dB22.00'");
+    let rows = "document.querySelector('tbody').innerText.replaceAll(/\\s+/g, ' ').trim()";
+    watch.event(&Event::Scored {
+        variant: "vote",
+        miou: None,
+    });
+    watch.event(&Event::Started {
+        stage: "ours",
+        done: 0,
+        iterations: 40,
+    });
+    watch.event(&Event::Evaluated(CurvePoint {
+        iteration: 20,
+        miou: Some(0.5),
+        ..CurvePoint::default()
+    }));
+    tab.until(&format!(
+        "{rows} === 'vote \u{2013} in training, 20 steps 50.0'"
+    ));
+    watch.event(&Event::Finished);
+    watch.event(&Event::Scored {
+        variant: "ours",
+        miou: Some(0.8125),
+    });
+    tab.until(&format!("{rows} === 'vote \u{2013} ours 81.3'"));
+
+    tab.value("document.getElementById('stop').click()");
+    tab.until("document.getElementById('stop').textContent === 'Stopping'");
+    assert!(watch.stop());
+    drop(watch);
+    tab.until("document.getElementById('stage').textContent.startsWith('The run has ended.')");
+    assert_eq!(tab.value("watch.shown"), json!(2), "the picture stays");
+}

@@ -1,0 +1,226 @@
+//! What the server of a run answers, and whom.
+
+use crate::support::plates::loaded;
+use coseg::progress::{CurvePoint, Event, Progress, Silent};
+use coseg::watch::Watch;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde_json::Value;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::time::Duration;
+
+/// The server of a run, as a client without a browser sees it.
+struct Client {
+    host: String,
+    /// `/TOKEN/`
+    root: String,
+}
+
+impl Client {
+    fn of<P: Progress>(watch: &Watch<P>) -> Self {
+        let rest = watch.address().strip_prefix("http://").unwrap();
+        let (host, root) = rest.split_at(rest.find('/').unwrap());
+        assert!(host.starts_with("127.0.0.1:"), "{host}");
+        assert_eq!(root.len(), 34, "32 hexadecimal digits: {root}");
+        Self {
+            host: host.to_owned(),
+            root: root.to_owned(),
+        }
+    }
+
+    /// Everything that the server says to `bytes`, until it closes the connection or is silent for a while.
+    fn exchange(&self, bytes: &[u8]) -> Vec<u8> {
+        let mut stream = TcpStream::connect(&self.host).expect("the server listens");
+        stream
+            .set_read_timeout(Some(Duration::from_millis(300)))
+            .unwrap();
+        // The server may have closed already.
+        let _ = stream.write_all(bytes);
+        let mut answer = Vec::new();
+        let _ = stream.read_to_end(&mut answer);
+        answer
+    }
+
+    /// Status and body of `method path` with more header lines.
+    fn ask(&self, method: &str, path: &str, host: &str, more: &str) -> (u16, String, Vec<u8>) {
+        let request =
+            format!("{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n");
+        let mut stream = TcpStream::connect(&self.host).expect("the server listens");
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).unwrap();
+        let end = answer.windows(4).position(|w| w == b"\r\n\r\n").unwrap();
+        let head = String::from_utf8(answer[..end].to_vec()).unwrap();
+        let status = head.split(' ').nth(1).unwrap().parse().unwrap();
+        (status, head, answer[end + 4..].to_vec())
+    }
+
+    fn get(&self, what: &str) -> (u16, Vec<u8>) {
+        let path = format!("{}{what}", self.root);
+        let (status, head, body) = self.ask("GET", &path, &self.host, "");
+        assert!(head.contains("frame-ancestors 'self'"), "{head}");
+        assert!(head.contains("no-store"), "{head}");
+        (status, body)
+    }
+
+    fn status(&self) -> Value {
+        let (status, body) = self.get("status");
+        assert_eq!(status, 200);
+        serde_json::from_slice(&body).unwrap()
+    }
+}
+
+fn watch() -> (Watch<Silent>, Client) {
+    let watch = Watch::start("plates", 0.999, Silent).unwrap();
+    let client = Client::of(&watch);
+    (watch, client)
+}
+
+#[test]
+fn figures_follow_the_run() {
+    let (mut watch, client) = watch();
+    assert_eq!(client.status()["stage"], "");
+    watch.event(&Event::Started {
+        stage: "building",
+        done: 0,
+        iterations: 200,
+    });
+    watch.event(&Event::Step {
+        iteration: 7,
+        loss: f64::NAN,
+        gaussians: 36,
+    });
+    let status = client.status();
+    assert_eq!(status["title"], "plates");
+    assert_eq!([&status["done"], &status["iterations"]], [7, 200]);
+    assert_eq!(status["loss"], Value::Null, "no JSON for a NaN");
+    watch.event(&Event::Evaluated(CurvePoint {
+        iteration: 7,
+        gaussians: 36,
+        miou: Some(0.5),
+        ..CurvePoint::default()
+    }));
+    let curve = &client.status()["curves"][0];
+    assert_eq!(curve["stage"], "building");
+    assert_eq!(curve["points"][0]["miou"], 0.5);
+}
+
+#[test]
+fn gaussians_are_copied_for_a_browser_that_is_there() {
+    let (mut watch, client) = watch();
+    let (scene, gaussians, labels, _folder) = loaded();
+    watch.scene(&scene);
+    assert!(!watch.wants_gaussians(), "nobody has asked yet");
+    assert_eq!(client.get("scene.html").0, 404, "nothing to see yet");
+    assert_eq!(client.status()["copy"], 0);
+    assert!(watch.wants_gaussians());
+    watch.gaussians(&gaussians, None);
+    assert!(!watch.wants_gaussians(), "the run rests from the last copy");
+    assert_eq!(client.status()["copy"], 1);
+    let (status, page) = client.get("scene.html");
+    let page = String::from_utf8(page).unwrap();
+    assert_eq!(status, 200);
+    assert!(page.contains("\"gaussians\":111"), "all of them");
+    watch.gaussians(&gaussians, Some(&labels));
+    assert_eq!(client.status()["labelled"], true);
+}
+
+#[test]
+fn photos_are_those_of_the_views() {
+    let (mut watch, client) = watch();
+    let (scene, ..) = loaded();
+    watch.scene(&scene);
+    for (index, view) in scene.views.iter().enumerate() {
+        let (status, png) = client.get(&format!("photo/{index}"));
+        assert_eq!(status, 200);
+        let found = image::load_from_memory(&png).unwrap().to_rgb8();
+        assert_eq!(found, *view.image.pixels().unwrap());
+    }
+    assert_eq!(client.get("photo/6").0, 404);
+    assert_eq!(client.get("photo/-1").0, 400);
+}
+
+#[test]
+fn a_browser_can_stop_the_run() {
+    let (mut watch, client) = watch();
+    let stop = format!("{}stop", client.root);
+    let (status, ..) = client.ask("GET", &stop, &client.host, "");
+    assert_eq!(status, 405, "looking at an address changes nothing");
+    assert!(!watch.stop());
+    let (status, ..) = client.ask("POST", &stop, &client.host, "Content-Length: 0\r\n");
+    assert_eq!(status, 204);
+    assert!(watch.stop());
+    assert_eq!(client.status()["stopping"], true);
+}
+
+#[test]
+fn strangers_learn_and_change_nothing() {
+    let (mut watch, client) = watch();
+    let wrong = "/00000000000000000000000000000000/";
+    for what in ["", "status", "scene.html", "photo/0"] {
+        let (status, _, body) = client.ask("GET", &format!("{wrong}{what}"), &client.host, "");
+        assert_eq!((status, body.len()), (404, 0), "without the token");
+        let (status, _, body) = client.ask("GET", &format!("/{what}"), &client.host, "");
+        assert_eq!((status, body.len()), (404, 0), "without a token");
+        let path = format!("{}{what}", client.root);
+        // A name that leads to this machine, and a page of another server on it.
+        let port = client.host.rsplit(':').next().unwrap();
+        let (status, _, body) = client.ask("GET", &path, &format!("evil.example:{port}"), "");
+        assert_eq!((status, body.len()), (403, 0), "another host");
+        for origin in ["http://evil.example", "http://127.0.0.1:1", "null"] {
+            let origin = format!("Origin: {origin}\r\n");
+            let (status, _, body) = client.ask("GET", &path, &client.host, &origin);
+            assert_eq!((status, body.len()), (403, 0), "{origin}");
+        }
+    }
+    let origin = "Origin: http://evil.example\r\nContent-Length: 0\r\n";
+    let stop = format!("{}stop", client.root);
+    assert_eq!(client.ask("POST", &stop, &client.host, origin).0, 403);
+    assert!(!watch.stop());
+    assert!(!watch.wants_gaussians(), "none of them counts as a visit");
+}
+
+#[test]
+fn two_runs_have_different_tokens() {
+    let ((_one, a), (_two, b)) = (watch(), watch());
+    assert_ne!(a.root, b.root);
+    let (status, ..) = a.ask("GET", &b.root, &a.host, "");
+    assert_eq!(status, 404);
+}
+
+#[test]
+fn broken_requests_do_not_end_the_server() {
+    let (_watch, client) = watch();
+    let valid = format!(
+        "POST {}stop HTTP/1.1\r\nHost: {}\r\nContent-Length: 3\r\n\r\nabc",
+        client.root, client.host
+    );
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    std::thread::scope(|scope| {
+        for _ in 0..8 {
+            let mut rng = ChaCha8Rng::seed_from_u64(rng.random());
+            let (client, valid) = (&client, &valid);
+            scope.spawn(move || {
+                for _ in 0..25 {
+                    let mut request = valid.clone().into_bytes();
+                    for _ in 0..rng.random_range(1..6) {
+                        let at = rng.random_range(0..request.len());
+                        request[at] = rng.random();
+                    }
+                    request.truncate(rng.random_range(0..=request.len()));
+                    client.exchange(&request);
+                }
+            });
+        }
+    });
+    client.exchange(&vec![b'a'; 1 << 20]);
+    assert_eq!(client.status()["title"], "plates");
+}
+
+#[test]
+fn the_port_is_closed_with_the_run() {
+    let (watch, client) = watch();
+    drop(watch);
+    assert!(TcpStream::connect(&client.host).is_err());
+}
