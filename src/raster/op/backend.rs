@@ -50,6 +50,7 @@ mod autodiff {
     use crate::raster::op::tensors::INPUTS;
     use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
     use burn::backend::{Autodiff, AutodiffBackend, TensorMetadata};
+    use burn::tensor::Shape;
     use std::sync::OnceLock;
 
     /// The transmittance is a child of the image in the graph: its backward pass runs first and leaves its gradient for that of the
@@ -139,9 +140,11 @@ mod autodiff {
         match B::blend_view(plain, view.clone()) {
             TensorPair::Failed(error) => TensorPair::Failed(error),
             TensorPair::Done(image, transmittance) => {
+                let shape = values.shape();
                 let image = track::<B, C, 1, _>([values], |_| {
-                    let backward =
-                        move |gradient, _: [bool; 1]| [gradient_of_values::<B>(gradient, view)];
+                    let backward = move |gradient, _: [bool; 1]| {
+                        [Some(gradient_of_values::<B>(gradient, view, shape))]
+                    };
                     (image, backward)
                 });
                 TensorPair::Done(image, Autodiff::<B, C>::from_inner(transmittance))
@@ -149,16 +152,18 @@ mod autodiff {
         }
     }
 
+    /// NaN where the device fails: a backward pass returns no error, and without a gradient training would go on with zeros.
     fn gradient_of_values<B: RasterBackend>(
         gradient: FloatTensor<B>,
         view: ProjectedView,
-    ) -> Option<FloatTensor<B>> {
+        shape: Shape,
+    ) -> FloatTensor<B> {
+        let (device, dtype) = (gradient.device(), gradient.dtype().into());
         match B::blend_view_adjoint(gradient, view) {
-            TensorPair::Done(sums, _) => Some(sums),
-            // The gradient is as large as the values, which the device holds.
+            TensorPair::Done(sums, _) => sums,
             TensorPair::Failed(error) => {
                 tracing::error!("no gradient of blended values: {error}");
-                None
+                B::float_full(shape, f32::NAN.into(), &device, dtype)
             }
         }
     }
