@@ -266,7 +266,9 @@ fn finish(
     options: &PretrainOptions,
     device: &Device,
 ) -> Result<TrainedEncoder> {
-    let mut weights = student.encoder.to_weight_file("pretrained RandLA weights");
+    let mut weights = student
+        .encoder
+        .to_weight_file("pretrained RandLA weights")?;
     let plain = device.clone().inner();
     let encoder = RandlaEncoder::load(&weights, &plain)?;
     let head = student.head.valid();

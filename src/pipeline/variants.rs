@@ -377,7 +377,7 @@ impl<'a> StageTwo<'a> {
             if held_out.is_empty() {
                 return Ok(None);
             }
-            let identities = training.identities();
+            let identities = training.identities()?;
             let scores = held_out.score(&identities, inputs)?;
             let miou = scores.miou();
             if training.iteration() == plan.iterations {
@@ -387,7 +387,7 @@ impl<'a> StageTwo<'a> {
         };
         let finished = training.run(&mut self.views, plan, &schedule, &mut evaluate, progress)?;
         if finished && last.is_none() {
-            let identities = training.identities();
+            let identities = training.identities()?;
             let scores = held_out.score(&identities, inputs)?;
             last = Some((identities, scores));
         }

@@ -4,9 +4,10 @@ use super::super::encode::Inputs;
 use super::super::evaluate::FieldScores;
 use super::super::train_decoder::{
     Adam, DecodedScores, IdentityModel, TrainingViews, ViewSample, finite_loss,
-    parameter_gradients, values, view_at,
+    parameter_gradients, view_at,
 };
 use super::{first_parameters, linear, uniform};
+use crate::backend::device::read;
 use crate::data::{Split, View};
 use crate::error::Result;
 use crate::features::{Reduction, SCALES, ViewFeatures};
@@ -224,11 +225,11 @@ impl IdentityModel for LinearHead {
         })
     }
 
-    fn identities(&self, module: Linear) -> Identities {
+    fn identities(&self, module: Linear) -> Result<Identities> {
         let logits = module.valid().forward(self.features.clone());
-        Identities {
+        Ok(Identities {
             classes: logits.dims()[1],
-            scores: values(logits),
-        }
+            scores: read("identities", logits)?,
+        })
     }
 }

@@ -1,8 +1,9 @@
 //! Gaussian Grouping (Ye et al. 2024): a short identity code for each Gaussian, classified after blending.
 
 use super::super::encode::Inputs;
-use super::super::train_decoder::{DecodedScores, IdentityModel, values};
+use super::super::train_decoder::{DecodedScores, IdentityModel};
 use super::{first_parameters, linear, uniform};
+use crate::backend::device::read;
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::select;
@@ -111,12 +112,12 @@ impl IdentityModel for Grouping {
         })
     }
 
-    fn identities(&self, module: Codes) -> Identities {
+    fn identities(&self, module: Codes) -> Result<Identities> {
         let module = module.valid();
         let logits = module.classifier.forward(module.codes.val());
-        Identities {
+        Ok(Identities {
             classes: logits.dims()[1],
-            scores: values(logits),
-        }
+            scores: read("identities", logits)?,
+        })
     }
 }

@@ -165,7 +165,7 @@ impl IdentityModel for PanopticLifting<'_> {
         Ok(loss + consistency * LAMBDA_SEGMENT)
     }
 
-    fn identities(&self, module: Logits) -> Identities {
+    fn identities(&self, module: Logits) -> Result<Identities> {
         self.classes.identities(module)
     }
 }

@@ -1,5 +1,6 @@
 //! The parameters of a burn module as one vector, and Adam over it.
 
+use crate::backend::device::read;
 use crate::error::{Error, Result};
 use crate::ops::FiniteCheck;
 use crate::reconstruction::optimizer::find_non_finite;
@@ -70,19 +71,21 @@ impl Adam {
     }
 
     /// Step count, moments and mean.
-    pub fn state(&self) -> NamedValues {
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the device does not return them.
+    pub fn state(&self) -> Result<NamedValues> {
         let mut named = vec![("steps".to_owned(), vec![self.steps as f32])];
         if let Some(AdamState { momentum }) = &self.state {
-            named.push(("first moment".to_owned(), values(momentum.moment_1.clone())));
-            named.push((
-                "second moment".to_owned(),
-                values(momentum.moment_2.clone()),
-            ));
+            let moments = [&momentum.moment_1, &momentum.moment_2];
+            for (name, moment) in ["first moment", "second moment"].iter().zip(moments) {
+                named.push(((*name).to_owned(), read(name, moment.clone())?));
+            }
         }
         if let Some(mean) = &self.mean {
-            named.push(("mean".to_owned(), values(mean.clone())));
+            named.push(("mean".to_owned(), read("mean", mean.clone())?));
         }
-        named
+        Ok(named)
     }
 
     /// Restores the state of [`Adam::state`] on `device`. `None` when a name is missing.
@@ -110,15 +113,6 @@ impl Adam {
 fn vector(values: Vec<f32>, device: &Device) -> Tensor<1> {
     let shape = [values.len()];
     Tensor::from_data(TensorData::new(values, shape), &device.clone().inner())
-}
-
-/// Host values of a tensor, flattened.
-pub fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor
-        .into_data()
-        .convert::<f32>()
-        .into_vec()
-        .unwrap_or_default()
 }
 
 /// The value of `loss` (`[1]`), once it and `gradient` `[P]` are known to be finite: one readback.

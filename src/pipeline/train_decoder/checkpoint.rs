@@ -1,7 +1,8 @@
 //! The checkpoint of a variant in training.
 
-use super::adam::{parameters, restored, values};
+use super::adam::{parameters, restored};
 use super::{ClassRecall, IdentityModel, Losses, Training, TrainingPlan, TrainingSchedule};
+use crate::backend::device::read;
 use crate::checkpoint::Checkpoint;
 use crate::error::Result;
 use crate::provenance::Provenance;
@@ -22,10 +23,10 @@ impl<M: IdentityModel> Training<M> {
         let Losses { sum, count } = self.losses;
         checkpoint.put("running", &[3], vec![self.seconds, sum, count])?;
         checkpoint.put("recall", &[self.recall.0.len()], self.recall.0.clone())?;
-        let mut vectors = self.adam.state();
+        let mut vectors = self.adam.state()?;
         vectors.push((
             PARAMETERS.to_owned(),
-            values(parameters(self.model.module())),
+            read(PARAMETERS, parameters(self.model.module()))?,
         ));
         let lengths: Vec<(&str, usize)> = vectors
             .iter()

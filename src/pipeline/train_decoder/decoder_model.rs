@@ -7,10 +7,11 @@
 //! `dL/dtheta = sum_parts (ds_part/dtheta)^T dL/ds_part`. Recomputing instead of keeping is the trade of Chen et al. 2016
 //! (Training deep nets with sublinear memory cost). Points of coarse scales that several parts depend on are decoded in each.
 
-use super::adam::{parameter_gradients, values};
+use super::adam::parameter_gradients;
 use super::view_cache::ViewCache;
 use super::view_input::{DecoderInput, Encoded, Part, REGULARISED, ViewInput};
 use super::{DecodedScores, IdentityModel};
+use crate::backend::device::read;
 use crate::config::{Blend, SegmentationConfig};
 use crate::error::Result;
 use crate::objects::Identities;
@@ -167,7 +168,7 @@ impl<'a> DecoderModel<'a> {
     }
 
     /// Scores of the finest points, in chunks so that memory beside them does not grow with the scene.
-    fn decode_all(&self, decoder: &Decoder, encoded: &Encoded) -> Vec<f32> {
+    fn decode_all(&self, decoder: &Decoder, encoded: &Encoded) -> Result<Vec<f32>> {
         let count = encoded.points.len();
         let mut scores = Vec::with_capacity(count * self.plan.size[1]);
         for first in (0..count).step_by(CHUNK) {
@@ -178,9 +179,10 @@ impl<'a> DecoderModel<'a> {
             let part = Dependencies::new(&encoded.pyramid, finest);
             let decoded = decoder.forward(&encoded.pyramid.part(&part));
             let part = self.scores(decoder, decoded.hidden, &gaussians);
-            scores.extend(values(stored_scores(part, self.plan.config.blend)));
+            let part = stored_scores(part, self.plan.config.blend);
+            scores.extend(read("identities", part)?);
         }
-        scores
+        Ok(scores)
     }
 
     /// s_i = sum_v w_iv s_iv / sum_v w_iv over the encodings of views, and the whole-scene encoding where no view sees i.
@@ -190,12 +192,12 @@ impl<'a> DecoderModel<'a> {
         views: &[Encoded],
         weights: &[Vec<f32>],
         scene: &Encoded,
-    ) -> Vec<f32> {
+    ) -> Result<Vec<f32>> {
         let [count, classes] = self.plan.size;
         let mut sums = vec![0.0_f32; count * classes];
         let mut totals = vec![0.0_f32; count];
         for (view, weights) in views.iter().zip(weights) {
-            let decoded = self.decode_all(decoder, view);
+            let decoded = self.decode_all(decoder, view)?;
             let rows = decoded.chunks_exact(classes.max(1)).zip(&view.points);
             for ((row, &i), &w) in rows.zip(weights) {
                 totals[i as usize] += w;
@@ -203,7 +205,7 @@ impl<'a> DecoderModel<'a> {
                 sum.iter_mut().zip(row).for_each(|(s, v)| *s += w * v);
             }
         }
-        let whole = self.decode_all(decoder, scene);
+        let whole = self.decode_all(decoder, scene)?;
         for (i, &total) in totals.iter().enumerate() {
             let span = i * classes..(i + 1) * classes;
             if total > 0.0 {
@@ -212,7 +214,7 @@ impl<'a> DecoderModel<'a> {
                 sums[span.clone()].copy_from_slice(&whole[span]);
             }
         }
-        sums
+        Ok(sums)
     }
 }
 
@@ -309,17 +311,17 @@ impl IdentityModel for DecoderModel<'_> {
         sum
     }
 
-    fn identities(&self, decoder: Decoder) -> Identities {
+    fn identities(&self, decoder: Decoder) -> Result<Identities> {
         let decoder = decoder.valid();
         let scores = match self.input {
-            DecoderInput::Scene(scene) => self.decode_all(&decoder, scene),
+            DecoderInput::Scene(scene) => self.decode_all(&decoder, scene)?,
             DecoderInput::Views {
                 views,
                 scene,
                 weights,
-            } => self.mean_over_views(&decoder, views, weights, scene),
+            } => self.mean_over_views(&decoder, views, weights, scene)?,
         };
         let classes = self.plan.size[1];
-        Identities { scores, classes }
+        Ok(Identities { scores, classes })
     }
 }

@@ -15,7 +15,7 @@ mod view_input;
 mod views;
 
 pub use self::adam::{Adam, NamedValues};
-pub(super) use self::adam::{finite_loss, parameter_gradients, values};
+pub(super) use self::adam::{finite_loss, parameter_gradients};
 pub use self::class_recall::ClassRecall;
 pub use self::decoder_model::{DecodedParts, DecoderModel, DecoderPlan, dropped_channels};
 pub use self::per_gaussian::{Logits, PerGaussian};
@@ -98,7 +98,10 @@ pub trait IdentityModel {
     }
 
     /// The identities that the parameters `module` give, `[N, C]`.
-    fn identities(&self, module: Self::Module) -> Identities;
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the device does not return them.
+    fn identities(&self, module: Self::Module) -> Result<Identities>;
 }
 
 /// A model in training.
@@ -171,7 +174,10 @@ impl<M: IdentityModel> Training<M> {
     }
 
     /// Step count of Adam, its moments and the mean of the parameters, each in the order of the module's parameters.
-    pub fn optimizer_state(&self) -> NamedValues {
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the device does not return them.
+    pub fn optimizer_state(&self) -> Result<NamedValues> {
         self.adam.state()
     }
 
@@ -252,7 +258,10 @@ impl<M: IdentityModel> Training<M> {
     }
 
     /// The identities to store. They come from the mean of the parameters where it is kept.
-    pub fn identities(&self) -> Identities {
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the device does not return them.
+    pub fn identities(&self) -> Result<Identities> {
         let module = self.adam.averaged(self.model.module().clone());
         self.model.identities(module)
     }

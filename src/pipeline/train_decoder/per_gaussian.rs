@@ -1,8 +1,8 @@
 //! Identities learned for each Gaussian (ablation row 1 of the paper): `N x C` free logits under cross-entropy.
 
-use super::adam::values;
 use super::decoder_model::stored_scores;
 use super::{DecodedScores, IdentityModel};
+use crate::backend::device::read;
 use crate::config::Blend;
 use crate::error::Result;
 use crate::objects::Identities;
@@ -57,11 +57,11 @@ impl IdentityModel for PerGaussian {
         })
     }
 
-    fn identities(&self, logits: Logits) -> Identities {
+    fn identities(&self, logits: Logits) -> Result<Identities> {
         let scores = logits.scores.val().inner();
-        Identities {
+        Ok(Identities {
             classes: scores.dims()[1],
-            scores: values(stored_scores(scores, self.blend)),
-        }
+            scores: read("identities", stored_scores(scores, self.blend))?,
+        })
     }
 }

@@ -186,15 +186,6 @@ impl RandlaEncoder {
     }
 }
 
-/// Row-major values of a tensor, f32.
-pub(crate) fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor
-        .into_data()
-        .convert::<f32>()
-        .into_vec()
-        .unwrap_or_default() // just converted: always f32
-}
-
 pub(crate) fn parameter<const D: usize>(
     values: Vec<f32>,
     shape: [usize; D],

@@ -1,8 +1,8 @@
 //! The weights of the encoder in a checkpoint, read and written. Key names are those of the PyTorch port.
 
+use super::parameter;
 use super::{AttentivePooling, LAYERS, POSITION_CHANNELS, RandlaEncoder, ResidualBlock, SharedMlp};
-use super::{host, parameter};
-use crate::backend::device::upload;
+use crate::backend::device::{read, upload};
 use crate::error::{Result, bail};
 use crate::weights::{HostTensor, WeightFile};
 use burn::module::{Param, RunningState};
@@ -46,16 +46,19 @@ impl RandlaEncoder {
     }
 
     /// All weights under the names that [`RandlaEncoder::load`] reads.
-    pub fn to_weight_file(&self, origin: &str) -> WeightFile {
+    ///
+    /// # Errors
+    /// [`crate::Error::Device`] when the device does not return them.
+    pub fn to_weight_file(&self, origin: &str) -> Result<WeightFile> {
         let mut weights = WeightFile {
             origin: origin.into(),
             ..WeightFile::default()
         };
-        self.stem.save(&mut weights, "fc0");
+        self.stem.save(&mut weights, "fc0")?;
         for (n, block) in self.blocks.iter().enumerate() {
-            block.save(&mut weights, n);
+            block.save(&mut weights, n)?;
         }
-        weights
+        Ok(weights)
     }
 }
 
@@ -131,8 +134,8 @@ pub fn block_name(n: usize, part: &str) -> String {
 }
 
 impl SharedMlp {
-    fn save(&self, weights: &mut WeightFile, name: &str) {
-        save_matrix(weights, &format!("{name}.conv.weight"), &self.linear);
+    fn save(&self, weights: &mut WeightFile, name: &str) -> Result<()> {
+        save_matrix(weights, &format!("{name}.conv.weight"), &self.linear)?;
         for (part, values) in [
             ("weight", self.norm.gamma.val()),
             ("bias", self.norm.beta.val()),
@@ -140,41 +143,42 @@ impl SharedMlp {
             ("running_var", self.norm.running_var.value_sync()),
         ] {
             let shape = values.dims().to_vec();
-            let values = host(values);
-            weights.insert(
-                &format!("{name}.bn.bn.{part}"),
-                HostTensor { shape, values },
-            );
+            let name = format!("{name}.bn.bn.{part}");
+            let values = read(&name, values)?;
+            weights.insert(&name, HostTensor { shape, values });
         }
+        Ok(())
     }
 }
 
 impl AttentivePooling {
-    fn save(&self, weights: &mut WeightFile, name: &str) {
-        save_matrix(weights, &format!("{name}.fc.weight"), &self.score);
-        self.mlp.save(weights, &format!("{name}.mlp"));
+    fn save(&self, weights: &mut WeightFile, name: &str) -> Result<()> {
+        save_matrix(weights, &format!("{name}.fc.weight"), &self.score)?;
+        self.mlp.save(weights, &format!("{name}.mlp"))
     }
 }
 
 impl ResidualBlock {
-    fn save(&self, weights: &mut WeightFile, n: usize) {
+    fn save(&self, weights: &mut WeightFile, n: usize) -> Result<()> {
         let name = |part: &str| block_name(n, part);
-        self.narrow.save(weights, &name("mlp1"));
-        self.first_code.save(weights, &name("lfa.mlp1"));
-        self.first_pooling.save(weights, &name("lfa.att_pooling_1"));
-        self.second_code.save(weights, &name("lfa.mlp2"));
+        self.narrow.save(weights, &name("mlp1"))?;
+        self.first_code.save(weights, &name("lfa.mlp1"))?;
+        self.first_pooling
+            .save(weights, &name("lfa.att_pooling_1"))?;
+        self.second_code.save(weights, &name("lfa.mlp2"))?;
         self.second_pooling
-            .save(weights, &name("lfa.att_pooling_2"));
-        self.widen.save(weights, &name("mlp2"));
-        self.shortcut.save(weights, &name("shortcut"));
+            .save(weights, &name("lfa.att_pooling_2"))?;
+        self.widen.save(weights, &name("mlp2"))?;
+        self.shortcut.save(weights, &name("shortcut"))
     }
 }
 
-fn save_matrix(weights: &mut WeightFile, name: &str, linear: &Linear) {
+fn save_matrix(weights: &mut WeightFile, name: &str, linear: &Linear) -> Result<()> {
     let [input, output] = linear.weight.dims();
-    let values = transposed(&host(linear.weight.val()), output, input);
+    let values = transposed(&read(name, linear.weight.val())?, output, input);
     let shape = vec![output, input];
     weights.insert(name, HostTensor { shape, values });
+    Ok(())
 }
 
 /// `[rows, columns]` from `[columns, rows]`, row-major.

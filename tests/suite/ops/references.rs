@@ -90,7 +90,7 @@ fn moments(training: &Training<DecoderModel>) -> Vec<[Vec<f32>; 2]> {
     }
     let mut sizes = Sizes(Vec::new());
     training.model.module().visit(&mut sizes);
-    let state = training.optimizer_state();
+    let state = training.optimizer_state().expect("readable");
     let vector = |name: &str| {
         let found = state.iter().find(|(found, _)| found == name);
         found.expect("a moment").1.clone()

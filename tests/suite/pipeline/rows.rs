@@ -185,7 +185,7 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
         for _ in 0..4 {
             training.step(&mut views, &plan).expect("a step");
         }
-        training.identities().scores
+        training.identities().expect("identities").scores
     };
     assert_ne!(
         scores(true, 4),
