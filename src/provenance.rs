@@ -3,7 +3,7 @@
 use crate::checkpoint::Scalar;
 use crate::config::{Config, LabelSource};
 use crate::data::{LabelRuns, Scene, Split, View};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, in_order, invalid};
 use crate::splat::Gaussians;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -106,12 +106,15 @@ impl Provenance {
     }
 
     /// The provenance of a variant of stage two; `of_features`: it learns from features of the Gaussians.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when a file of scores cannot be read.
     pub fn stage_two(
         config: &Config,
         scene: &Scene,
         gaussians: &Gaussians,
         of_features: bool,
-    ) -> Self {
+    ) -> Result<Self> {
         let sections = if of_features { DECODER } else { PER_GAUSSIAN };
         let mut pruning = config.clone();
         pruning.unprojection.normalisation = Default::default();
@@ -121,26 +124,27 @@ impl Provenance {
             ..Self::default()
         };
         let pruning = values(&pruning, &["unprojection"]);
-        provenance
+        let labels = digest_labels(scene)?;
+        Ok(provenance
             .with(Data::Gaussians, digest_gaussians(gaussians), pruning)
-            .with(
-                Data::Labels,
-                digest_labels(scene),
-                values(config, &["data"]),
-            )
+            .with(Data::Labels, labels, values(config, &["data"])))
     }
 
     /// The provenance of the held-out scores of a variant: that of its training, the photos, and the labels of held-out views.
+    ///
+    /// # Errors
+    /// As [`Provenance::stage_two`].
     pub fn scores(
         config: &Config,
         scene: &Scene,
         gaussians: &Gaussians,
         trains_decoder: bool,
-    ) -> Self {
+    ) -> Result<Self> {
         let settings = || values(config, &["data"]);
-        Self::stage_two(config, scene, gaussians, trains_decoder)
+        let of_training = Self::stage_two(config, scene, gaussians, trains_decoder)?;
+        Ok(of_training
             .with(Data::Photos, digest_photos(scene), settings())
-            .with(Data::HeldOut, digest_held_out(scene), settings())
+            .with(Data::HeldOut, digest_held_out(scene), settings()))
     }
 
     /// Adds image features by what they are made from: on a GPU their sums need not have the same bits each time.
@@ -258,42 +262,49 @@ fn values(config: &Config, sections: &[&str]) -> Values {
 
 /// Points, and of every view its name, split, camera, mask and photo.
 fn digest_photos(scene: &Scene) -> Sha256 {
-    let views: Vec<&View> = scene.views.iter().collect();
-    let mut digest = digest_views(&views, |view, hash| {
-        view.image.identify(hash);
-        let mask = view.mask.iter().flat_map(|mask| mask.words());
-        mask.for_each(|word| hash.update(word.to_le_bytes()));
+    let parts = scene.views.par_iter().map(|view| {
+        digest_view(view, |hash| {
+            view.image.identify(hash);
+            let mask = view.mask.iter().flat_map(|mask| mask.words());
+            mask.for_each(|word| hash.update(word.to_le_bytes()));
+        })
     });
+    let mut digest = joined(&parts.collect::<Vec<_>>());
     digest.update(f32::to_bytes(scene.points.positions.as_flattened()));
     digest.update(f32::to_bytes(scene.points.colors.as_flattened()));
     digest
 }
 
 /// Class ids, and of every training view with raw labels its name, split, camera, labels and scores.
-fn digest_labels(scene: &Scene) -> Sha256 {
+fn digest_labels(scene: &Scene) -> Result<Sha256> {
     let views: Vec<&View> = scene.labelled().collect();
-    let mut digest = digest_views(&views, |view, hash| {
-        digest_map(view.raw.as_ref(), hash);
-        // A file that cannot be read is an error where its scores are used.
+    let parts = views.par_iter().map(|view| {
         let scores = view.scores.as_ref();
-        if let Some(Ok(file)) = scores.map(|scores| crate::files::read(scores.file())) {
-            hash.update(file);
-        }
+        let scores = scores.map(|scores| crate::files::read(scores.file()));
+        let scores = scores.transpose()?;
+        Ok(digest_view(view, |hash| {
+            digest_map(view.raw.as_ref(), hash);
+            hash.update(scores.unwrap_or_default());
+        }))
     });
+    let mut digest = joined(&in_order(parts)?);
     let classes = scene.classes.entries.iter();
     classes.for_each(|class| digest.update(class.id.to_le_bytes()));
-    digest
+    Ok(digest)
 }
 
 /// Digest of the held-out views: name, split, camera, true and raw labels, and instances of each.
 fn digest_held_out(scene: &Scene) -> Sha256 {
     let views: Vec<&View> = scene.split(Split::Test).collect();
-    digest_views(&views, |view, hash| {
-        for map in [&view.truth, &view.raw, &view.instances] {
-            hash.update([u8::from(map.is_some())]);
-            digest_map(map.as_ref(), hash);
-        }
-    })
+    let parts = views.par_iter().map(|view| {
+        digest_view(view, |hash| {
+            for map in [&view.truth, &view.raw, &view.instances] {
+                hash.update([u8::from(map.is_some())]);
+                digest_map(map.as_ref(), hash);
+            }
+        })
+    });
+    joined(&parts.collect::<Vec<_>>())
 }
 
 /// The ids of a map, where there is one.
@@ -302,22 +313,21 @@ fn digest_map(map: Option<&LabelRuns>, hash: &mut Sha256) {
     hash.update(ids.flat_map(u16::to_le_bytes).collect::<Vec<u8>>());
 }
 
-/// Name, split, camera and some content of each view.
-fn digest_views(views: &[&View], content: impl Fn(&View, &mut Sha256) + Sync) -> Sha256 {
-    let digest_view = |view: &&View| {
-        let mut hash = Sha256::new();
-        let name = &view.name;
-        let split = view.split;
-        let camera = &view.camera;
-        // The debug form of a number has all of its digits.
-        hash.update(format!("{name} {split:?} {camera:?}\n"));
-        content(view, &mut hash);
-        hash.finalize()
-    };
-    let parts: Vec<_> = views.par_iter().map(digest_view).collect();
+/// SHA-256 of the name, split and camera of a view, and of what `content` adds.
+fn digest_view(view: &View, content: impl FnOnce(&mut Sha256)) -> [u8; 32] {
     let mut hash = Sha256::new();
-    parts.iter().for_each(|part| hash.update(part));
-    hash
+    let name = &view.name;
+    let split = view.split;
+    let camera = &view.camera;
+    // The debug form of a number has all of its digits.
+    hash.update(format!("{name} {split:?} {camera:?}\n"));
+    content(&mut hash);
+    hash.finalize().into()
+}
+
+/// The digest of digests.
+fn joined(parts: &[[u8; 32]]) -> Sha256 {
+    Sha256::new().chain_update(parts.as_flattened())
 }
 
 fn digest_gaussians(g: &Gaussians) -> Sha256 {

@@ -252,7 +252,7 @@ impl<'a> Comparison<'a> {
             Ok(Job {
                 id: CellId::new(scene, labels, row, seed),
                 row,
-                provenance: Provenance::scores(&config, loaded, &gaussians.gaussians, decodes),
+                provenance: Provenance::scores(&config, loaded, &gaussians.gaussians, decodes)?,
                 config,
             })
         };

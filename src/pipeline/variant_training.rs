@@ -77,7 +77,7 @@ fn provenance(variant: Variant, inputs: &Inputs) -> Result<Provenance> {
     let decoder = variant.trains_decoder();
     let features = decoder || variant.reads_image_features();
     let mut provenance =
-        Provenance::stage_two(inputs.config, inputs.scene, inputs.gaussians, features);
+        Provenance::stage_two(inputs.config, inputs.scene, inputs.gaussians, features)?;
     if let Some(lifted) = &inputs.lifted
         && variant.reads_image_features()
     {

@@ -3,8 +3,10 @@
 use crate::support::onnx::Onnx;
 use crate::support::plates::{self, HEIGHT, WIDTH, scene};
 use crate::support::program::{fails, listed, succeeds, utf8};
+use coseg::config::Config;
 use coseg::data::{Classes, LabelMap, Limits, LoadOptions, ScoreMap, View, load};
 use coseg::objects::{vote, weighted_vote};
+use coseg::provenance::Provenance;
 use coseg::raster::Settings;
 use glam::Vec3;
 use std::path::{Path, PathBuf};
@@ -388,4 +390,9 @@ fn pixels_divide_their_vote_by_their_scores_and_distance_weighs_it() {
         divided += usize::from(named(&scores[i]) > named(&labels[i]));
     }
     assert!(divided > 0, "no pixel divides its vote");
+    // Without a file of scores it is not known what training would follow from.
+    let known = || Provenance::stage_two(&Config::default(), &loaded, &gaussians, false);
+    assert!(known().is_ok());
+    std::fs::remove_file(view.scores.as_ref().expect("scores").file()).expect("removed");
+    assert!(matches!(known(), Err(coseg::Error::Io { .. })));
 }
