@@ -82,7 +82,8 @@ impl Extractor {
             }
             FeatureSource::Auto | FeatureSource::Mobilenetv2 => {
                 let path = weights("MobileNetV2")?;
-                let net = mobilenet::MobileNetV2::load(path, &device)?;
+                let net = mobilenet::MobileNetV2::load(path, &device);
+                let net = net.map_err(|error| naming_source(error, source))?;
                 let name = format!("mobilenetv2 {}", path.display());
                 let key = format!("{} {}", mobilenet::VERSION, sha256(path)?);
                 (name, Some(key), Source::MobileNetV2(Box::new(net)))
@@ -154,6 +155,17 @@ impl Extractor {
             Source::Import(dir) => import::read(dir, name),
         }
     }
+}
+
+/// An error of MobileNetV2's weights that says which setting makes them MobileNetV2's: `"auto"` takes every file for them.
+fn naming_source(mut error: Error, source: &FeatureSource) -> Error {
+    if let (FeatureSource::Auto, Error::Input { help, .. }) = (source, &mut error) {
+        help.push_str(
+            ", or set features.source, which decides what features.weights are for: \"auto\" takes them for MobileNetV2; for \
+             weights of DINO, set it to \"dino\"",
+        );
+    }
+    error
 }
 
 /// The image as `[1, 3, H, W]`, normalised as networks trained on ImageNet expect it.

@@ -324,12 +324,22 @@ fn extraction_reduces_the_maps_and_names_the_file() {
     assert_eq!(entries(), 3);
     let error = run(&FeatureConfig {
         weights: None,
-        ..config
+        ..config.clone()
     })
     .expect_err("no weights")
     .to_string();
     assert!(
         error.contains("features.weights") && error.contains("DINO"),
+        "{error}"
+    );
+    let error = run(&FeatureConfig {
+        source: FeatureSource::Auto,
+        ..config
+    })
+    .expect_err("taken for MobileNetV2")
+    .to_string();
+    assert!(
+        error.contains("features.source") && error.contains("\"dino\""),
         "{error}"
     );
 }
