@@ -3,9 +3,8 @@
 //! A checksum covers every byte: a damaged file is refused. Settings are one JSON object under the key `coseg` of `__metadata__`. Numbers that must come back bit for bit belong in
 //! tensors.
 
-use crate::data::atomic;
 use crate::error::{Error, Result, ensure, invalid};
-use crate::files;
+use crate::files::{self, atomic};
 use crate::metrics::ImageScores;
 use crate::progress::CurvePoint;
 use crate::seal;

@@ -9,8 +9,8 @@ mod training;
 
 use clap::Parser;
 use coseg::backend::device::{self, BackendName};
-use coseg::data::atomic;
 use coseg::error::Result;
+use coseg::files::atomic;
 use std::path::PathBuf;
 use training::{PretrainOptions, pretrain};
 

@@ -6,9 +6,8 @@ use super::{BackendArgs, Settings, terminal};
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
 use coseg::bench::{Bench, Figures, Machine};
-use coseg::data::atomic;
 use coseg::error::{Error, Result};
-use coseg::files::own;
+use coseg::files::{atomic, own};
 use std::path::{Path, PathBuf};
 
 const HELP: &str = "\

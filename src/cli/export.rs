@@ -4,9 +4,9 @@ use super::object_scene::{ObjectScene, ObjectSceneArgs, check_output, has_table,
 use super::scene_file::{CAMERAS, CLASSES, copy_cameras, read_scene, scene_path};
 use super::terminal;
 use clap::{Args, ValueEnum};
-use coseg::data::{Classes, atomic};
+use coseg::data::Classes;
 use coseg::error::{Error, Result, bail, ensure, invalid};
-use coseg::files::{extension, names, own};
+use coseg::files::{atomic, extension, names, own};
 use coseg::splat::formats::{self, Format, label_path};
 use coseg::splat::{Gaussians, ply};
 use glam::DVec3;

@@ -2,9 +2,9 @@
 
 use super::scene_file::{CLASSES, SCENE, classes_beside, copy_cameras, read_scene, scene_path};
 use clap::Args;
-use coseg::data::{Classes, LoadOptions, atomic, check_output_file, locate};
+use coseg::data::{Classes, LoadOptions, check_output_file, locate};
 use coseg::error::{Error, Result, bail, ensure, invalid};
-use coseg::files::{extension, own, sha256};
+use coseg::files::{atomic, extension, own, sha256};
 use coseg::objects::{Edited, Editing, Edits, Object, inventory};
 use coseg::splat::ply::PlyScene;
 use coseg::splat::{Gaussians, ply};

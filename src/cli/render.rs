@@ -12,10 +12,11 @@ use clap::{Args, ValueEnum};
 use coseg::data::formats::transforms;
 use coseg::data::labels::annotations::{Categories, CocoInstances, Yolo};
 use coseg::data::{
-    Classes, LabelMap, Limits, LoadOptions, NamedCamera, Split, atomic, check_outputs, read_cameras,
+    Classes, LabelMap, Limits, LoadOptions, NamedCamera, Split, check_outputs, read_cameras,
 };
 use coseg::error::{Result, ensure};
 use coseg::features::FeatureColors;
+use coseg::files::atomic;
 use coseg::objects::{Frame, RenderOptions, Renderer};
 use coseg::report::pictures;
 use coseg::splat::Gaussians;

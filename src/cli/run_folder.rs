@@ -3,10 +3,10 @@
 use super::or_usage_error;
 use super::scene_file::{CAMERAS, CLASSES, CONFIG, FEATURE_COLORS, SCENE, VIEWER, classes_beside};
 use coseg::config::Config;
-use coseg::data::{Classes, atomic};
+use coseg::data::Classes;
 use coseg::error::{Result, ensure};
 use coseg::files::lock::Lock;
-use coseg::files::{self, own};
+use coseg::files::{self, atomic, own};
 use coseg::report::{Command, Metrics};
 use std::path::{Path, PathBuf};
 

@@ -1,9 +1,9 @@
 //! The files of a scene: given by name, or in the folder that `coseg train` wrote.
 
 use coseg::config::Config;
-use coseg::data::{Classes, Limits, atomic};
+use coseg::data::{Classes, Limits};
 use coseg::error::{Error, Result, ensure, invalid};
-use coseg::files::{extension, own};
+use coseg::files::{atomic, extension, own};
 use coseg::splat::formats;
 use coseg::splat::ply::PlyScene;
 use std::path::{Path, PathBuf};

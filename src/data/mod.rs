@@ -25,7 +25,8 @@ pub use self::outputs::{check_output_file, check_outputs};
 pub use self::photos::photo::Photo;
 pub use self::photos::photo_cache::PhotoCache;
 
-pub use crate::files::{Limits, atomic};
+pub use crate::files::Limits;
+pub(crate) use crate::files::atomic;
 
 use self::diagnostics::{notices, poses};
 use self::formats::{folder, listing};

@@ -2,8 +2,9 @@
 
 use super::evaluate::Pictures;
 use crate::config::Config;
-use crate::data::{Limits, Scene, Split, atomic};
+use crate::data::{Limits, Scene, Split};
 use crate::error::{Result, bail, ensure};
+use crate::files::atomic;
 use crate::splat::{Gaussians, formats};
 use burn::tensor::Device;
 use std::path::Path;

@@ -19,8 +19,9 @@ pub use self::metrics::{Command, Metrics, Scores, TestScores, VariantScores, pea
 pub(crate) use self::units::thousands;
 
 use crate::config::{Config, Variant};
-use crate::data::{Classes, LabelMap, View, atomic};
+use crate::data::{Classes, LabelMap, View};
 use crate::error::Result;
+use crate::files::atomic;
 use crate::metrics::ImageScores;
 use std::path::Path;
 

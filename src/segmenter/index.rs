@@ -1,8 +1,7 @@
 //! `label.json` in a folder of labels: which files `coseg label` wrote there, and what from.
 
-use crate::data::atomic;
 use crate::error::{Result, bail};
-use crate::files::{self, own};
+use crate::files::{self, atomic, own};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, BTreeSet};

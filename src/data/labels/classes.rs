@@ -1,8 +1,8 @@
 //! Class tables: `classes.json` in and out, and the colours of legends.
 
-use crate::data::{Class, Classes, ObjectOf, atomic, class_color};
+use crate::data::{Class, Classes, ObjectOf, class_color};
 use crate::error::{Result, bail, ensure, invalid};
-use crate::files;
+use crate::files::{self, atomic};
 use serde::{Deserialize, Deserializer, Serialize, de};
 use serde_json::Value;
 use std::collections::HashSet;

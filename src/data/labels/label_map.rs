@@ -1,9 +1,9 @@
 //! Label maps as grey PNG files, 8 or 16 bits a pixel: the value is the class id.
 
 use crate::data::photos::image_file::ImageFile;
-use crate::data::{Classes, LabelMap, Limits, atomic};
+use crate::data::{Classes, LabelMap, Limits};
 use crate::error::{Error, Result, bail, invalid};
-use crate::files::check_limit;
+use crate::files::{atomic, check_limit};
 use image::{DynamicImage, GrayImage, ImageBuffer, Luma, codecs::png::PngEncoder};
 use std::collections::BTreeSet;
 use std::io::{self, Write};

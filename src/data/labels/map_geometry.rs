@@ -1,8 +1,7 @@
 //! Which camera label maps belong to, as a file beside them says.
 
-use crate::data::atomic;
 use crate::error::{Error, Result};
-use crate::files;
+use crate::files::{self, atomic};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};

@@ -1,6 +1,7 @@
 //! Class tables, their colours, label maps on disk, atomic files.
 
-use coseg::data::{Classes, LabelMap, Limits, atomic};
+use coseg::data::{Classes, LabelMap, Limits};
+use coseg::files::atomic;
 use std::fs;
 use std::io::Write;
 

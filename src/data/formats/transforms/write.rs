@@ -1,7 +1,8 @@
 //! Cameras as a `transforms.json` that [`super::load_cameras`] and other tools read.
 
-use crate::data::{NamedCamera, Split, atomic};
+use crate::data::{NamedCamera, Split};
 use crate::error::Result;
+use crate::files::atomic;
 use serde::Serialize;
 use std::path::Path;
 

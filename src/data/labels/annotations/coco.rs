@@ -4,8 +4,9 @@
 //! object keeps in all images.
 
 use super::Categories;
-use crate::data::{LabelMap, atomic};
+use crate::data::LabelMap;
 use crate::error::Result;
+use crate::files::atomic;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;

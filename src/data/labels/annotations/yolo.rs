@@ -5,8 +5,9 @@
 //! the sides of its pixels. A hole is joined to it by a cut of no width, so that the areas are exact.
 
 use super::Categories;
-use crate::data::{LabelMap, atomic};
+use crate::data::LabelMap;
 use crate::error::Result;
+use crate::files::atomic;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::Write as _;

@@ -1,8 +1,8 @@
 //! The file with the scores of one photo.
 
-use crate::data::{Limits, atomic};
+use crate::data::Limits;
 use crate::error::{Error, Result, bail, ensure, invalid};
-use crate::files::check_limit;
+use crate::files::{atomic, check_limit};
 use flate2::write::ZlibEncoder;
 use flate2::{Compression, Decompress, FlushDecompress, Status};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
