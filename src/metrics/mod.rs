@@ -6,7 +6,6 @@
 mod assignment;
 mod boundary;
 mod clusters;
-mod compactness;
 mod image;
 mod instances;
 mod labels;
@@ -15,7 +14,6 @@ mod semantic;
 pub use self::assignment::assignment;
 pub use self::boundary::boundary_iou;
 pub use self::clusters::{calinski_harabasz, davies_bouldin};
-pub use self::compactness::{Agreement, Compactness};
 pub use self::image::{ImageScores, PSNR_CAP, psnr, ssim};
 pub use self::instances::{InstanceScores, PanopticQuality, Quality, instance_scores};
 pub use self::labels::{Confusion, LabelScores, Void, label_scores};

@@ -3,7 +3,6 @@
 mod association;
 mod calibration;
 mod coloring;
-mod compactness;
 mod editing;
 mod edits;
 mod identities;
@@ -20,7 +19,6 @@ mod vote;
 pub use self::association::{Association, Group, associate};
 pub use self::calibration::{Calibration, LabelErrors};
 pub use self::coloring::color_apart;
-pub use self::compactness::NeighbourGraph;
 pub use self::editing::{Edited, Editing};
 pub use self::edits::{Edits, NewObject, Operation, Turn, VERSION as EDITS_VERSION};
 pub use self::identities::Identities;

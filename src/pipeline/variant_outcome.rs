@@ -2,7 +2,7 @@
 
 use super::evaluate::{FieldScores, HeldOutScores};
 use crate::config::Variant;
-use crate::metrics::{Agreement, Compactness, LabelScores};
+use crate::metrics::LabelScores;
 use crate::objects::Identities;
 use crate::progress::CurvePoint;
 
@@ -17,10 +17,6 @@ pub struct VariantOutcome {
     pub scores: HeldOutScores,
     /// Held-out scores with void predictions left out; raw labels only.
     pub void_left_out: Option<LabelScores>,
-    /// How compact the identities are.
-    pub compactness: Option<Compactness>,
-    /// How far the raw labels agree about the Gaussians; of the vote.
-    pub agreement: Option<Agreement>,
     /// Scores of the feature field that the variant reads in all scales, if they were requested.
     pub field: Option<FieldScores>,
     /// Training curve; empty where nothing was trained.
@@ -45,8 +41,6 @@ impl VariantOutcome {
             identities: None,
             scores,
             void_left_out: None,
-            compactness: None,
-            agreement: None,
             field: None,
             curve: Vec::new(),
             learnable_bytes: 0,

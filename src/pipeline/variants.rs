@@ -12,10 +12,7 @@ use super::vote_share::{best_share, mixed};
 use crate::config::{Association, Prior, SpatialConfig, Variant};
 use crate::data::Split;
 use crate::error::Result;
-use crate::metrics::Compactness;
-use crate::objects::{
-    Identities, NeighbourGraph, PooledVote, Votes, pooled_vote, refined_vote, vote,
-};
+use crate::objects::{Identities, PooledVote, Votes, pooled_vote, refined_vote, vote};
 use crate::progress::{Event, Progress};
 use std::cell::OnceCell;
 use std::path::Path;
@@ -52,7 +49,6 @@ pub fn train_variants(
 ) -> Result<TrainedVariants> {
     let variants = inputs.config.segmentation.rows();
     let mut stage = StageTwo::new(inputs, checkpoints);
-    let neighbours = NeighbourGraph::new(&inputs.gaussians.means)?;
     let mut rows: Vec<VariantOutcome> = Vec::new();
     let mut stopped = false;
     for &variant in variants {
@@ -61,7 +57,7 @@ pub fn train_variants(
         if stopped {
             break;
         }
-        let mut outcome = match variant {
+        let outcome = match variant {
             Variant::Raw => stage.raw(),
             Variant::Vote => stage.vote()?,
             Variant::PooledVote => stage.pooled_vote()?,
@@ -71,10 +67,6 @@ pub fn train_variants(
             Variant::PanopticLifting => stage.panoptic_lifting(progress)?,
             _ => stage.decoder(variant, progress)?,
         };
-        let compactness = |identities: &Identities| Compactness {
-            neighbours_differ: neighbours.disagreement(identities),
-        };
-        outcome.compactness = outcome.identities.as_ref().map(compactness);
         if let Some(identities) = &outcome.identities {
             let ids = identities.ids(&inputs.scene.classes);
             progress.gaussians(inputs.gaussians, Some(&ids));
@@ -138,12 +130,10 @@ impl<'a> StageTwo<'a> {
 
     /// The vote of the training views.
     fn vote(&self) -> Result<VariantOutcome> {
-        let votes = self.votes()?;
-        let identities = votes.identities();
+        let identities = self.votes()?.identities();
         let scores = self.held_out.score(&identities, self.inputs)?;
         Ok(VariantOutcome {
             identities: Some(identities),
-            agreement: Some(votes.agreement()),
             ..VariantOutcome::new(Variant::Vote, scores)
         })
     }

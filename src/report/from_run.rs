@@ -43,8 +43,6 @@ impl Metrics {
 fn variant_scores(row: &VariantOutcome) -> VariantScores {
     VariantScores {
         void_left_out: row.void_left_out.as_ref().map(Into::into),
-        compactness: row.compactness,
-        agreement: row.agreement,
         iterations: row.curve.last().map(|point| point.iteration),
         learning_rate: row.rate,
         vote_share: row.vote_share,

@@ -2,9 +2,7 @@
 
 use super::History;
 use crate::config::Variant;
-use crate::metrics::{
-    Agreement, Compactness, ImageScores, InstanceScores, LabelScores, SemanticScores,
-};
+use crate::metrics::{ImageScores, InstanceScores, LabelScores, SemanticScores};
 use crate::pipeline::{AssociationCounts, HeldOutScores, Seconds};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -88,12 +86,6 @@ pub struct VariantScores {
     /// Scores of these objects against true classes, where their segments have classes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub semantic: Option<SemanticScores>,
-    /// How compact the identities are.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub compactness: Option<Compactness>,
-    /// How far the raw labels agree about the Gaussians; only for the vote.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub agreement: Option<Agreement>,
     /// Optimiser steps, for trained variants.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,

@@ -1,8 +1,7 @@
 //! The vote: each Gaussian takes the class with the largest summed alpha' T over the raw labels of the training views.
 //!
 //! This is the closed-form baseline that a trained decoder has to beat (FlashSplat solves the same table as a linear
-//! programme). The table itself also says how contested a Gaussian is. Labels are lifted by the adjoint of blending, one channel
-//! a class.
+//! programme). Labels are lifted by the adjoint of blending, one channel a class.
 
 mod tables;
 mod view_votes;

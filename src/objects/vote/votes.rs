@@ -1,7 +1,6 @@
 //! Votes of each Gaussian for each class, and what they say.
 
 use crate::backend::device::upload;
-use crate::metrics::Agreement;
 use crate::objects::{Identities, first_largest};
 use burn::tensor::{Device, Tensor};
 
@@ -74,38 +73,5 @@ impl Votes {
             row.iter().map(move |v| (v / total + floor).ln())
         });
         shares.collect()
-    }
-
-    /// How far the views agree, over all Gaussians with votes; zeros when there are none.
-    pub fn agreement(&self) -> Agreement {
-        let (mut voted, mut entropy, mut contested) = (0_u64, 0.0, 0_u64);
-        for (row, of_row) in self.rows().zip(self.entropy()) {
-            let (sum, most) = row
-                .iter()
-                .fold((0.0, 0.0_f32), |(sum, most), &v| (sum + v, most.max(v)));
-            if sum > 0.0 {
-                voted += 1;
-                entropy += f64::from(of_row);
-                contested += u64::from(3.0 * most < 2.0 * sum);
-            }
-        }
-        let count = voted.max(1) as f64;
-        Agreement {
-            entropy: entropy / count,
-            contested: contested as f64 / count,
-        }
-    }
-
-    /// Shannon entropy (nats) of each Gaussian's votes: 0 where all views agree or nothing was voted.
-    pub fn entropy(&self) -> Vec<f32> {
-        self.rows()
-            .map(|row| {
-                let sum: f32 = row.iter().sum();
-                row.iter()
-                    .filter(|v| **v > 0.0)
-                    .map(|v| -(v / sum) * (v / sum).ln())
-                    .sum()
-            })
-            .collect()
     }
 }

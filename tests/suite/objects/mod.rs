@@ -1,7 +1,6 @@
 //! Tests of `coseg::objects`.
 
 pub mod association;
-pub mod compactness;
 #[cfg(feature = "wgpu")]
 pub mod device_labels;
 pub mod edit;
