@@ -256,7 +256,8 @@ impl View<'_> {
         let mut sum = 0;
         for camera in self.cameras {
             let projected = Projected::new(&self.gaussians.splats(), camera, &Settings::default())?;
-            sum += projected.weights(None).entries().1.len();
+            let pixels: Vec<u32> = (0..(camera.width * camera.height) as u32).collect();
+            sum += projected.weights(&pixels).entries().1.len();
         }
         Ok(sum)
     }

@@ -90,7 +90,7 @@ pub fn pick(
         labels.len() == gaussians.len() && labels.len() == projected.len(),
         "one label for each Gaussian"
     );
-    let weights = projected.weights(Some(&[(y * width + x) as u32]));
+    let weights = projected.weights(&[(y * width + x) as u32]);
     let mut sums: BTreeMap<u16, (f64, DVec3)> = BTreeMap::new();
     let (rows, values) = weights.row(0);
     for (&row, &weight) in rows.iter().zip(values) {

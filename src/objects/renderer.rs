@@ -106,16 +106,6 @@ impl Renderer {
         })
     }
 
-    /// Renders with `options` from now on.
-    ///
-    /// # Errors
-    /// [`crate::Error::Argument`] for options that are not finite.
-    pub fn set_options(&mut self, options: RenderOptions) -> Result<()> {
-        options.check()?;
-        self.options = options;
-        Ok(())
-    }
-
     /// What `camera` sees.
     ///
     /// # Errors

@@ -163,12 +163,30 @@ mod tests {
         );
     }
 
+    /// Moments of the rows of `plan`; `old` is `[N, width]` row-major.
+    fn moments(plan: &Densification, old: &[f32], width: usize) -> Vec<f32> {
+        let rows = plan.rows.iter().zip(&plan.is_new);
+        let row = |(&row, &is_new): (&u32, &bool)| {
+            if is_new {
+                vec![0.0; width]
+            } else {
+                old[row as usize * width..][..width].to_vec()
+            }
+        };
+        rows.flat_map(row).collect()
+    }
+
     /// Densifies `stage` and compares it with `plan` applied to host vectors.
     fn assert_densifies(mut stage: Trainer<'_>, start: &TrainerState, plan: &Densification) {
-        let want = plan.gaussians(&start.gaussians);
+        let want = Gaussians {
+            means: plan.means.clone(),
+            log_scales: plan.log_scales.clone(),
+            opacity_logits: plan.opacity_logits.clone(),
+            ..start.gaussians.select(&plan.rows)
+        };
         let widths = widths(start.gaussians.sh_degree);
         let moments = [&start.first, &start.second]
-            .map(|old| std::array::from_fn(|k| plan.moments(&old[k], widths[k])));
+            .map(|old| std::array::from_fn(|k| moments(plan, &old[k], widths[k])));
         let before = host_fallbacks();
         let done = stage.densify().expect("readable");
         assert_eq!(

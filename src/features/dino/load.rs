@@ -4,7 +4,7 @@
 //! prefixes `module.` and `backbone.`. The teacher gives DINO's published results, so we take it.
 
 use super::position::PositionEmbedding;
-use super::{Block, HEAD, QUERIES, Vit};
+use super::{Block, HEAD, Vit};
 use crate::backend::device::upload;
 use crate::error::{Error, Result};
 use crate::weights::WeightFile;
@@ -61,7 +61,6 @@ impl Vit {
             },
             blocks: blocks.collect::<Result<_>>()?,
             norm: weights.norm("norm", width)?,
-            queries: QUERIES,
         })
     }
 }

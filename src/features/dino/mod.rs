@@ -43,7 +43,6 @@ pub struct Vit {
     positions: PositionEmbedding,
     blocks: Vec<Block>,
     norm: LayerNorm,
-    queries: usize,
 }
 
 /// A pre-norm transformer block: self-attention and a perceptron, each added to its input.
@@ -60,14 +59,14 @@ struct Block {
 
 impl Block {
     /// Tokens `[B, N, width]`.
-    fn forward(&self, x: Tensor<3>, queries: usize) -> Tensor<3> {
-        let attended = self.attend(self.norm1.forward(x.clone()), queries);
+    fn forward(&self, x: Tensor<3>) -> Tensor<3> {
+        let attended = self.attend(self.norm1.forward(x.clone()), QUERIES);
         let x = x + self.projection.forward(attended);
         let hidden = self.fc1.forward(self.norm2.forward(x.clone()));
         x + self.fc2.forward(gelu(hidden))
     }
 
-    /// Attention of all heads, for `queries` tokens at a time.
+    /// Attention of all heads, for `queries` tokens at a time: that changes the memory, and the result by rounding only.
     fn attend(&self, x: Tensor<3>, queries: usize) -> Tensor<3> {
         let [batch, tokens, width] = x.dims();
         let qkv = self.qkv.forward(x);
@@ -103,20 +102,9 @@ impl Vit {
         self.blocks.len()
     }
 
-    /// Attention heads, 64 channels each.
-    pub fn heads(&self) -> usize {
-        self.width() / HEAD
-    }
-
     /// Blocks, counted from 1, whose outputs are the scales: the ends of the quarters of the depth, rounded up.
     pub fn taps(&self) -> [usize; SCALES] {
         std::array::from_fn(|n| (self.depth() * (n + 1)).div_ceil(SCALES))
-    }
-
-    /// Computes attention for `queries` tokens at a time, at least 1. That changes the memory, and the result by rounding only.
-    pub fn with_query_chunk(mut self, queries: usize) -> Self {
-        self.queries = queries.max(1);
-        self
     }
 
     /// The tokens of normalised images `[B, 3, H, W]`, `[B, 1 + patches, width]`: before the first block, then after each.
@@ -126,7 +114,7 @@ impl Vit {
         let mut x = self.embed(images);
         for block in &self.blocks {
             tokens.push(x.clone());
-            x = block.forward(x, self.queries);
+            x = block.forward(x);
         }
         tokens.push(x);
         tokens
@@ -184,5 +172,46 @@ impl Vit {
 
     fn device(&self) -> Device {
         self.class_token.device()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::backend::device::{open_cpu, read, upload};
+    use burn::nn::LayerNormConfig;
+
+    #[test]
+    fn attention_in_chunks_equals_attention_at_once() {
+        let device = open_cpu().unwrap();
+        let (tokens, width) = (300, 2 * HEAD);
+        let wave = |count: usize, step: f32| (0..count).map(|i| (i as f32 * step).sin()).collect();
+        let linear = |outputs: usize| {
+            let weight =
+                upload(wave(width * outputs, 1.3), [width, outputs], &device) / width as f64;
+            Linear {
+                weight: Param::from_tensor(weight),
+                bias: None,
+            }
+        };
+        let norm = || LayerNormConfig::new(width).init(&device);
+        let block = Block {
+            norm1: norm(),
+            qkv: linear(3 * width),
+            projection: linear(width),
+            norm2: norm(),
+            fc1: linear(width),
+            fc2: linear(width),
+        };
+        let x = upload(wave(tokens * width, 0.7), [1, tokens, width], &device);
+        let attended = |queries| read("attention", block.attend(x.clone(), queries)).unwrap();
+        let at_once = attended(tokens);
+        let largest = at_once.iter().fold(0.0_f32, |most, v| most.max(v.abs()));
+        assert!(largest > 0.0);
+        for queries in [1, 7, 64] {
+            for (a, b) in attended(queries).iter().zip(&at_once) {
+                assert!((a - b).abs() < 2e-6 * largest, "{queries}: {a} {b}");
+            }
+        }
     }
 }

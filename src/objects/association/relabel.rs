@@ -72,7 +72,7 @@ pub(super) fn relabelled(
     }
     let projected = Projected::new(&gaussians.splats(), &view.camera, settings)?;
     for band in pixels.chunks(BAND_PIXELS) {
-        let weights = projected.weights(Some(band));
+        let weights = projected.weights(band);
         let id = |(row, &pixel): (usize, &u32)| {
             let (columns, values) = weights.row(row);
             divided[&raw.ids[pixel as usize]].id_at(columns, values)

@@ -55,7 +55,7 @@ pub(super) fn view_segments(
         mask.is_none_or(|mask| mask.uses(pixel as usize))
     };
     for band in pixels.chunks(BAND_PIXELS) {
-        let weights = projected.weights(Some(band));
+        let weights = projected.weights(band);
         let mut rows = vec![Vec::new(); segments.len()];
         for (row, &pixel) in band.iter().enumerate().filter(|(_, pixel)| used(**pixel)) {
             rows[index_of_id[usize::from(raw.ids[pixel as usize])]].push(row);

@@ -79,13 +79,13 @@ impl<E: Real> Projected<E> {
         self.blend_adjoint(&vec![E::one(); w * h], 1)
     }
 
-    /// `W` itself: rows are `pixels` (row-major indices; all when `None`), columns the N Gaussians, entries front to back.
+    /// `W` itself: rows are `pixels` (row-major indices), columns the N Gaussians, entries front to back.
     ///
     /// Values are exactly the weights that [`Projected::blend`] applies, rounded to `f32`.
     ///
     /// # Panics
     /// If a pixel index is outside the image.
-    pub fn weights(&self, pixels: Option<&[u32]>) -> SparseMatrix {
+    pub fn weights(&self, pixels: &[u32]) -> SparseMatrix {
         weights::weights(self, pixels)
     }
 

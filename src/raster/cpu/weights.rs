@@ -9,10 +9,7 @@ use crate::ops::SparseMatrix;
 use rayon::prelude::*;
 
 /// `W` with rows `pixels`; see [`Projected::weights`].
-pub(super) fn weights<E: Real>(p: &Projected<E>, pixels: Option<&[u32]>) -> SparseMatrix {
-    let Some(pixels) = pixels else {
-        return every_row(p, |_| true);
-    };
+pub(super) fn weights<E: Real>(p: &Projected<E>, pixels: &[u32]) -> SparseMatrix {
     let mut wanted = vec![false; p.size()[0] * p.size()[1]];
     for &pixel in pixels {
         wanted[pixel as usize] = true;

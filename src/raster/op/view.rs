@@ -204,8 +204,8 @@ impl SplatView {
             return Ok(self.reference().weights(pixels));
         }
         match self.projected()? {
-            ProjectedView::F32(projected) => Ok(projected.weights(Some(pixels))),
-            ProjectedView::F64(projected) => Ok(projected.weights(Some(pixels))),
+            ProjectedView::F32(projected) => Ok(projected.weights(pixels)),
+            ProjectedView::F64(projected) => Ok(projected.weights(pixels)),
             #[cfg(feature = "cube")]
             ProjectedView::Gpu(_) => Err(crate::error::Error::Device {
                 device: "the GPU of this view".into(),

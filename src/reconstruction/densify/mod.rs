@@ -10,8 +10,6 @@ pub use self::adc::{AdcRules, SizeLimit, adc, reset_opacity};
 pub(crate) use self::statistics::GradientAccumulator;
 pub use self::statistics::GradientStatistics;
 
-use crate::splat::Gaussians;
-
 /// What one densification did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Densified {
@@ -38,28 +36,4 @@ pub struct Densification {
     pub opacity_logits: Vec<f32>,
     /// What was done.
     pub done: Densified,
-}
-
-impl Densification {
-    /// The new Gaussians.
-    pub fn gaussians(&self, old: &Gaussians) -> Gaussians {
-        Gaussians {
-            means: self.means.clone(),
-            log_scales: self.log_scales.clone(),
-            opacity_logits: self.opacity_logits.clone(),
-            ..old.select(&self.rows)
-        }
-    }
-
-    /// Moments of the new rows; `old` is `[N, width]` row-major.
-    pub fn moments(&self, old: &[f32], width: usize) -> Vec<f32> {
-        let row = |(&row, &is_new): (&u32, &bool)| {
-            if is_new {
-                vec![0.0; width]
-            } else {
-                old[row as usize * width..][..width].to_vec()
-            }
-        };
-        self.rows.iter().zip(&self.is_new).flat_map(row).collect()
-    }
 }

@@ -1,6 +1,7 @@
 //! Stage two on the plates: what the decoder starts from, and how views are blended.
 
 use crate::support::plate_runs::trained;
+use crate::support::raster_reference::all_pixels;
 use burn::tensor::Tensor;
 use coseg::Error;
 use coseg::config::{Blend, Config, Prior, SegmentationConfig, Variant};
@@ -117,7 +118,7 @@ fn probabilities_are_blended_over_the_coverage_and_logits_as_they_are() {
     let camera = &scene.split(Split::Train).next().expect("a view").camera;
     let settings = Settings::default();
     let projected = Projected::<f32>::new(&gaussians.splats(), camera, &settings).expect("a view");
-    let weights = projected.weights(None);
+    let weights = projected.weights(&all_pixels(projected.size()));
     // With stored weights, and with ones that each step computes.
     for (blend, weight_cache_mb) in [
         (Blend::Logits, 2_048),
@@ -245,9 +246,9 @@ fn the_vote_sums_weights_by_label_whatever_the_number_of_classes() {
     let lookup = scene.classes.lookup();
     let mut exact = vec![0.0_f64; gaussians.len() * c];
     for view in &scene.views {
-        let weights = Projected::<f32>::new(&gaussians.splats(), &view.camera, &settings)
-            .expect("a view")
-            .weights(None);
+        let projected = Projected::<f32>::new(&gaussians.splats(), &view.camera, &settings);
+        let projected = projected.expect("a view");
+        let weights = projected.weights(&all_pixels(projected.size()));
         for (pixel, id) in view
             .raw
             .as_ref()

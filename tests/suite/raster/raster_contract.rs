@@ -1,6 +1,6 @@
 //! The rasterizer's numerical contract: one operator in two directions, hard cases, thread counts.
 
-use crate::support::raster_reference::{Cloud, camera, cloud, numbers};
+use crate::support::raster_reference::{Cloud, all_pixels, camera, cloud, numbers};
 use burn::tensor::{DType, Tensor};
 use coseg::Error;
 use coseg::raster::{Projected, RasterInput, Settings, Splats, rasterize};
@@ -24,7 +24,7 @@ fn blending_and_its_adjoint_are_one_operator() {
     let camera = camera(53, 38);
     let c = cloud(500, 0.05, &camera, 8);
     let projected = Projected::new(&c.splats(), &camera, &Settings::default()).expect("finite");
-    let w = projected.weights(None);
+    let w = projected.weights(&all_pixels(projected.size()));
     for channels in [1, 3, 4, 7, 64, 150] {
         let x = numbers(c.len() * channels, 5);
         let y = numbers(camera.width * camera.height * channels, 6);
@@ -201,7 +201,8 @@ fn nothing_to_see_is_an_empty_image() {
         let out = none.blend(&[], 3);
         assert!(out.image.iter().all(|&v| v == 0.0) && out.transmittance.iter().all(|&t| t == 1.0));
         assert_eq!(out.transmittance.len(), width * height);
-        assert!(none.weights(None).entries().1.is_empty() && none.counts().is_empty());
+        let weights = none.weights(&all_pixels(none.size()));
+        assert!(weights.entries().1.is_empty() && none.counts().is_empty());
     }
 }
 
@@ -285,7 +286,8 @@ fn thread_count_changes_no_bit() {
             let image = projected.blend(&values, 19).image;
             let sums = projected.blend_adjoint(&image, 19);
             let bits = |v: Vec<f32>| v.into_iter().map(f32::to_bits).collect::<Vec<_>>();
-            (bits(image), bits(sums), projected.weights(None))
+            let weights = projected.weights(&all_pixels(projected.size()));
+            (bits(image), bits(sums), weights)
         })
     };
     assert!(run(1) == run(2));

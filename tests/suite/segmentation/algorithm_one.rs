@@ -3,6 +3,7 @@
 use super::unprojection::Wide;
 use crate::support::feature_maps::{cloud, features, map, views};
 use crate::support::lifting::unproject;
+use crate::support::raster_reference::all_pixels;
 use coseg::config::{Normalisation, Resolution, UnprojectionConfig};
 use coseg::raster::{Projected, Settings};
 use coseg::segmentation::unprojection::{EPSILON, Sums};
@@ -61,7 +62,7 @@ fn count_is_algorithm_one_by_brute_force() {
             pixels += map.cells();
             let projected =
                 Projected::<f64>::new(&wide.splats(), &camera, &settings).expect("view");
-            let w = projected.weights(None);
+            let w = projected.weights(&all_pixels(projected.size()));
             for p in 0..map.cells() {
                 let (x, y) = ((p % map.width) as f64 + 0.5, (p / map.width) as f64 + 0.5);
                 for i in 0..n {

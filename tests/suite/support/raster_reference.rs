@@ -8,6 +8,11 @@ use glam::{DMat3, DQuat, DVec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+/// The pixels of an image of `width` and `height`, row by row.
+pub fn all_pixels([width, height]: [usize; 2]) -> Vec<u32> {
+    (0..(width * height) as u32).collect()
+}
+
 /// Geometry in f64; f32 copies are made from it.
 #[derive(Clone, Debug, Default)]
 pub struct Cloud {
