@@ -59,7 +59,8 @@ impl Capture<'_> {
         let photos = self.source.is_dir().then(|| photos::list(self.source));
         let photos = photos.transpose()?;
         let input = self.input(photos.as_deref())?;
-        let out = absolute(out)?;
+        // COLMAP and ffmpeg would take names that start with a dash as options.
+        let out = files::absolute(out)?;
         let record = out.join(RECORD);
         let mut made = begun(&out, &record)?;
         let images = out.join("images");
@@ -72,7 +73,7 @@ impl Capture<'_> {
             expected "a new folder, or one made from the same files"; help "name another folder");
         let solver = made.poses.is_none().then(|| Solver::find(self.python));
         let solver = solver.transpose()?;
-        made.source = absolute(self.source)?;
+        made.source = files::absolute(self.source)?;
         made.input = input;
         atomic::write_json(&record, &made)?;
         if made.photos == 0 {
@@ -124,11 +125,6 @@ impl Capture<'_> {
         digest.update(format!("{frames}"));
         Ok(format!("{:x}", digest.finalize()))
     }
-}
-
-/// COLMAP and ffmpeg would take names that start with a dash as options.
-fn absolute(path: &Path) -> Result<PathBuf> {
-    std::path::absolute(path).map_err(|e| Error::io(path, "look at", e))
 }
 
 /// How far the folder `out` has come; it may also be new or empty.

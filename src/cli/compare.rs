@@ -6,8 +6,8 @@ use super::train::{command_line, quoted};
 use super::{BackendArgs, interrupt, terminal};
 use clap::Args;
 use coseg::compare::{Cell, Options, Plan, Tables, Watch, run};
-use coseg::error::{Error, Result};
-use coseg::files::own;
+use coseg::error::Result;
+use coseg::files::{absolute, own};
 use coseg::progress::{Event, Progress};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -72,7 +72,7 @@ impl CompareArgs {
     /// Runs missing cells and writes the tables of all that are finished.
     pub fn run(self) -> Result<ExitCode> {
         let plan = Plan::read(&self.plan, self.data_root.as_deref())?;
-        let out = std::path::absolute(&self.out).map_err(|e| Error::io(&self.out, "find", e))?;
+        let out = absolute(&self.out)?;
         let given = self.gaussians.iter();
         let given = given.map(|(scene, path)| Ok((scene.clone(), scene_path(path)?)));
         let gaussians = given.collect::<Result<_>>()?;

@@ -5,7 +5,7 @@ use super::plan::{Plan, SceneFolder};
 use super::{Options, Watch};
 use crate::config::{BuildingConfig, Config};
 use crate::data::Limits;
-use crate::error::{Error, Result, bail};
+use crate::error::{Result, bail};
 use crate::files::{self, atomic};
 use crate::pipeline::{self, load_scene};
 use crate::provenance::Provenance;
@@ -27,7 +27,7 @@ impl SharedGaussians {
     /// it.
     ///
     /// # Errors
-    /// [`Error::Input`] for Gaussians of other settings or photos, or from another file; those of [`pipeline::run`].
+    /// [`crate::Error::Input`] for Gaussians of other settings or photos, or from another file; those of [`pipeline::run`].
     pub fn of(
         scene: &SceneFolder,
         plan: &Plan,
@@ -37,10 +37,8 @@ impl SharedGaussians {
     ) -> Result<Option<Self>> {
         let folder = options.out.join("scenes").join(&scene.name);
         let record = folder.join("stage_one.json");
-        let named = match options.gaussians.get(&scene.name) {
-            Some(path) => Some(std::path::absolute(path).map_err(|e| Error::io(path, "find", e))?),
-            None => None,
-        };
+        let named = options.gaussians.get(&scene.name);
+        let named = named.map(|path| files::absolute(path)).transpose()?;
         if record.exists() {
             let done: Record = files::json(&record, "what `coseg compare` says of stage one")?;
             done.check(&record, scene, plan, named.as_deref())?;

@@ -105,7 +105,7 @@ impl Config {
     /// [`Error::Io`] when the working folder is gone.
     pub fn with_absolute_paths(mut self) -> Result<Self> {
         for path in self.paths() {
-            *path = std::path::absolute(&*path).map_err(|e| Error::io(&*path, "find", e))?;
+            *path = files::absolute(path)?;
         }
         Ok(self)
     }

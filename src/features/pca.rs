@@ -5,7 +5,7 @@
 
 use super::FeatureMap;
 use crate::error::{Error, Result, ensure};
-use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use nalgebra::{DMatrix, DVector, DVectorView, SymmetricEigen};
 use rayon::prelude::*;
 
 /// Rows accumulated as one block.
@@ -160,16 +160,35 @@ impl Pca {
             return Err(Error::non_finite(what, at / channels));
         }
         let mut out = vec![0.0; rows.len() / channels * self.dimensions];
-        let places = out.chunks_exact_mut(self.dimensions.max(1));
-        for (out, row) in places.zip(rows.chunks_exact(channels)) {
-            let axes = self.components.chunks_exact(channels);
-            for (out, axis) in out.iter_mut().zip(axes) {
-                let along = |((x, mean), axis): ((&f32, &f64), &f64)| (f64::from(*x) - mean) * axis;
-                let terms = row.iter().zip(&self.mean).zip(axis).map(along);
-                *out = terms.sum::<f64>() as f32;
-            }
-        }
+        self.each_projection(rows, &mut out, |projection, out| {
+            let along = out.iter_mut().zip(projection);
+            along.for_each(|(out, v)| *out = *v as f32);
+        });
         Ok(out)
+    }
+
+    /// Calls `store` with the projection `[rank]` of each of the rows, centred, and with its place in `out` `[n, dimensions]`.
+    fn each_projection(
+        &self,
+        rows: &[f32],
+        out: &mut [f32],
+        store: impl Fn(DVectorView<'_, f64>, &mut [f32]) + Sync,
+    ) {
+        if self.rank == 0 {
+            return;
+        }
+        let components = DMatrix::from_row_slice(self.rank, self.channels, &self.components);
+        let mean = DVector::from_column_slice(&self.mean);
+        let blocks = out.par_chunks_mut(BLOCK * self.dimensions);
+        let blocks = blocks.zip(rows.par_chunks(BLOCK * self.channels));
+        blocks.for_each(|(out, rows)| {
+            let mut rows = columns(rows, self.channels);
+            rows.column_iter_mut().for_each(|mut row| row -= &mean);
+            let projected = &components * rows;
+            let places = out.chunks_exact_mut(self.dimensions);
+            let places = projected.column_iter().zip(places);
+            places.for_each(|(projection, out)| store(projection, out));
+        });
     }
 
     /// Each cell centred and projected, then divided by its Euclidean norm: `[h, w, dimensions]`. A cell that projects
@@ -185,30 +204,13 @@ impl Pca {
             steps: map.steps,
             ..FeatureMap::zeros(map.height, map.width, self.dimensions)
         };
-        if self.rank == 0 {
-            return Ok(out);
-        }
-        let components = DMatrix::from_row_slice(self.rank, self.channels, &self.components);
-        let mean = DVector::from_column_slice(&self.mean);
-        out.data
-            .par_chunks_mut(BLOCK * self.dimensions)
-            .zip(map.data.par_chunks(BLOCK * self.channels))
-            .for_each(|(out, cells)| {
-                let mut cells = columns(cells, self.channels);
-                cells.column_iter_mut().for_each(|mut cell| cell -= &mean);
-                let projected = &components * cells;
-                for (out, cell) in out
-                    .chunks_exact_mut(self.dimensions)
-                    .zip(projected.column_iter())
-                {
-                    let norm = cell.norm();
-                    if norm > self.floor {
-                        out.iter_mut()
-                            .zip(&cell)
-                            .for_each(|(out, v)| *out = (v / norm) as f32);
-                    }
-                }
-            });
+        self.each_projection(&map.data, &mut out.data, |projection, out| {
+            let norm = projection.norm();
+            if norm > self.floor {
+                let along = out.iter_mut().zip(&projection);
+                along.for_each(|(out, v)| *out = (v / norm) as f32);
+            }
+        });
         Ok(out)
     }
 }

@@ -51,6 +51,14 @@ pub(crate) fn text(path: &Path) -> Result<String> {
     Ok(text)
 }
 
+/// The path from the root of the file system, whether or not something is there.
+///
+/// # Errors
+/// [`Error::Io`] when the working folder is gone.
+pub fn absolute(path: &Path) -> Result<PathBuf> {
+    std::path::absolute(path).map_err(|e| Error::io(path, "find", e))
+}
+
 /// SHA-256 of the content of a file, 64 hexadecimal digits in small letters.
 ///
 /// # Errors

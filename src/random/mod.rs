@@ -2,7 +2,7 @@
 //!
 //! A resumed run derives the stream of iteration `k` again and so draws the same numbers as an uninterrupted one.
 
-use rand::SeedableRng;
+use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// What a stream is for; different purposes never share numbers.
@@ -43,6 +43,20 @@ pub fn stream(seed: u64, purpose: Purpose, index: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream((purpose as u64) << 56 | index & ((1 << 56) - 1));
     rng
+}
+
+/// A standard normal number (Box-Muller). Two uniform numbers a draw, so that the position of the stream does not depend on the
+/// values.
+pub(crate) fn standard_normal(rng: &mut ChaCha8Rng) -> f64 {
+    let (u, v): (f64, f64) = (rng.random(), rng.random());
+    (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+}
+
+/// `count` numbers, uniform in +-`bound`.
+pub(crate) fn uniform(count: usize, bound: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    (0..count)
+        .map(|_| bound * rng.random_range(-1.0_f32..1.0))
+        .collect()
 }
 
 #[cfg(test)]

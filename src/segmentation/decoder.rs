@@ -7,11 +7,12 @@ use super::pixels::constant;
 use super::pyramid::{Level, Pyramid};
 use super::randla::{leaky_relu, parameter};
 use crate::ops::sparse_apply;
+use crate::random::uniform;
 use burn::config::Config;
 use burn::module::{Module, Param};
 use burn::nn::{LayerNorm, LayerNormConfig, Linear};
 use burn::tensor::{Device, Tensor};
-use rand::{Rng, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 /// Widths of the shared MLPs at scales 1 to 4.
@@ -86,12 +87,6 @@ impl DecoderConfig {
 
 fn bound(inputs: usize) -> f32 {
     1.0 / (inputs.max(1) as f32).sqrt()
-}
-
-fn uniform(count: usize, bound: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
-    (0..count)
-        .map(|_| bound * rng.random_range(-1.0f32..1.0))
-        .collect()
 }
 
 /// The shared MLP of a scale, over the frozen features of a level and what comes up from below.

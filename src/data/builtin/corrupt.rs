@@ -2,6 +2,7 @@
 
 use super::noise::noise;
 use crate::data::LabelMap;
+use crate::random::standard_normal;
 use glam::DVec2;
 use rand::Rng;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -135,7 +136,7 @@ impl Objects {
         for (&(id, class), share) in &largest {
             let rng = &mut fork(seed, 1, u64::from(id) << 16 | u64::from(class));
             let spread = 0.7;
-            let normal = super::points::gauss(rng);
+            let normal = standard_normal(rng);
             let hard = (spread * normal - spread * spread / 2.0).exp().min(3.0);
             let hard = hard / (1.0 + 4.0 * share);
             difficulty.insert(id, hard);

@@ -2,6 +2,7 @@
 
 use super::room::{Purpose, Room, Truth, stream};
 use crate::data::Points;
+use crate::random::standard_normal;
 use crate::splat::camera::Camera;
 use glam::DVec3;
 use rand::Rng;
@@ -99,14 +100,8 @@ fn unit(rng: &mut ChaCha8Rng) -> DVec3 {
     DVec3::new(r * a.cos(), r * a.sin(), z)
 }
 
-/// A standard normal number (Box-Muller).
-pub(super) fn gauss(rng: &mut ChaCha8Rng) -> f64 {
-    let (a, b): (f64, f64) = (rng.random(), rng.random());
-    (-2.0 * (1.0 - a).ln()).sqrt() * (std::f64::consts::TAU * b).cos()
-}
-
 fn gauss3(rng: &mut ChaCha8Rng) -> DVec3 {
-    DVec3::new(gauss(rng), gauss(rng), gauss(rng))
+    std::array::from_fn(|_| standard_normal(rng)).into()
 }
 
 /// About `count` points back-projected from the depth of training views, thinned to one in a cell of 8 cm. They have noise of 0.3 %
@@ -139,9 +134,11 @@ pub(super) fn initial_points(
         }
         let rgb = truth.image.get_pixel(x as u32, y as u32).0;
         points.positions.push(p.as_vec3().to_array());
-        points
-            .colors
-            .push(rgb.map(|c| (f32::from(c) / 255.0 + 0.02 * gauss(rng) as f32).clamp(0.0, 1.0)));
+        points.colors.push(
+            rgb.map(|c| {
+                (f32::from(c) / 255.0 + 0.02 * standard_normal(rng) as f32).clamp(0.0, 1.0)
+            }),
+        );
     }
     points
 }

@@ -6,7 +6,7 @@ use super::super::train_decoder::{
     Adam, DecodedScores, IdentityModel, TrainingViews, ViewSample, finite_loss,
     parameter_gradients, view_at,
 };
-use super::{first_parameters, linear, uniform};
+use super::{first_parameters, linear};
 use crate::backend::device::read;
 use crate::data::{Split, View};
 use crate::error::Result;
@@ -14,7 +14,7 @@ use crate::features::{Reduction, SCALES, ViewFeatures};
 use crate::objects::Identities;
 use crate::ops::select;
 use crate::progress::{Event, Progress};
-use crate::random::{Purpose, stream};
+use crate::random::{Purpose, stream, uniform};
 use crate::segmentation::pixels::{LabelledPixels, constant};
 use crate::segmentation::randla::parameter;
 use burn::module::{Module, Param};

@@ -10,23 +10,15 @@ pub use self::grouping::Grouping;
 pub use self::panoptic_lifting::PanopticLifting;
 
 use super::encode::Inputs;
-use crate::random::{Purpose, stream};
+use crate::random::{Purpose, stream, uniform};
 use crate::segmentation::randla::parameter;
 use burn::nn::Linear;
 use burn::tensor::Device;
-use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
 /// The random numbers of first parameters.
 fn first_parameters(inputs: &Inputs) -> ChaCha8Rng {
     stream(inputs.config.seed, Purpose::RivalParameters, 0)
-}
-
-/// `count` numbers, uniform in +-`bound`.
-fn uniform(count: usize, bound: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
-    (0..count)
-        .map(|_| bound * rng.random_range(-1.0_f32..1.0))
-        .collect()
 }
 
 /// A linear map of `inputs` to `outputs` channels with first weights uniform in +-1/sqrt(`inputs`).

@@ -2,10 +2,10 @@
 
 use super::{Densification, Densified, GradientStatistics};
 use crate::error::{Result, ensure};
+use crate::random::standard_normal;
 use crate::reconstruction::initialization::logit;
 use crate::splat::{Geometry, rotation};
 use glam::{DVec3, Vec3};
-use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
 /// A split divides the scales by this.
@@ -146,12 +146,6 @@ fn child(old: &Geometry<'_>, i: usize, rng: &mut ChaCha8Rng) -> ([f32; 3], [f32;
     let mean = Vec3::from(old.means[i]).as_dvec3() + offset;
     let smaller = old.log_scales[i].map(|s| s - SPLIT_SCALE.ln());
     (mean.as_vec3().to_array(), smaller)
-}
-
-/// Box-Muller; two uniform numbers a draw, so that the position of the stream does not depend on the values.
-fn standard_normal(rng: &mut ChaCha8Rng) -> f64 {
-    let (u, v): (f64, f64) = (rng.random(), rng.random());
-    (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
 
 /// Caps every opacity at 0.01. The caller sets the moments of the opacities to zero.
