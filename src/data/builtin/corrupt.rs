@@ -221,50 +221,29 @@ struct Segment {
     neighbour: Option<u16>,
 }
 
-/// Segments of a view by flood fill over the four neighbours.
+/// Segments of a view.
 fn segments(map: &LabelMap, ids: &[u16], ignore: u16) -> Vec<Segment> {
-    let (w, h) = (map.width, map.height);
     let key = |i: usize| (ids[i], map.ids[i]);
-    let mut seen = vec![false; w * h];
-    let mut found = Vec::new();
-    for start in 0..w * h {
-        if seen[start] || map.ids[start] == ignore {
-            continue;
-        }
-        seen[start] = true;
-        let mut pixels = vec![start];
+    let regions = map.regions(|a, b| key(a) == key(b)).into_iter();
+    let labelled = regions.filter(|pixels| map.ids[pixels[0]] != ignore);
+    let segment = |pixels: Vec<usize>| {
+        let (id, class) = key(pixels[0]);
         let mut border: BTreeMap<u16, usize> = BTreeMap::new();
-        let mut at = 0;
-        while at < pixels.len() {
-            let i = pixels[at];
-            at += 1;
-            let (x, y) = (i % w, i / w);
-            let around = [
-                (x > 0, i.wrapping_sub(1)),
-                (x + 1 < w, i + 1),
-                (y > 0, i.wrapping_sub(w)),
-                (y + 1 < h, i + w),
-            ];
-            for j in around.into_iter().filter(|n| n.0).map(|n| n.1) {
-                if key(j) != key(start) {
-                    *border.entry(map.ids[j]).or_default() += 1;
-                } else if !seen[j] {
-                    seen[j] = true;
-                    pixels.push(j);
-                }
+        for other in pixels.iter().flat_map(|&i| map.beside(i)) {
+            let other = map.ids[other];
+            if other != class && other != ignore {
+                *border.entry(other).or_default() += 1;
             }
         }
-        let (id, class) = key(start);
-        border.retain(|&c, _| c != class && c != ignore);
         let neighbour = border.into_iter().max_by_key(|&(c, n)| (n, c)).map(|b| b.0);
-        found.push(Segment {
+        Segment {
             pixels,
             id,
             class,
             neighbour,
-        });
-    }
-    found
+        }
+    };
+    labelled.map(segment).collect()
 }
 
 fn corrupt_segments(

@@ -70,6 +70,54 @@ impl LabelMap {
         Ok(())
     }
 
+    /// The pixels that share a side with `pixel`.
+    pub(crate) fn beside(&self, pixel: usize) -> impl Iterator<Item = usize> {
+        let (x, y) = (pixel % self.width, pixel / self.width);
+        let sides = [
+            (x > 0).then(|| pixel - 1),
+            (x + 1 < self.width).then(|| pixel + 1),
+            (y > 0).then(|| pixel - self.width),
+            (y + 1 < self.height).then(|| pixel + self.width),
+        ];
+        sides.into_iter().flatten()
+    }
+
+    /// The pixels of each region, breadth first from its first pixel, in the order of these first pixels. A region is what is
+    /// connected by sides of pixels that are `alike`.
+    pub(crate) fn regions(&self, alike: impl Fn(usize, usize) -> bool) -> Vec<Vec<usize>> {
+        let mut seen = vec![false; self.ids.len()];
+        let mut regions = Vec::new();
+        for first in 0..seen.len() {
+            if seen[first] {
+                continue;
+            }
+            seen[first] = true;
+            let mut pixels = vec![first];
+            let mut at = 0;
+            while let Some(&pixel) = pixels.get(at) {
+                at += 1;
+                for next in self.beside(pixel) {
+                    if !seen[next] && alike(pixel, next) {
+                        seen[next] = true;
+                        pixels.push(next);
+                    }
+                }
+            }
+            regions.push(pixels);
+        }
+        regions
+    }
+
+    /// The number among the regions of one id that each pixel belongs to.
+    pub(crate) fn region_numbers(&self) -> Vec<u32> {
+        let mut numbers = vec![0; self.ids.len()];
+        let regions = self.regions(|a, b| self.ids[a] == self.ids[b]);
+        for (region, number) in regions.iter().zip(0..) {
+            region.iter().for_each(|&pixel| numbers[pixel] = number);
+        }
+        numbers
+    }
+
     fn pixel(&self, i: usize) -> String {
         format!("pixel x {}, y {}", i % self.width, i / self.width)
     }
@@ -181,4 +229,22 @@ pub(crate) fn expect_file(path: &Path) -> Result<()> {
     let help = "put the label map there, or do not name it";
     let missing = || Error::missing("file", path, help);
     path.is_file().then_some(()).ok_or_else(missing)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn regions_are_connected_parts_of_one_id() {
+        let map = LabelMap {
+            width: 4,
+            height: 3,
+            ids: vec![1, 1, 2, 1, 2, 1, 2, 1, 2, 2, 2, 1],
+        };
+        assert_eq!(map.region_numbers(), [0, 0, 1, 2, 1, 0, 1, 2, 1, 1, 1, 2]);
+        let all = map.regions(|_, _| true);
+        assert_eq!(all, [[0, 1, 4, 2, 5, 8, 3, 6, 9, 7, 10, 11]]);
+        assert!(LabelMap::default().region_numbers().is_empty());
+    }
 }

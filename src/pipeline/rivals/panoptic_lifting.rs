@@ -12,7 +12,6 @@ use crate::objects::{Identities, first_largest};
 use crate::segmentation::loss::CoSegLoss;
 use crate::segmentation::pixels::{constant, one_hot};
 use burn::tensor::{Device, Tensor, TensorData};
-use union_find::{QuickUnionUf, UnionBySize, UnionFind};
 
 /// Weight of the segment consistency against the label loss.
 const LAMBDA_SEGMENT: f64 = 1.2;
@@ -76,31 +75,10 @@ impl Segments {
             }
         }
         Ok(Self {
-            numbers: connected(&map),
+            numbers: map.region_numbers(),
             confidence,
         })
     }
-}
-
-/// The number of the connected part of one id that each pixel belongs to.
-fn connected(map: &LabelMap) -> Vec<u32> {
-    let mut parts = QuickUnionUf::<UnionBySize>::new(map.ids.len());
-    for pixel in 0..map.ids.len() {
-        let mut join = |other: usize| {
-            if map.ids[pixel] == map.ids[other] {
-                parts.union(pixel, other);
-            }
-        };
-        if pixel % map.width > 0 {
-            join(pixel - 1);
-        }
-        if pixel >= map.width {
-            join(pixel - map.width);
-        }
-    }
-    (0..map.ids.len())
-        .map(|pixel| parts.find(pixel) as u32)
-        .collect()
 }
 
 /// For each pixel the class of the largest mean probability in its segment. `p` is `[P, classes]`, `segments` has the number of
@@ -173,22 +151,6 @@ impl IdentityModel for PanopticLifting<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn segments_are_connected_parts_of_one_id() {
-        let map = LabelMap {
-            width: 4,
-            height: 3,
-            ids: vec![1, 1, 2, 1, 2, 1, 2, 1, 2, 2, 2, 1],
-        };
-        let parts = connected(&map);
-        let same = |a: usize, b: usize| parts[a] == parts[b];
-        assert!(same(0, 1) && same(1, 5), "the left part of 1");
-        assert!(same(3, 7) && same(7, 11), "the right part of 1");
-        assert!(!same(0, 3), "two parts of 1");
-        assert!(same(2, 6) && same(6, 10) && same(10, 8) && same(8, 4));
-        assert!(!same(0, 2));
-    }
 
     #[test]
     fn a_segment_takes_its_largest_mean_class() {

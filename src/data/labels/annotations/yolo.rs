@@ -79,7 +79,7 @@ impl<'a> Yolo<'a> {
 /// Label and outline of each region, in the order of their first pixels.
 fn outlines(map: &LabelMap) -> Vec<(u16, Vec<Corner>)> {
     let &LabelMap { width, height, .. } = map;
-    let regions = regions(map);
+    let regions = map.region_numbers();
     let mut outlines: Vec<(u16, Vec<Corner>)> = Vec::new();
     let mut seen = vec![false; regions.len()];
     for i in 0..regions.len() {
@@ -88,7 +88,7 @@ fn outlines(map: &LabelMap) -> Vec<(u16, Vec<Corner>)> {
             continue;
         }
         let loops = follow(&regions, [width, height], i, &mut seen);
-        match outlines.get_mut(regions[i]) {
+        match outlines.get_mut(regions[i] as usize) {
             // The first side of a region lies on its outer outline.
             Some((_, outline)) => *outline = joined(outline, &loops),
             None => outlines.push((map.ids[i], loops)),
@@ -97,42 +97,10 @@ fn outlines(map: &LabelMap) -> Vec<(u16, Vec<Corner>)> {
     outlines
 }
 
-/// The number of the region of each pixel, counted from 0 on by first pixels.
-fn regions(map: &LabelMap) -> Vec<usize> {
-    let &LabelMap { width, height, .. } = map;
-    let mut regions = vec![usize::MAX; width * height];
-    let mut count = 0;
-    let mut open = Vec::new();
-    for first in 0..regions.len() {
-        if regions[first] != usize::MAX {
-            continue;
-        }
-        open.push(first);
-        regions[first] = count;
-        while let Some(i) = open.pop() {
-            let (x, y) = (i % width, i / width);
-            let sides = [
-                (x > 0).then(|| i - 1),
-                (x + 1 < width).then(|| i + 1),
-                (y > 0).then(|| i - width),
-                (y + 1 < height).then(|| i + width),
-            ];
-            for next in sides.into_iter().flatten() {
-                if regions[next] == usize::MAX && map.ids[next] == map.ids[i] {
-                    regions[next] = count;
-                    open.push(next);
-                }
-            }
-        }
-        count += 1;
-    }
-    regions
-}
-
 /// The corners of the closed line that begins above pixel `first`, with the region to its right. Marks the upper sides that it takes
 /// in `seen`.
 fn follow(
-    regions: &[usize],
+    regions: &[u32],
     [width, height]: [usize; 2],
     first: usize,
     seen: &mut [bool],
