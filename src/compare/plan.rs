@@ -1,6 +1,6 @@
 //! The plan of a table: scenes, kinds of labels, rows and seeds, read from a TOML file.
 
-use super::{CellId, Published};
+use super::CellId;
 use crate::config::{BuildingConfig, Config, Variant};
 use crate::data::LoadOptions;
 use crate::error::{Error, Result, bail, ensure};
@@ -41,8 +41,8 @@ pub struct Plan {
     pub labels: Vec<LabelKind>,
     /// Lines of each table.
     pub rows: Vec<Row>,
-    /// Rows of papers, shown below the tables.
-    pub published: Vec<Published>,
+    /// Markdown with figures of papers, shown below the tables; may be empty.
+    pub published: String,
     settings: Table,
 }
 
@@ -91,7 +91,7 @@ struct PlanFile {
     labels: Vec<LabelKind>,
     rows: Vec<Row>,
     #[serde(default)]
-    published: Vec<Published>,
+    published: String,
 }
 
 impl Plan {
@@ -103,8 +103,8 @@ impl Plan {
     /// [`Error::Limit`] for too many cells.
     pub fn read(path: &Path, root: Option<&Path>) -> Result<Self> {
         let text = files::text(path)?;
-        let form = "a plan: title, scenes, seeds, [settings], [[labels]] with name, labelled_photos and settings, \
-                    [[rows]] with name, variant and settings, [[published]] with name, data, source and figures";
+        let form = "a plan: title, scenes, seeds, published, [settings], [[labels]] with name, labelled_photos and settings, \
+                    [[rows]] with name, variant and settings";
         let file: PlanFile = files::toml(&text, path, form)?;
         let root = root.or(path.parent()).unwrap_or(Path::new("."));
         let scene = |given: &String| SceneFolder {
@@ -118,14 +118,11 @@ impl Plan {
             seeds: file.seeds,
             labels: file.labels,
             rows: file.rows,
-            published: file.published,
+            published: file.published.trim().to_owned(),
             settings: file.settings,
         };
         plan.check_names()?;
         plan.check_size()?;
-        for (row, number) in plan.published.iter().zip(1..) {
-            row.check(path, number)?;
-        }
         plan.check_settings()?;
         Ok(plan)
     }

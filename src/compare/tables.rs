@@ -2,7 +2,6 @@
 
 use super::columns::{COLUMNS, Column, FIELD_COLUMNS, FRAMES, MIOU, SECONDS};
 use super::plots::{Bars, Points};
-use super::published;
 use super::statistics::mean;
 use super::{Cell, CellId, Plan, Statistic};
 use crate::error::Result;
@@ -162,7 +161,7 @@ impl<'a> Tables<'a> {
                 text += &self.table(&labels.name, &columns);
             }
         }
-        text + &self.footer() + &published::table(&self.plan.published)
+        text + &self.footer() + &self.published()
     }
 
     /// A table of rows by `columns`, with a heading, the scenes that its cells are means over, and an explanation of the columns.
@@ -241,6 +240,17 @@ impl<'a> Tables<'a> {
             self.command,
             all - self.cells.len(),
         )
+    }
+
+    /// What the plan gives of papers, below a line that says what that is.
+    fn published(&self) -> String {
+        match &*self.plan.published {
+            "" => String::new(),
+            text => format!(
+                "\n## Published\n\nThese figures are as printed by their sources. They were measured on other data, by other programs \
+                 and on other machines, and are not comparable with those above.\n\n{text}\n"
+            ),
+        }
     }
 
     /// File names and texts of the plots.

@@ -157,28 +157,12 @@ fn faults_are_named() {
     }
 }
 
-/// A row of a paper.
-const PUBLISHED: &str = r#"
-[[published]]
-name = "theirs"
-data = "Replica"
-source = "a paper, Table 1"
-miou = 81.75
-learnable_mb = 680.3
-[[published]]
-name = "older"
-data = "ScanNet"
-source = "the same"
-miou = 60.5
-seconds = 1620
-"#;
-
 #[test]
-fn published_rows_are_shown_below_and_checked() {
+fn published_figures_are_shown_below() {
     let folder = tempfile::tempdir().expect("a folder");
-    let text = PLAN.to_owned() + PUBLISHED;
+    let rows = "| | mIoU, % | source |\n|---|---:|---|\n| theirs | 81.75 | a paper, Table 1 |";
+    let text = format!("published = '''\n{rows}\n'''\n{PLAN}");
     let plan = Plan::read(&write_plan(folder.path(), &text), None).expect("a plan");
-    assert_eq!(plan.published.len(), 2);
     assert_eq!(plan.cells().len(), 4, "nothing is trained for them");
     let table = Tables::new(&plan, &[], "a command").markdown();
     let (measured, published) = table.split_once("## Published").expect("a heading");
@@ -186,36 +170,11 @@ fn published_rows_are_shown_below_and_checked() {
         measured.contains("empty cells: 4 of 4") && !measured.contains("theirs"),
         "{measured}"
     );
-    for part in [
-        "not comparable",
-        "| | data | mIoU, % | learnable, MB | seconds | source |",
-        "| theirs | Replica | 81.75 | 680.3 | – | a paper, Table 1 |",
-        "| older | ScanNet | 60.5 | – | 1620 | the same |",
-    ] {
-        assert!(published.contains(part), "{part:?} is not in {published}");
-    }
+    assert!(published.contains("not comparable"), "{published}");
+    assert!(published.ends_with(&format!("\n\n{rows}\n")), "{published}");
     let without = Plan::read(&write_plan(folder.path(), PLAN), None).expect("a plan");
     let table = Tables::new(&without, &[], "a command").markdown();
     assert!(!table.contains("Published"), "{table}");
-
-    let second = "published, number 2";
-    for (from, to, parts) in [
-        (
-            "seconds = 1620",
-            "second = 1620",
-            ["unknown field", "second"],
-        ),
-        ("seconds = 1620", "seconds = -1", [second, "0 or more"]),
-        ("seconds = 1620", "seconds = nan", [second, "0 or more"]),
-        ("miou = 60.5\nseconds = 1620", "", [second, "no figure"]),
-        ("the same", "a | b", [second, "source"]),
-        ("name = \"older\"", "name = \"\"", [second, "name"]),
-        ("data = \"ScanNet\"\n", "", ["missing field", "data"]),
-    ] {
-        assert!(text.contains(from), "{from}");
-        let path = write_plan(folder.path(), &text.replace(from, to));
-        assert_names(&Plan::read(&path, None).expect_err("a refusal"), &parts);
-    }
 }
 
 #[test]
