@@ -1,6 +1,6 @@
 //! Where the photos of the built-in scene are taken.
 
-use super::room::{Purpose, Room, stream};
+use super::room::{Room, RoomStream, stream};
 use crate::data::Split;
 use crate::splat::camera::Camera;
 use glam::{DMat3, DVec2, DVec3};
@@ -30,7 +30,7 @@ pub(super) fn shots(
     test: usize,
     seed: u64,
 ) -> Vec<Shot> {
-    let rng = &mut stream(seed, Purpose::Cameras);
+    let rng = &mut stream(seed, RoomStream::Cameras);
     let start: f64 = rng.random_range(0.0..TAU);
     let mut shots: Vec<Shot> = Vec::with_capacity(train + test);
     for i in 0..train {

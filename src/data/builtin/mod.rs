@@ -26,7 +26,7 @@ use crate::error::{Result, bail};
 use build::class;
 use glam::DVec3;
 use rand::Rng;
-use room::{Purpose, stream};
+use room::{RoomStream, stream};
 use smart_default::SmartDefault;
 
 /// Seed of the scene that `train` runs on without arguments, the same for everyone and for every `--seed`.
@@ -138,7 +138,7 @@ fn assemble(options: &BuiltinOptions) -> Scene {
     order.sort_by(|&i, &j| shots[i].along.total_cmp(&shots[j].along).then(i.cmp(&j)));
     let labels: Vec<_> = order.iter().map(|&i| truths[i].labels.clone()).collect();
     let instances: Vec<_> = order.iter().map(|&i| &truths[i].instances[..]).collect();
-    let raw_seed = stream(seed, Purpose::RawLabels).random();
+    let raw_seed = stream(seed, RoomStream::RawLabels).random();
     let raw = corrupt(&labels, &instances, &options.corruption, raw_seed);
     let mut raw: Vec<(usize, LabelMap)> = order.into_iter().zip(raw).collect();
     raw.sort_by_key(|(i, _)| *i);

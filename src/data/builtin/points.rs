@@ -1,6 +1,6 @@
 //! Point clouds: the initial cloud of a scene, and labelled clouds of other rooms for pretraining the point encoder.
 
-use super::room::{Purpose, Room, Truth, stream};
+use super::room::{Room, RoomStream, Truth, stream};
 use crate::data::Points;
 use crate::random::standard_normal;
 use crate::splat::camera::Camera;
@@ -30,7 +30,7 @@ pub struct LabelledPoints {
 /// of [`super::scene`]. Takes time in proportion to `count`.
 pub fn labelled_points(seed: u64, count: usize) -> LabelledPoints {
     let room = Room::for_pretraining(seed);
-    let rng = &mut stream(seed, Purpose::Points);
+    let rng = &mut stream(seed, RoomStream::Points);
     let eyes = eyes(&room, rng);
     let area =
         2.0 * (room.size.x * room.size.y + room.size.x * room.size.z + room.size.y * room.size.z);
@@ -112,7 +112,7 @@ pub(super) fn initial_points(
     count: usize,
     seed: u64,
 ) -> Points {
-    let rng = &mut stream(seed, Purpose::Points);
+    let rng = &mut stream(seed, RoomStream::Points);
     let mut points = Points::default();
     let mut taken = HashSet::new();
     for _ in 0..count * 20 {

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 /// What random numbers are drawn for. Each purpose has its own random stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Purpose {
+pub(super) enum RoomStream {
     /// The room of a scene with photos.
     Scene,
     /// A room to pretrain the point encoder on.
@@ -28,7 +28,7 @@ pub(super) enum Purpose {
 }
 
 /// A random stream for one purpose of one seed.
-pub(super) fn stream(seed: u64, purpose: Purpose) -> ChaCha8Rng {
+pub(super) fn stream(seed: u64, purpose: RoomStream) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(1 + purpose as u64);
     rng
@@ -73,7 +73,7 @@ pub struct Room {
 impl Room {
     /// The room of the scene with this seed: every class is present, most of them several times.
     pub fn of_scene(seed: u64) -> Self {
-        let mut rng = stream(seed, Purpose::Scene);
+        let mut rng = stream(seed, RoomStream::Scene);
         loop {
             let (b, size) = layout::furnish(Some(DVec3::new(6.4, 5.2, 2.7)), &mut rng);
             let count = layout::census(&b);
@@ -91,7 +91,7 @@ impl Room {
 
     /// A room to pretrain on, of random size and furnishing. Its random stream differs from that of scenes.
     pub(super) fn for_pretraining(seed: u64) -> Self {
-        let (b, size) = layout::furnish(None, &mut stream(seed, Purpose::Pretraining));
+        let (b, size) = layout::furnish(None, &mut stream(seed, RoomStream::Pretraining));
         Self::new(b, size)
     }
 

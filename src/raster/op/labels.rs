@@ -27,7 +27,7 @@ pub(crate) struct GaussianLabels {
 }
 
 /// What [`SplatView::blend_labels`] returns.
-pub(crate) struct LabelledPixels {
+pub(crate) struct LabelledImage {
     /// `[H, W, 3]` without background; empty without colours.
     pub rgb: Vec<f32>,
     /// `[H, W]`: the label whose Gaussians have the largest summed alpha' T. Ties go to the lower label; pixels without Gaussians
@@ -88,7 +88,7 @@ impl SplatView {
         &self,
         colours: Option<Tensor<2>>,
         labels: &GaussianLabels,
-    ) -> Result<LabelledPixels> {
+    ) -> Result<LabelledImage> {
         let n = self.splats().len();
         assert_eq!(labels.labels.len(), n, "one label for each Gaussian");
         if !CustomOp::Raster.is_replaced()
@@ -98,7 +98,7 @@ impl SplatView {
                 Some(colours) => projected.blend(&read("colours", colours)?, 3),
                 None => projected.blend(&[], 0),
             };
-            return Ok(LabelledPixels {
+            return Ok(LabelledImage {
                 rgb: blended.image,
                 labels: projected.label_map(&labels.labels),
                 transmittance: blended.transmittance,
@@ -112,7 +112,7 @@ impl SplatView {
         &self,
         colours: Option<Tensor<2>>,
         labels: &GaussianLabels,
-    ) -> Result<LabelledPixels> {
+    ) -> Result<LabelledImage> {
         let others = colours.as_ref().map_or(0, |_| 3);
         let pixels = self.camera().width * self.camera().height;
         let mut beside = colours;
@@ -146,7 +146,7 @@ impl SplatView {
             });
         }
         let Some(largest) = largest else {
-            return Ok(LabelledPixels {
+            return Ok(LabelledImage {
                 rgb: vec![0.0; others * pixels],
                 labels: vec![0; pixels],
                 transmittance: vec![1.0; pixels],
@@ -157,7 +157,7 @@ impl SplatView {
         let mut transmittance = rgb.split_off(others * pixels);
         let indices = transmittance.split_off(pixels);
         let label = |index| labels.at(index).unwrap_or(0);
-        Ok(LabelledPixels {
+        Ok(LabelledImage {
             rgb,
             labels: indices.into_iter().map(label).collect(),
             transmittance,
