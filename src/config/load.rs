@@ -167,7 +167,7 @@ mod tests {
         full.building.gaussians = Some(path());
         full.building.gradient_threshold = Some(2e-4);
         full.segmentation.prior_exponent = Some(0.5);
-        full.segmentation.vote_share = Some(0.5);
+        full.segmentation.fine_tune = Some(true);
         full.segmentation.rows = Some(Variant::COMPARED.to_vec());
         full.data.dir = Some(path());
         full.features.weights = Some(path());
@@ -198,7 +198,7 @@ mod tests {
     const LABELS: [&str; 3] = [
         "data.labels_by",
         "segmentation.prior_exponent",
-        "segmentation.vote_share",
+        "segmentation.fine_tune",
     ];
 
     #[test]

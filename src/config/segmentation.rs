@@ -154,9 +154,9 @@ pub struct SegmentationConfig {
     pub prior: Prior,
     /// Exponent of the class frequencies that pooled votes are divided by, 0 to 1. Absent: it follows from the votes.
     pub prior_exponent: Option<f64>,
-    /// Share of the vote in the identities that decoders learned, 0 to 1. Absent: `coseg` chooses it by raw labels that are held
-    /// out from the vote; 0 where raw labels name frequent classes too often, and without a prior.
-    pub vote_share: Option<f64>,
+    /// Whether every Gaussian fine-tunes what the decoder gave it by the raw labels in its pixels. Absent: unless raw labels name
+    /// frequent classes too often; never without a prior.
+    pub fine_tune: Option<bool>,
     /// Loss of the variant `ours`.
     #[serde(deserialize_with = "super::by_name")]
     #[default(LabelLoss::GCE)]
@@ -231,9 +231,6 @@ impl SegmentationConfig {
         }
         if let Some(exponent) = self.prior_exponent {
             Range::Unit.check("segmentation.prior_exponent", exponent)?;
-        }
-        if let Some(share) = self.vote_share {
-            Range::Unit.check("segmentation.vote_share", share)?;
         }
         ensure!(self.prior == Prior::None || self.blend != Blend::Logits,
             setting "segmentation.prior"; found "{}", self.prior; expected "none where logits are blended";

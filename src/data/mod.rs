@@ -26,7 +26,6 @@ pub use self::photos::photo::Photo;
 pub use self::photos::photo_cache::PhotoCache;
 
 pub use crate::files::Limits;
-pub(crate) use crate::files::atomic;
 
 use self::diagnostics::{notices, poses};
 use self::formats::{folder, listing};

@@ -13,7 +13,9 @@ pub mod train_decoder;
 mod associate;
 pub(crate) mod encode;
 pub(crate) mod evaluate;
+mod fine_tuning;
 mod initial_scene;
+mod label_evidence;
 pub(crate) mod lift;
 mod prune;
 mod reconstruct;
@@ -24,7 +26,6 @@ mod suggest;
 mod variant_outcome;
 pub(crate) mod variant_training;
 pub(crate) mod variants;
-mod vote_share;
 
 pub use self::associate::{Associated, AssociationCounts, associate};
 pub use self::encode::{Encodings, Inputs, encode};

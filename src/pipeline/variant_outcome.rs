@@ -25,8 +25,8 @@ pub struct VariantOutcome {
     pub learnable_bytes: usize,
     /// Learning rate, where there is one.
     pub rate: Option<f64>,
-    /// Share of the vote in the identities of a decoder.
-    pub vote_share: Option<f64>,
+    /// Steps in which each Gaussian fine-tuned the scores of a decoder.
+    pub fine_tuning_steps: Option<usize>,
     /// Seconds of training.
     pub seconds: f64,
     /// The share of them of earlier parts of a resumed run.
@@ -45,7 +45,7 @@ impl VariantOutcome {
             curve: Vec::new(),
             learnable_bytes: 0,
             rate: None,
-            vote_share: None,
+            fine_tuning_steps: None,
             seconds: 0.0,
             earlier_seconds: 0.0,
         }

@@ -2,21 +2,20 @@
 
 use super::encode::{Encodings, Inputs, encode, spatial_of};
 use super::evaluate::{FieldScores, HeldOut, HeldOutScores};
+use super::fine_tuning::FineTuning;
+use super::label_evidence::{LabelEvidence, VOTE_FLOOR};
 use super::rivals::{Grouping, LinearHead, PanopticLifting, distil};
 use super::train_decoder::{
-    Adam, IdentityModel, PerGaussian, Training, TrainingPlan, TrainingViews,
+    Adam, IdentityModel, PerGaussian, Training, TrainingPlan, TrainingSchedule, TrainingViews,
 };
 use super::variant_outcome::VariantOutcome;
 use super::variant_training::{decoder_training, plan, schedule};
-use super::vote_share::{best_share, mixed};
-use crate::config::{Association, Prior, SpatialConfig, Variant};
-use crate::data::Split;
+use crate::config::{Prior, SpatialConfig, Variant};
 use crate::error::Result;
-use crate::objects::{Identities, PooledVote, Votes, pooled_vote, refined_vote, vote};
+use crate::objects::Identities;
 use crate::progress::{Event, Progress};
 use std::cell::OnceCell;
 use std::path::Path;
-use std::time::Instant;
 
 /// Learning rate of per-Gaussian identities.
 const LR_PER_GAUSSIAN: f64 = 5e-2;
@@ -24,10 +23,6 @@ const LR_PER_GAUSSIAN: f64 = 5e-2;
 /// 0.01 to 0.1.
 const LR_GROUPING: f64 = 0.1;
 const LR_LINEAR_HEAD: f64 = 0.1;
-/// Share added to every class of the votes that a decoder starts from. A larger one makes confident votes uncertain, and the decoder
-/// learns to be certain again at the expense of rare classes.
-const VOTE_FLOOR: f32 = 0.002;
-
 /// Variants, trained and scored.
 pub struct TrainedVariants {
     /// In the order of the configuration.
@@ -94,8 +89,7 @@ struct StageTwo<'a> {
     checkpoints: &'a Path,
     views: TrainingViews<'a>,
     held_out: HeldOut<'a>,
-    votes: OnceCell<Votes>,
-    pooled: OnceCell<PooledVote>,
+    evidence: LabelEvidence<'a>,
     /// The last encodings, and the weights that they were made with.
     encodings: Option<(SpatialConfig, Encodings)>,
     /// Name of the encoder's weights; those of the random encoder only where there are no others.
@@ -111,8 +105,7 @@ impl<'a> StageTwo<'a> {
             checkpoints,
             views: inputs.training_views(),
             held_out: HeldOut::new(inputs),
-            votes: OnceCell::new(),
-            pooled: OnceCell::new(),
+            evidence: LabelEvidence::new(inputs),
             encodings: None,
             spatial: String::new(),
             lifted: OnceCell::new(),
@@ -130,7 +123,7 @@ impl<'a> StageTwo<'a> {
 
     /// The vote of the training views.
     fn vote(&self) -> Result<VariantOutcome> {
-        let identities = self.votes()?.identities();
+        let identities = self.evidence.votes()?.identities();
         let scores = self.held_out.score(&identities, self.inputs)?;
         Ok(VariantOutcome {
             identities: Some(identities),
@@ -140,7 +133,7 @@ impl<'a> StageTwo<'a> {
 
     /// The vote, pooled over superpoints and calibrated.
     fn pooled_vote(&self) -> Result<VariantOutcome> {
-        let identities = self.pooled()?.identities.clone();
+        let identities = self.evidence.pooled()?.identities.clone();
         let scores = self.held_out.score(&identities, self.inputs)?;
         Ok(VariantOutcome {
             identities: Some(identities),
@@ -220,10 +213,10 @@ impl<'a> StageTwo<'a> {
         let inputs = self.inputs;
         let plan = plan(variant, inputs)?;
         let input = self.encodings(variant)?.decoder_input(variant, inputs)?;
-        let prior = self.prior()?;
-        match self.prior_kind() {
+        let prior = self.evidence.prior()?;
+        match self.evidence.prior_kind() {
             Prior::Pooled => {
-                let pooled = self.pooled()?.identities.clone();
+                let pooled = self.evidence.pooled()?.identities.clone();
                 self.views.use_labels_of(&pooled, inputs.device);
             }
             Prior::None | Prior::Votes => self.views.use_raw_labels(),
@@ -234,7 +227,7 @@ impl<'a> StageTwo<'a> {
         if variant.reads_lifted_features() && outcome.identities.is_some() {
             outcome.field = self.lifted()?;
         }
-        self.with_votes(outcome)
+        self.fine_tuned(outcome, &plan, progress)
     }
 
     /// Scores of the lifted features, computed once, where they are asked for.
@@ -250,91 +243,42 @@ impl<'a> StageTwo<'a> {
         Ok(*self.lifted.get_or_init(|| scores))
     }
 
-    /// `outcome` with the share of the vote that the settings ask for.
-    fn with_votes(&self, mut outcome: VariantOutcome) -> Result<VariantOutcome> {
-        let Some(trained) = &outcome.identities else {
+    /// `outcome` of a decoder trained by `plan`, after the fine-tuning that the settings ask for.
+    fn fine_tuned(
+        &mut self,
+        mut outcome: VariantOutcome,
+        plan: &TrainingPlan,
+        progress: &mut dyn Progress,
+    ) -> Result<VariantOutcome> {
+        let is_wanted = self.evidence.wants_fine_tuning()?;
+        let Some(decoded) = outcome.identities.take_if(|_| is_wanted) else {
             return Ok(outcome);
         };
-        let start = Instant::now();
-        let config = &self.inputs.config.segmentation;
-        let share = match config.vote_share {
-            Some(share) => share as f32,
-            None if self.votes_are_compared()? => best_share(trained, self.votes()?, self.inputs)?,
-            None => 0.0,
+        self.views.use_raw_labels();
+        let fine_tuning = FineTuning::after(plan, self.views.len());
+        let device = self.inputs.device.clone().autodiff();
+        let model = PerGaussian::starting_at(&decoded, VOTE_FLOOR, &device);
+        let adam = Adam::new(fine_tuning.rate, None);
+        let training = Training::new(model, adam, decoded.classes);
+        let schedule = TrainingSchedule {
+            variant: "fine-tuning",
+            eval_every: fine_tuning.plan.iterations,
+            checkpoint: None,
+            ..schedule(outcome.variant, self.inputs, self.checkpoints)?
         };
-        if share > 0.0 {
-            let identities = mixed(trained, self.votes()?, share, config.blend);
-            outcome.scores = self.held_out.score(&identities, self.inputs)?;
-            outcome.identities = Some(identities);
-        }
-        outcome.vote_share = Some(f64::from(share));
-        outcome.seconds += start.elapsed().as_secs_f64();
+        let tuned = self.run(
+            outcome.variant,
+            training,
+            &fine_tuning.plan,
+            &schedule,
+            progress,
+        )?;
+        outcome.identities = tuned.identities;
+        outcome.scores = tuned.scores;
+        outcome.fine_tuning_steps = Some(fine_tuning.plan.iterations);
+        outcome.seconds += tuned.seconds;
+        outcome.learnable_bytes += tuned.learnable_bytes;
         Ok(outcome)
-    }
-
-    /// Whether raw labels decide on the share of the vote. They cannot where they name frequent classes too often: the vote agrees
-    /// with that.
-    fn votes_are_compared(&self) -> Result<bool> {
-        Ok(match self.prior_kind() {
-            Prior::None => false,
-            Prior::Votes => true,
-            Prior::Pooled => self.pooled()?.exponent == 0.0,
-        })
-    }
-
-    /// What decoders start from. Votes for objects of association are not pooled: two of them may share a superpoint.
-    fn prior_kind(&self) -> Prior {
-        let config = self.inputs.config;
-        let objects = config.data.association == Association::Gaussians;
-        match config.segmentation.prior {
-            Prior::Pooled if objects => Prior::Votes,
-            prior => prior,
-        }
-    }
-
-    /// The scores that a decoder starts from, `[N, C]`.
-    fn prior(&self) -> Result<Option<Vec<f32>>> {
-        match self.prior_kind() {
-            Prior::None => Ok(None),
-            Prior::Votes => Ok(Some(self.votes()?.log_shares(VOTE_FLOOR))),
-            Prior::Pooled => {
-                let probabilities = self.pooled()?.identities.scores.iter();
-                Ok(Some(probabilities.map(|p| (p + VOTE_FLOOR).ln()).collect()))
-            }
-        }
-    }
-
-    /// The votes of the training views, counted once.
-    fn votes(&self) -> Result<&Votes> {
-        if let Some(votes) = self.votes.get() {
-            return Ok(votes);
-        }
-        let votes = vote(
-            self.inputs.gaussians,
-            self.inputs.scene.split(Split::Train),
-            &self.inputs.scene.classes,
-            &self.inputs.settings,
-            self.inputs.device,
-        )?;
-        Ok(self.votes.get_or_init(|| votes))
-    }
-
-    /// The refined, pooled and calibrated votes, made once.
-    fn pooled(&self) -> Result<&PooledVote> {
-        if let Some(pooled) = self.pooled.get() {
-            return Ok(pooled);
-        }
-        let inputs = self.inputs;
-        let refined = refined_vote(
-            inputs.gaussians,
-            inputs.scene.split(Split::Train),
-            &inputs.scene.classes,
-            &inputs.settings,
-            inputs.device,
-        )?;
-        let exponent = inputs.config.segmentation.prior_exponent;
-        let pooled = pooled_vote(inputs.gaussians, self.votes()?, &refined, exponent)?;
-        Ok(self.pooled.get_or_init(|| pooled))
     }
 
     /// The encodings of the Gaussians (Eq. 6) by the weights that `variant` uses.
@@ -350,17 +294,33 @@ impl<'a> StageTwo<'a> {
         Ok(&self.encodings.insert((spatial, encodings)).1)
     }
 
-    /// Trains by `plan` until `progress` says stop, and scores the identities.
+    /// Trains by `plan` at learning rate `rate` until `progress` says stop, and scores the identities.
     fn trained<M: IdentityModel>(
         &mut self,
         variant: Variant,
-        mut training: Training<M>,
+        training: Training<M>,
         plan: &TrainingPlan,
         rate: f64,
         progress: &mut dyn Progress,
     ) -> Result<VariantOutcome> {
+        let schedule = schedule(variant, self.inputs, self.checkpoints)?;
+        let outcome = self.run(variant, training, plan, &schedule, progress)?;
+        Ok(VariantOutcome {
+            rate: Some(rate),
+            ..outcome
+        })
+    }
+
+    /// Runs `training` by `plan` and `schedule` until `progress` says stop, and scores the identities.
+    fn run<M: IdentityModel>(
+        &mut self,
+        variant: Variant,
+        mut training: Training<M>,
+        plan: &TrainingPlan,
+        schedule: &TrainingSchedule,
+        progress: &mut dyn Progress,
+    ) -> Result<VariantOutcome> {
         let (held_out, inputs) = (&self.held_out, self.inputs);
-        let schedule = schedule(variant, inputs, self.checkpoints)?;
         // Of the last iteration.
         let mut last: Option<(Identities, HeldOutScores)> = None;
         let mut evaluate = |training: &Training<M>| {
@@ -375,7 +335,7 @@ impl<'a> StageTwo<'a> {
             }
             Ok(miou)
         };
-        let finished = training.run(&mut self.views, plan, &schedule, &mut evaluate, progress)?;
+        let finished = training.run(&mut self.views, plan, schedule, &mut evaluate, progress)?;
         if finished && last.is_none() {
             let identities = training.identities()?;
             let scores = held_out.score(&identities, inputs)?;
@@ -385,7 +345,6 @@ impl<'a> StageTwo<'a> {
         Ok(VariantOutcome {
             identities,
             learnable_bytes: training.learnable_bytes(),
-            rate: Some(rate),
             seconds: training.curve.last().map_or(0.0, |p| p.seconds),
             earlier_seconds: training.earlier_seconds,
             curve: training.curve,

@@ -45,7 +45,7 @@ fn variant_scores(row: &VariantOutcome) -> VariantScores {
         void_left_out: row.void_left_out.as_ref().map(Into::into),
         iterations: row.curve.last().map(|point| point.iteration),
         learning_rate: row.rate,
-        vote_share: row.vote_share,
+        fine_tuning_steps: row.fine_tuning_steps,
         seconds: row.curve.last().map(|_| row.seconds),
         ..VariantScores::from(&row.scores)
     }

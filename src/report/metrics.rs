@@ -92,9 +92,9 @@ pub struct VariantScores {
     /// Learning rate, for trained variants.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub learning_rate: Option<f64>,
-    /// Share of the vote in the identities, for variants of the decoder.
+    /// Steps in which each Gaussian fine-tuned its scores, for variants of the decoder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub vote_share: Option<f64>,
+    pub fine_tuning_steps: Option<usize>,
     /// Training time of this variant alone, seconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seconds: Option<f64>,

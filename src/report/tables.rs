@@ -60,7 +60,7 @@ pub(super) fn scores(report: &Report<'_>) -> Markup {
         "accuracy, %",
         "iterations",
         "learning rate",
-        "share of the vote, %",
+        "steps of fine-tuning",
         "time",
     ];
     let body = html! {
@@ -70,7 +70,7 @@ pub(super) fn scores(report: &Report<'_>) -> Markup {
                 @for (pick, best) in columns.iter().zip(best) { (share(pick(scores), best)) }
                 td { (or_dash(scores.iterations.map(|n| thousands(n as u64)))) }
                 td { (or_dash(scores.learning_rate.map(|rate| rate.to_string()))) }
-                td { (or_dash(scores.vote_share.map(|share| format!("{:.0}", 100.0 * share)))) }
+                td { (or_dash(scores.fine_tuning_steps.map(|n| thousands(n as u64)))) }
                 td { (or_dash(scores.seconds.map(duration))) }
             }
             @if let Some(s) = scores.void_left_out {

@@ -6,8 +6,9 @@
 
 mod packing;
 
-use crate::data::{Class, Classes, NamedCamera, Split, atomic};
+use crate::data::{Class, Classes, NamedCamera, Split};
 use crate::error::{Error, Result, bail, ensure};
+use crate::files::atomic;
 use crate::objects::{Object, inventory, superpoints};
 use crate::splat::Gaussians;
 use crate::splat::camera::{Camera, level_up};

@@ -8,7 +8,7 @@ use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::select;
 use burn::module::{Module, Param};
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
 
 /// The free logits.
 #[derive(Module, Debug)]
@@ -25,7 +25,20 @@ pub struct PerGaussian {
 impl PerGaussian {
     /// Zero logits for `size` = Gaussians x classes, on an autodiff `device`.
     pub fn new(size: [usize; 2], blend: Blend, device: &Device) -> Self {
-        let scores = Param::from_tensor(Tensor::zeros(size, device));
+        Self::with_logits(Tensor::zeros(size, device), blend)
+    }
+
+    /// Logits that give the `probabilities`, none of them below `floor`, on an autodiff `device`.
+    pub fn starting_at(probabilities: &Identities, floor: f32, device: &Device) -> Self {
+        let logits = probabilities.scores.iter().map(|p| (p + floor).ln());
+        let classes = probabilities.classes;
+        let size = [probabilities.scores.len() / classes.max(1), classes];
+        let logits = TensorData::new(logits.collect(), size);
+        Self::with_logits(Tensor::from_data(logits, device), Blend::Probabilities)
+    }
+
+    fn with_logits(logits: Tensor<2>, blend: Blend) -> Self {
+        let scores = Param::from_tensor(logits);
         Self {
             logits: Logits { scores },
             blend,
@@ -63,5 +76,26 @@ impl IdentityModel for PerGaussian {
             classes: scores.dims()[1],
             scores: read("identities", stored_scores(scores, self.blend))?,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::backend::device::open_cpu;
+
+    #[test]
+    fn training_starts_at_the_probabilities() {
+        let start = Identities {
+            scores: vec![0.7, 0.3, 0.0, 0.0, 0.0, 1.0],
+            classes: 3,
+        };
+        let device = open_cpu().unwrap().autodiff();
+        let model = PerGaussian::starting_at(&start, 0.002, &device);
+        let found = model.identities(model.logits.clone()).unwrap();
+        for (found, p) in found.scores.iter().zip(&start.scores) {
+            let floored = (p + 0.002) / 1.006;
+            assert!((found - floored).abs() < 1e-6, "{found} against {floored}");
+        }
     }
 }

@@ -4,9 +4,9 @@ use crate::support::hard_labels::hard_label_map;
 use crate::support::plate_runs::trained;
 use coseg::config::{Association, Config, LabelSource, SegmentationConfig, Variant};
 use coseg::data::{LoadOptions, Split, load};
-use coseg::objects::{Identities, LabelMaps, LabelRule};
+use coseg::objects::{Identities, LabelMaps, LabelRule, vote};
 use coseg::pipeline::train_decoder::{TrainingPlan, TrainingViews};
-use coseg::pipeline::{Inputs, decoder_training, encode};
+use coseg::pipeline::{Inputs, Outcome, decoder_training, encode};
 use coseg::random::{Purpose, stream};
 use coseg::raster::{Projected, Settings, SplatTensors};
 use coseg::segmentation::loss::LabelLoss;
@@ -63,7 +63,7 @@ fn averaged_parameters_differ_from_the_last_ones() {
     let scores = |average| {
         let outcome = trained(|s| {
             s.average = average;
-            s.vote_share = Some(0.0); // Else the vote, which is right here, takes the decoder's place.
+            s.fine_tune = Some(false);
         });
         outcome.rows[0]
             .identities
@@ -73,6 +73,32 @@ fn averaged_parameters_differ_from_the_last_ones() {
             .clone()
     };
     assert_ne!(scores(true), scores(false));
+}
+
+#[test]
+fn fine_tuned_gaussians_agree_better_with_the_raw_labels_in_their_pixels() {
+    let run = |fine_tune| trained(|s| s.fine_tune = Some(fine_tune));
+    // The mean log-probability of the raw labels, each weighed by its part in the pixel.
+    let likelihood = |outcome: &Outcome| {
+        let views = outcome.scene.split(Split::Train);
+        let (settings, device) = (Settings::default(), crate::support::device());
+        let votes = vote(
+            &outcome.gaussians,
+            views,
+            &outcome.scene.classes,
+            &settings,
+            &device,
+        );
+        let votes = votes.expect("votes").table;
+        let identities = outcome.rows[0].identities.as_ref().expect("identities");
+        let terms = votes.iter().zip(&identities.scores);
+        terms.map(|(v, p)| f64::from(v * p.ln())).sum::<f64>() / votes.iter().sum::<f32>() as f64
+    };
+    let (tuned, decoded) = (run(true), run(false));
+    assert_eq!(tuned.rows[0].fine_tuning_steps, Some(100));
+    assert_eq!(decoded.rows[0].fine_tuning_steps, None);
+    let gain = likelihood(&tuned) - likelihood(&decoded);
+    assert!(gain > 0.01, "{gain}");
 }
 
 #[test]

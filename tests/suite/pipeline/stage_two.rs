@@ -18,7 +18,10 @@ const STILL: f64 = 1e-12;
 
 #[test]
 fn a_decoder_that_has_learned_nothing_stores_the_shares_of_the_votes() {
-    let outcome = trained(|s| (s.lr, s.prior) = (STILL, Prior::Votes));
+    let outcome = trained(|s| {
+        (s.lr, s.prior) = (STILL, Prior::Votes);
+        s.fine_tune = Some(false);
+    });
     let scene = &outcome.scene;
     let votes = vote(
         &outcome.gaussians,
@@ -59,6 +62,7 @@ fn a_decoder_that_has_learned_nothing_stores_the_shares_of_the_votes() {
 fn a_decoder_that_has_learned_nothing_stores_the_pooled_vote() {
     let outcome = trained(|s| {
         s.lr = STILL;
+        s.fine_tune = Some(false);
         s.rows = Some(vec![Variant::PooledVote, Variant::Ours]);
     });
     let [pooled, ours] = [0, 1].map(|row: usize| outcome.rows[row].identities.as_ref().unwrap());
@@ -177,6 +181,7 @@ fn blended_logits_without_a_prior_are_the_papers_rule_and_learn() {
     let untaught = trained(|s| {
         edit(s);
         s.lr = STILL;
+        s.fine_tune = Some(false);
     });
     let miou = |o: &Outcome| o.rows[0].scores.labels.miou.expect("a score");
     assert!(

@@ -72,8 +72,12 @@ fn nothing_is_begun_after_a_stop() {
             "half-built Gaussians are not scored"
         );
     }
-    // A stop that comes when all is done ends nothing.
+    // Fine-tuning is part of the variant.
     let mut told = Told::at("ours", 30);
+    let part = run(&config, &out, &crate::support::device(), &mut told).expect("a part");
+    assert!(part.stopped && part.rows[1].identities.is_none());
+    // A stop that comes when all is done ends nothing.
+    let mut told = Told::at("fine-tuning", 100);
     let done = run(&config, &out, &crate::support::device(), &mut told).expect("a run");
     assert!(told.stopped && !done.stopped);
     assert!(done.rows.len() == 2 && done.rows.iter().all(|row| row.identities.is_some()));

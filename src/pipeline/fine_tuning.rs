@@ -1,0 +1,41 @@
+//! The last step of a decoder variant: each Gaussian corrects what the decoder gave it by the raw labels in its own pixels.
+//!
+//! A decoder gives Gaussians with similar features the same label. That corrects wrong labels, but loses details that only the
+//! labels of a Gaussian itself show. So the scores of every Gaussian become free parameters, and learn the raw labels for about one
+//! pass over the views. That is enough to move a boundary where all views agree, and too little to learn errors that last. Where
+//! labels name frequent classes too often in all views, they are errors that last, and nothing is fine-tuned.
+
+use super::train_decoder::TrainingPlan;
+use crate::segmentation::loss::LabelLoss;
+
+/// Steps, at least.
+const STEPS: usize = 100;
+/// Sum of the learning rates of all steps, which bounds how far Adam moves a score. Scores of classes that have nothing in their
+/// favour begin 6.2 below those of certain ones: more would turn certain Gaussians too.
+const REACH: f64 = 5.0;
+
+/// How scores are fine-tuned.
+pub(super) struct FineTuning {
+    /// Cross-entropy on raw labels, at a constant rate.
+    pub plan: TrainingPlan,
+    /// Learning rate.
+    pub rate: f64,
+}
+
+impl FineTuning {
+    /// The fine-tuning after training by `plan` on `views` training views.
+    pub fn after(plan: &TrainingPlan, views: usize) -> Self {
+        let iterations = views.max(STEPS);
+        Self {
+            plan: TrainingPlan {
+                loss: LabelLoss::Ce,
+                warmup: 0,
+                least_recall: 0.0,
+                iterations,
+                decay: false,
+                ..plan.clone()
+            },
+            rate: REACH / iterations as f64,
+        }
+    }
+}

@@ -1,0 +1,95 @@
+//! What raw labels say of the Gaussians before anything is trained: votes, and what decoders make of them.
+
+use super::encode::Inputs;
+use crate::config::{Association, Prior};
+use crate::data::Split;
+use crate::error::Result;
+use crate::objects::{PooledVote, Votes, pooled_vote, refined_vote, vote};
+use std::cell::OnceCell;
+
+/// Share added to every class of the votes that a decoder starts from. A larger one makes confident votes uncertain, and the decoder
+/// learns to be certain again at the expense of rare classes.
+pub(super) const VOTE_FLOOR: f32 = 0.002;
+
+/// The votes of a scene, counted when they are first asked for.
+pub(super) struct LabelEvidence<'a> {
+    inputs: &'a Inputs<'a>,
+    votes: OnceCell<Votes>,
+    pooled: OnceCell<PooledVote>,
+}
+
+impl<'a> LabelEvidence<'a> {
+    pub fn new(inputs: &'a Inputs<'a>) -> Self {
+        Self {
+            inputs,
+            votes: OnceCell::new(),
+            pooled: OnceCell::new(),
+        }
+    }
+
+    /// Whether raw labels fine-tune what decoders learn. Those that name frequent classes too often would bring back these errors.
+    pub fn wants_fine_tuning(&self) -> Result<bool> {
+        let asked = self.inputs.config.segmentation.fine_tune;
+        Ok(match self.prior_kind() {
+            Prior::None => false,
+            _ if asked.is_some() => asked == Some(true),
+            Prior::Votes => true,
+            Prior::Pooled => self.pooled()?.exponent == 0.0,
+        })
+    }
+
+    /// What decoders start from. Votes for objects of association are not pooled: two of them may share a superpoint.
+    pub fn prior_kind(&self) -> Prior {
+        let config = self.inputs.config;
+        let objects = config.data.association == Association::Gaussians;
+        match config.segmentation.prior {
+            Prior::Pooled if objects => Prior::Votes,
+            prior => prior,
+        }
+    }
+
+    /// The scores that a decoder starts from, `[N, C]`.
+    pub fn prior(&self) -> Result<Option<Vec<f32>>> {
+        match self.prior_kind() {
+            Prior::None => Ok(None),
+            Prior::Votes => Ok(Some(self.votes()?.log_shares(VOTE_FLOOR))),
+            Prior::Pooled => {
+                let probabilities = self.pooled()?.identities.scores.iter();
+                Ok(Some(probabilities.map(|p| (p + VOTE_FLOOR).ln()).collect()))
+            }
+        }
+    }
+
+    /// The votes of the training views, counted once.
+    pub fn votes(&self) -> Result<&Votes> {
+        if let Some(votes) = self.votes.get() {
+            return Ok(votes);
+        }
+        let votes = vote(
+            self.inputs.gaussians,
+            self.inputs.scene.split(Split::Train),
+            &self.inputs.scene.classes,
+            &self.inputs.settings,
+            self.inputs.device,
+        )?;
+        Ok(self.votes.get_or_init(|| votes))
+    }
+
+    /// The refined, pooled and calibrated votes, made once.
+    pub fn pooled(&self) -> Result<&PooledVote> {
+        if let Some(pooled) = self.pooled.get() {
+            return Ok(pooled);
+        }
+        let inputs = self.inputs;
+        let refined = refined_vote(
+            inputs.gaussians,
+            inputs.scene.split(Split::Train),
+            &inputs.scene.classes,
+            &inputs.settings,
+            inputs.device,
+        )?;
+        let exponent = inputs.config.segmentation.prior_exponent;
+        let pooled = pooled_vote(inputs.gaussians, self.votes()?, &refined, exponent)?;
+        Ok(self.pooled.get_or_init(|| pooled))
+    }
+}
