@@ -91,6 +91,7 @@ fn stage_two(
     let steps = labelled + STEPS * bench.repeats;
     config.segmentation.rows = Some(vec![Variant::Ours]);
     config.segmentation.iterations = steps;
+    config.segmentation.fine_tune = Some(false);
     config.segmentation.eval_every = steps;
     config.segmentation.checkpoint_every = steps;
     config.unprojection.attendance = 0.0;
