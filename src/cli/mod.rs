@@ -23,6 +23,7 @@ mod render;
 mod render_path;
 mod run_folder;
 mod scene_file;
+mod select;
 mod separate;
 pub mod terminal;
 mod train;
@@ -84,6 +85,7 @@ Examples:
   coseg vote --scene scene.ply --data scenes/living --out runs/voted
   coseg associate --scene scene.ply --data scenes/living --out runs/objects --set data.raw_labels=segments
   coseg objects --scene runs/living            its objects, and where they are
+  coseg select --scene runs/living --frame test_001 --pixel 240,180 --name lamp --out named
   coseg separate --scene runs/living --out objects/scene.ply    each chair an object of its own
   coseg edit --scene runs/living --out without.ply --remove sofa
   coseg export --scene runs/living --out living.spz
@@ -91,8 +93,8 @@ Examples:
   coseg bench --run runs/living                speed on this machine
   coseg compare configs/tables/table1.toml --data-root scenes --out runs/table1
 
-No command writes over files that it did not write, except `train --resume` in its run, and `edit`, `separate` and
-`export` with --force.
+No command writes over files that it did not write, except `train --resume` in its run, and `edit`, `select`, `separate`
+and `export` with --force.
 Exit code: 0 success, 1 an error that says what to do, 2 options or settings that cannot be read, 130 stopped by Ctrl-C.";
 
 /// The subcommands.
@@ -118,6 +120,8 @@ pub enum Command {
     Associate(associate::AssociateArgs),
     /// List the objects of a labelled scene, or find the one at a pixel
     Objects(objects::ObjectsArgs),
+    /// Make an object of the thing that a few pixels show, with or without labels
+    Select(select::SelectArgs),
     /// Split a label into objects that do not touch
     Separate(separate::SeparateArgs),
     /// Keep, remove, turn, move and paint objects of a labelled scene, or apply edits of the viewer
@@ -148,6 +152,7 @@ impl Command {
             Self::Vote(_) => &["vote"],
             Self::Associate(_) => &["associate"],
             Self::Objects(_) => &["objects"],
+            Self::Select(_) => &["select"],
             Self::Separate(_) => &["separate"],
             Self::Edit(_) => &["edit"],
             Self::Export(_) => &["export"],
@@ -173,6 +178,7 @@ impl Command {
             Self::Vote(args) => args.run(),
             Self::Associate(args) => args.run(),
             Self::Objects(args) => args.run(),
+            Self::Select(args) => args.run(),
             Self::Separate(args) => args.run(),
             Self::Edit(args) => args.run(),
             Self::Export(args) => args.run(),

@@ -44,6 +44,16 @@ impl ObjectSceneArgs {
         let ply = read_scene(&path)?;
         ObjectScene::new(path, ply, self.classes.as_ref())
     }
+
+    /// Reads both. Gaussians of a scene without labels are unlabelled.
+    pub fn read_or_unlabelled(&self) -> Result<ObjectScene> {
+        let path = scene_path(&self.scene)?;
+        let mut ply = read_scene(&path)?;
+        let ignore = classes_beside(&path, self.classes.as_deref())?.ignore;
+        let unlabelled = vec![ignore; ply.gaussians.len()];
+        ply.labels.get_or_insert(unlabelled);
+        ObjectScene::new(path, ply, self.classes.as_ref())
+    }
 }
 
 /// Arguments that name what a command writes.

@@ -1,17 +1,16 @@
 //! `coseg objects`: the objects of a labelled scene, and the one that a pixel shows.
 
 use super::object_scene::{ObjectScene, ObjectSceneArgs};
-use super::scene_file::{cameras_path, rendering_beside};
-use super::terminal;
-use super::values::numbers;
+use super::scene_file::{cameras_path, frame_with_pixel, rendering_beside};
+use super::{terminal, values};
 use clap::Args;
 use coseg::data::{NamedCamera, read_cameras};
-use coseg::error::{Result, bail, ensure};
+use coseg::error::Result;
 use coseg::objects::pick;
 use coseg::raster::{Projected, Settings};
 use glam::DVec3;
 use serde_json::json;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 const HELP: &str = "\
 Without --pixel: every label of the scene with its name, number of Gaussians, and the centre and size of its box in
@@ -44,16 +43,11 @@ pub struct ObjectsArgs {
     #[arg(long, value_name = "STEM", requires = "pixel")]
     frame: Option<String>,
     /// Column and row of a pixel, from 0 at the top left
-    #[arg(long, value_name = "X,Y", requires = "frame", value_parser = parse_pixel)]
+    #[arg(long, value_name = "X,Y", requires = "frame", value_parser = values::pixel)]
     pixel: Option<[usize; 2]>,
     /// Print JSON
     #[arg(long)]
     json: bool,
-}
-
-fn parse_pixel(text: &str) -> std::result::Result<[usize; 2], String> {
-    let expected = "expected a column and a row separated by a comma, for instance 240,180";
-    numbers(text, ',').ok_or_else(|| expected.into())
 }
 
 impl ObjectsArgs {
@@ -108,22 +102,11 @@ impl ObjectsArgs {
 
     fn pick(&self, scene: &ObjectScene, frame: &str, [x, y]: [usize; 2]) -> Result<()> {
         let frames = read_cameras(&cameras_path(self.cameras.as_deref(), &scene.path)?, None)?;
-        let named = |name: &str| frames.iter().find(|f| f.name == name);
-        let stem = Path::new(frame).file_stem().and_then(|stem| stem.to_str());
-        let Some(NamedCamera {
+        let NamedCamera {
             name: frame,
             camera,
             ..
-        }) = named(frame).or_else(|| stem.and_then(named))
-        else {
-            let some: Vec<&str> = frames.iter().take(5).map(|f| f.name.as_str()).collect();
-            bail!(argument "--frame"; found "{frame}";
-                expected "one of {} frames such as {}", frames.len(), some.join(", ");
-                help "name a frame of --cameras");
-        };
-        let [width, height] = [camera.width, camera.height];
-        ensure!(x < width && y < height, argument "--pixel"; found "{x},{y}";
-            expected "a column below {width} and a row below {height}"; help "choose a pixel of the frame");
+        } = frame_with_pixel(&frames, frame, [x, y])?;
         let camera = camera.moved(-scene.ply.origin);
         let settings = Settings::from(&rendering_beside(&scene.path).raster);
         let projected = Projected::new(&scene.ply.gaussians.splats(), &camera, &settings)?;

@@ -1,8 +1,8 @@
 //! The files of a scene: given by name, or in the folder that `coseg train` wrote.
 
 use coseg::config::Config;
-use coseg::data::{Classes, Limits};
-use coseg::error::{Error, Result, ensure, invalid};
+use coseg::data::{Classes, Limits, NamedCamera};
+use coseg::error::{Error, Result, bail, ensure, invalid};
 use coseg::files::{atomic, extension, own};
 use coseg::splat::formats;
 use coseg::splat::ply::PlyScene;
@@ -101,6 +101,28 @@ pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
             invalid!(argument "--cameras"; found "nothing"; expected "cameras: {} does not exist", beside.display();
                 help "give a file of cameras, a scene folder or a run folder")
         })
+}
+
+/// The camera of the frame `frame`, a name with or without extension, which must have the pixel `[x, y]`.
+pub fn frame_with_pixel<'a>(
+    frames: &'a [NamedCamera],
+    frame: &str,
+    [x, y]: [usize; 2],
+) -> Result<&'a NamedCamera> {
+    let named = |name: &str| frames.iter().find(|f| f.name == name);
+    let stem = Path::new(frame).file_stem().and_then(|stem| stem.to_str());
+    let Some(found) = named(frame).or_else(|| stem.and_then(named)) else {
+        let mut near: Vec<&str> = frames.iter().map(|f| f.name.as_str()).collect();
+        let likeness = |name: &str| strsim::jaro_winkler(name, stem.unwrap_or(frame));
+        near.sort_by(|a, b| likeness(b).total_cmp(&likeness(a)));
+        near.truncate(5);
+        bail!(argument "--frame"; found "{frame}";
+            expected "one of {} frames such as {}", frames.len(), near.join(", "); help "name a frame of --cameras");
+    };
+    let [width, height] = [found.camera.width, found.camera.height];
+    ensure!(x < width && y < height, argument "--pixel"; found "{x},{y}";
+        expected "a column below {width} and a row below {height}"; help "choose a pixel of the frame");
+    Ok(found)
 }
 
 /// The settings that rendered the run of the scene `scene`, see [`Config::rendering_of`]; defaults where there are none.

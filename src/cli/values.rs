@@ -8,6 +8,12 @@ pub fn numbers<T: FromStr, const N: usize>(text: &str, separator: char) -> Optio
     values.collect::<Option<Vec<T>>>()?.try_into().ok()
 }
 
+/// Column and row of a pixel.
+pub fn pixel(text: &str) -> Result<[usize; 2], String> {
+    let expected = "expected a column and a row separated by a comma, for instance 240,180";
+    numbers(text, ',').ok_or_else(|| expected.into())
+}
+
 /// The cap of a splat's opacity.
 pub fn alpha_max(text: &str) -> Result<f64, String> {
     let alpha = text.trim().parse().ok();

@@ -11,7 +11,7 @@ use crate::splat::Gaussians;
 use rayon::prelude::*;
 
 /// Nearest neighbours of each Gaussian in the graph of superpoints.
-const NEIGHBOURS: usize = 12;
+pub(super) const NEIGHBOURS: usize = 12;
 /// Scales of the superpoints. The calibration is fitted on those of [`FITTED`].
 const SCALES: [f64; 3] = [0.1, 0.3, 1.0];
 /// Weight of a Gaussian's own votes beside those of the superpoints of each scale: as much as all of them.
@@ -80,7 +80,12 @@ impl PooledVotes {
 /// # Errors
 /// [`crate::Error::NonFinite`] when a centre is not finite.
 pub fn superpoints(gaussians: &Gaussians) -> Result<Superpoints> {
-    Ok(SurfaceGraph::new(gaussians, NEIGHBOURS)?.superpoints(SCALES[0], MIN_GAUSSIANS))
+    Ok(finest(&SurfaceGraph::new(gaussians, NEIGHBOURS)?))
+}
+
+/// The superpoints of `graph` at the smallest scale of the pooled vote.
+pub(super) fn finest(graph: &SurfaceGraph) -> Superpoints {
+    graph.superpoints(SCALES[0], MIN_GAUSSIANS)
 }
 
 /// The pooled vote of a scene.

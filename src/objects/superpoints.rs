@@ -31,7 +31,8 @@ struct Edge {
 /// The graph of neighbouring Gaussians, its edges in ascending order of weight.
 #[derive(Clone, Debug)]
 pub struct SurfaceGraph {
-    points: usize,
+    /// The normal at each Gaussian, `[N]`; either side may be its outer one.
+    normals: Vec<DVec3>,
     edges: Vec<Edge>,
 }
 
@@ -50,12 +51,23 @@ impl SurfaceGraph {
             let turn = 1.0 - normals[a].dot(normals[b]).abs();
             (turn + colors[a].distance(colors[b])) as f32
         };
-        Ok(Self::of_edges(gaussians.len(), edges(&near, weight)))
+        let edges = edges(&near, weight);
+        Ok(Self::of_edges(normals, edges))
     }
 
-    fn of_edges(points: usize, mut edges: Vec<Edge>) -> Self {
+    fn of_edges(normals: Vec<DVec3>, mut edges: Vec<Edge>) -> Self {
         edges.par_sort_unstable_by(|a, b| a.weight.total_cmp(&b.weight).then(a.ends.cmp(&b.ends)));
-        Self { points, edges }
+        Self { normals, edges }
+    }
+
+    /// The normal at each Gaussian, without a sense.
+    pub(super) fn normals(&self) -> &[DVec3] {
+        &self.normals
+    }
+
+    /// The two Gaussians of each edge.
+    pub(super) fn ends(&self) -> impl Iterator<Item = [u32; 2]> {
+        self.edges.iter().map(|edge| edge.ends)
     }
 
     /// Whether all neighbours of each Gaussian, and theirs, have its label.
@@ -71,7 +83,7 @@ impl SurfaceGraph {
 
     /// Whether all neighbours of each Gaussian have its label.
     fn alike<T: PartialEq>(&self, labels: &[T]) -> Vec<bool> {
-        let mut alike = vec![true; self.points];
+        let mut alike = vec![true; self.normals.len()];
         for Edge { ends: [a, b], .. } in &self.edges {
             if labels[*a as usize] != labels[*b as usize] {
                 alike[*a as usize] = false;
@@ -84,7 +96,7 @@ impl SurfaceGraph {
     /// The superpoints at `scale`: k of the paper, in edge weight times Gaussians. A larger one gives larger superpoints. Those of
     /// fewer than `least` Gaussians merge with the neighbour that is most alike.
     pub fn superpoints(&self, scale: f64, least: usize) -> Superpoints {
-        let mut components = Components::new(self.points);
+        let mut components = Components::new(self.normals.len());
         for edge in &self.edges {
             components.merge_if(edge, |inside, size| {
                 f64::from(edge.weight) <= inside + scale / size as f64
@@ -294,7 +306,7 @@ mod tests {
         };
         let chain = vec![edge(0, 1, 0.1), edge(1, 2, 0.3), edge(2, 3, 0.1)];
         let of = |scale, least| {
-            let graph = SurfaceGraph::of_edges(4, chain.clone());
+            let graph = SurfaceGraph::of_edges(vec![DVec3::Z; 4], chain.clone());
             graph.superpoints(scale, least).of
         };
         assert_eq!(of(0.35, 1), [0, 0, 1, 1]);
@@ -309,7 +321,7 @@ mod tests {
             weight: 0.1,
             ends: [a, a + 1],
         });
-        let graph = SurfaceGraph::of_edges(8, chain.collect());
+        let graph = SurfaceGraph::of_edges(vec![DVec3::Z; 8], chain.collect());
         let inside = graph.inside(&[1, 1, 1, 1, 2, 2, 2, 2]);
         assert_eq!(inside, [true, true, false, false, false, false, true, true]);
     }

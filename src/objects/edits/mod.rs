@@ -2,7 +2,7 @@
 
 mod operation;
 
-pub use self::operation::{NewObject, Operation, Turn};
+pub use self::operation::{NewObject, Operation, Turn, is_name};
 
 use super::Editing;
 use crate::error::{Result, ensure, invalid};

@@ -225,9 +225,14 @@ fn check_free(editing: &Editing, id: u16) -> Result<(), Fault> {
     Ok(())
 }
 
-fn check_name(field: &str, name: &str) -> Result<(), Fault> {
+/// Whether an object can be called `name`: 1 to 200 characters, not all blank, without line ends.
+pub fn is_name(name: &str) -> bool {
     let is_plain = !name.trim().is_empty() && !name.chars().any(char::is_control);
-    if is_plain && name.chars().count() <= MAX_NAME {
+    is_plain && name.chars().count() <= MAX_NAME
+}
+
+fn check_name(field: &str, name: &str) -> Result<(), Fault> {
+    if is_name(name) {
         return Ok(());
     }
     let some: String = name.chars().take(MAX_NAME).collect();

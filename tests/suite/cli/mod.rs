@@ -20,6 +20,7 @@ pub mod prune;
 pub mod render;
 pub mod render_path;
 pub mod render_settings;
+pub mod select;
 pub mod separate;
 pub mod train;
 pub mod view;

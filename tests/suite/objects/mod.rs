@@ -8,6 +8,7 @@ pub mod edits;
 pub mod object_classes;
 pub mod renderer;
 pub mod segments;
+pub mod select;
 pub mod separate;
 pub mod separate_refused;
 pub mod votes;

@@ -1,0 +1,143 @@
+//! `coseg select`: a thing that a few pixels show becomes an object with a name.
+
+use super::object_scene::{ObjectScene, ObjectSceneArgs, OutArgs};
+use super::scene_file::{cameras_path, frame_with_pixel, rendering_beside};
+use super::{terminal, values};
+use clap::Args;
+use coseg::data::{NamedCamera, read_cameras};
+use coseg::error::{Result, ensure, invalid};
+use coseg::objects::{Edited, Editing, Growth, color_apart, is_name, seed};
+use coseg::raster::{Projected, Settings};
+use std::path::PathBuf;
+
+const HELP: &str = "\
+Point at a thing in one or more views. The selection begins at the Gaussian that gives most of each pixel and grows over its
+neighbours, those that are most alike in colour and surface first. It ends where what it has stands out most, or at
+--threshold: a lower one takes fewer Gaussians. Give --frame and --pixel once for each pixel, in the same order. Points far
+apart on the thing help most. The scene needs neither labels nor its photos.
+
+The Gaussians become an object called --name. Where the scene has an object or a class of that name, they join it. Those of
+other objects change over. classes.json and cameras.json are written beside the new file.
+
+Examples:
+  coseg select --scene runs/fox --frame 0007 --pixel 150,100 --name fox --out labelled
+  coseg select --scene runs/fox --frame 0007 --pixel 150,100 --frame 0030 --pixel 110,290 --name fox --out labelled
+  coseg select --scene labelled --frame 0007 --pixel 50,160 --name board --threshold 9 --out labelled --force";
+
+/// Arguments of `coseg select`.
+#[derive(Args, Debug)]
+#[command(after_help = HELP)]
+pub struct SelectArgs {
+    #[command(flatten)]
+    input: ObjectSceneArgs,
+    #[command(flatten)]
+    out: OutArgs,
+    /// Cameras, as `coseg render` takes them [default: cameras.json beside the scene]
+    #[arg(long, value_name = "FILE.json|DIR")]
+    cameras: Option<PathBuf>,
+    /// Frame of a pixel: its file name, with or without extension; may be repeated
+    #[arg(long = "frame", value_name = "STEM", required = true)]
+    frames: Vec<String>,
+    /// Column and row of a pixel, from 0 at the top left; one for each --frame
+    #[arg(long = "pixel", value_name = "X,Y", required = true, value_parser = values::pixel)]
+    pixels: Vec<[usize; 2]>,
+    /// Name of the object
+    #[arg(long, value_name = "NAME", value_parser = parse_name)]
+    name: String,
+    /// How far the selection grows, 0 or more [default: proposed, and printed]
+    #[arg(long, value_name = "T", value_parser = parse_threshold)]
+    threshold: Option<f64>,
+}
+
+fn parse_name(text: &str) -> std::result::Result<String, String> {
+    let name = text.trim();
+    let expected = "expected a name of 1 to 200 characters, without line ends";
+    is_name(name)
+        .then(|| name.to_owned())
+        .ok_or_else(|| expected.into())
+}
+
+fn parse_threshold(text: &str) -> std::result::Result<f64, String> {
+    let threshold = text.trim().parse().ok().filter(|t: &f64| *t >= 0.0);
+    threshold.ok_or_else(|| "expected a number of 0 or more".into())
+}
+
+impl SelectArgs {
+    /// Selects and writes.
+    pub fn run(self) -> Result<()> {
+        ensure!(self.frames.len() == self.pixels.len(), argument "--pixel"; found "{} pixels", self.pixels.len();
+            expected "one for each --frame, of which there are {}", self.frames.len();
+            help "give --frame and --pixel once for each pixel");
+        let scene = self.input.read_or_unlabelled()?;
+        let growth = Growth::new(&scene.ply.gaussians, &self.seeds(&scene)?)?;
+        let threshold = self.threshold.unwrap_or(growth.proposed);
+        let rows = growth.rows(threshold);
+        let (id, edited) = self.named(&scene, &rows)?;
+        let out = self.out.check(&self.input, &scene, &edited.classes)?;
+        scene.write(&out, &edited.gaussians, &edited.labels, &edited.classes)?;
+        let own = |row: &&u32| {
+            let label = scene.labels[**row as usize];
+            label != id && label != scene.classes.ignore
+        };
+        terminal::say(&format!(
+            "{}: {} of {} Gaussians are now {} (label {id}), {} of them had another label; threshold {threshold:.2}",
+            out.display(),
+            rows.len(),
+            scene.labels.len(),
+            self.name,
+            rows.iter().filter(own).count(),
+        ));
+        Ok(())
+    }
+
+    /// The Gaussian under each pixel.
+    fn seeds(&self, scene: &ObjectScene) -> Result<Vec<u32>> {
+        let frames = read_cameras(&cameras_path(self.cameras.as_deref(), &scene.path)?, None)?;
+        let settings = Settings::from(&rendering_beside(&scene.path).raster);
+        let under = |(frame, &pixel): (&String, &[usize; 2])| {
+            let NamedCamera { name, camera, .. } = frame_with_pixel(&frames, frame, pixel)?;
+            let camera = camera.moved(-scene.ply.origin);
+            let projected = Projected::new(&scene.ply.gaussians.splats(), &camera, &settings)?;
+            let [x, y] = pixel;
+            seed(pixel, &projected).ok_or_else(|| {
+                invalid!(argument "--pixel"; found "{x},{y} of {name}, which shows the background";
+                    expected "a pixel that Gaussians cover by half"; help "point at the middle of the thing")
+            })
+        };
+        self.frames.iter().zip(&self.pixels).map(under).collect()
+    }
+
+    /// The scene in which `rows` have the label with the name, and that label.
+    fn named(&self, scene: &ObjectScene, rows: &[u32]) -> Result<(u16, Edited)> {
+        let gaussians = scene.ply.gaussians.clone();
+        let mut editing = Editing::new(gaussians, scene.labels.clone(), scene.classes.clone());
+        let there = scene
+            .classes
+            .entries
+            .iter()
+            .find(|class| class.name == self.name);
+        let Some(id) = there.map_or_else(
+            || (1..=u16::MAX).find(|id| !editing.is_known(*id)),
+            |c| Some(c.id),
+        ) else {
+            return Err(
+                invalid!(argument "--name"; found "a scene with all labels in use";
+                expected "a free label"; help "name an object that is there"),
+            );
+        };
+        if there.is_none() {
+            editing.entry(id).name.clone_from(&self.name);
+        }
+        editing.assign(rows, id);
+        let mut edited = editing.finish("--name")?;
+        if there.is_none() {
+            color_apart(
+                &edited.gaussians,
+                &edited.labels,
+                &mut edited.classes,
+                &[id].into(),
+            )?;
+        }
+        Ok((id, edited))
+    }
+}
