@@ -101,7 +101,7 @@ pub trait Progress {
         false
     }
 
-    /// The Gaussians as they are now, relative to the origin of the scene, and a label id of each once they have labels.
+    /// Called where [`Progress::wants_gaussians`] says so, after lifting, and after each variant: the Gaussians as they are now, relative to the origin of the scene, and a label id of each once they have labels.
     fn gaussians(&mut self, _gaussians: &Gaussians, _labels: Option<&[u16]>) {}
 }
 

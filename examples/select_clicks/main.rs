@@ -19,6 +19,7 @@ use std::path::Path;
 
 /// Pairs of clicks.
 const PAIRS: usize = 20;
+
 #[derive(Deserialize)]
 struct Masks {
     size: [f64; 2],
@@ -92,12 +93,22 @@ fn main() -> Result<(), Box<dyn Error>> {
         let mut seeds = Vec::new();
         for view in &clicked {
             let pixels: Vec<usize> = (0..view.inside.len()).filter(|&i| view.inside[i]).collect();
+            if pixels.is_empty() {
+                return Err("a mask without pixels".into());
+            }
             let pixel = pixels[rng.random_range(0..pixels.len())];
             let width = view.projected.size()[0];
             seeds.extend(seed([pixel % width, pixel / width], &view.projected));
         }
+        if seeds.is_empty() {
+            println!("a pair of clicks on the background is left out");
+            continue;
+        }
         let growth = Growth::new(&scene.gaussians, &seeds)?;
         ious.push(mean_iou(&judged, &growth, &scene.gaussians));
+    }
+    if ious.is_empty() {
+        return Err("no click shows a Gaussian".into());
     }
     println!("{}", summary(ious));
     Ok(())

@@ -58,7 +58,11 @@ fn parse_name(text: &str) -> std::result::Result<String, String> {
 }
 
 fn parse_threshold(text: &str) -> std::result::Result<f64, String> {
-    let threshold = text.trim().parse().ok().filter(|t: &f64| *t >= 0.0);
+    let threshold = text
+        .trim()
+        .parse()
+        .ok()
+        .filter(|t: &f64| t.is_finite() && *t >= 0.0);
     threshold.ok_or_else(|| "expected a number of 0 or more".into())
 }
 
@@ -80,7 +84,7 @@ impl SelectArgs {
             label != id && label != scene.classes.ignore
         };
         terminal::say(&format!(
-            "{}: {} of {} Gaussians are now {} (label {id}), {} of them had another label; threshold {threshold:.2}",
+            "{}: {} of {} Gaussians are now {} (label {id}), {} of them had another label; threshold {threshold}",
             out.display(),
             rows.len(),
             scene.labels.len(),

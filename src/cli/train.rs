@@ -19,15 +19,12 @@ use coseg::pipeline::{Outcome, VariantOutcome};
 use coseg::progress::Progress;
 use coseg::report::{Command, Metrics, Report, held_out_views};
 use coseg::splat::ply;
-use coseg::viewer::Viewer;
+use coseg::viewer::{MAX_PAGE_BYTES, Viewer};
 #[cfg(feature = "serve")]
-use coseg::watch::Watch;
+use coseg::watch::Watched;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::ExitCode;
-
-/// Largest viewer.html that `coseg train` writes, bytes: 1.1 million Gaussians of SH degree 3.
-const MAX_PAGE_BYTES: usize = 128_000_000;
 
 const HELP: &str = "\
 Stage one builds Gaussians from the photos. Stage two learns from the raw label maps what each Gaussian belongs to.
@@ -64,7 +61,7 @@ Examples:
   coseg train --data scenes/fox --segmenter net.onnx --classes mine.toml      photos alone: labels them first
   coseg train --data scenes/fox --scene other/point_cloud.ply          stage two alone, on Gaussians of another trainer
   coseg train --data scenes/fox --scene other/point_cloud.ply --set building.iterations=2000      trained further first
-  coseg train --data scenes/fox --view                                 shows the scene and its curves as they grow
+  coseg train --data scenes/fox --view                                 shows the scene as it grows (feature `serve`)
   coseg train --resume runs/fox
   coseg train --resume runs/fox --data elsewhere/fox                   its scene has moved";
 
@@ -156,14 +153,20 @@ impl TrainArgs {
     }
 
     /// Who listens to the run: the terminal, and a browser where `--view` asks for it.
-    fn progress(&self, _config: &Config) -> Result<Box<dyn Progress>> {
-        #[cfg(feature = "serve")]
-        if self.view {
-            let alpha_max = _config.raster.alpha_max;
-            let watch = Watch::start(&scene_name(_config), alpha_max, Bars::default())?;
-            terminal::note(&format!("watch: {}", watch.address()));
-            return Ok(Box::new(watch));
+    #[cfg(feature = "serve")]
+    fn progress(&self, config: &Config) -> Result<Box<dyn Progress>> {
+        if !self.view {
+            return Ok(Box::new(Bars::default()));
         }
+        let alpha_max = config.raster.alpha_max;
+        let watch = Watched::start(&scene_name(config), alpha_max, Bars::default())?;
+        terminal::note(&format!("watch: {}", watch.address()));
+        Ok(Box::new(watch))
+    }
+
+    /// Who listens to the run.
+    #[cfg(not(feature = "serve"))]
+    fn progress(&self, _: &Config) -> Result<Box<dyn Progress>> {
         Ok(Box::new(Bars::default()))
     }
 

@@ -67,7 +67,7 @@ impl Growth {
     /// The Gaussians that belong to the selection at `threshold`, ascending.
     pub fn rows(&self, threshold: f64) -> Vec<u32> {
         let rows = (0..).zip(&self.thresholds);
-        let inside = rows.filter(|(_, needed)| **needed <= threshold);
+        let inside = rows.filter(|(_, needed)| needed.is_finite() && **needed <= threshold);
         inside.map(|(row, _)| row).collect()
     }
 }

@@ -1,8 +1,8 @@
 //! The last step of a decoder variant: each Gaussian corrects what the decoder gave it by the raw labels in its own pixels.
 //!
 //! A decoder gives Gaussians with similar features the same label. That corrects wrong labels, but loses details that only the
-//! labels of a Gaussian itself show. So the scores of every Gaussian become free parameters, and learn the raw labels for about one
-//! pass over the views. That is enough to move a boundary where all views agree, and too little to learn errors that last. Where
+//! labels of a Gaussian itself show. So the scores of every Gaussian become free parameters, and learn the raw labels in one step
+//! for each training view, at least 100. That is enough to move a boundary where all views agree, and too little to learn errors that last. Where
 //! labels name frequent classes too often in all views, they are errors that last, and nothing is fine-tuned.
 
 use super::train_decoder::TrainingPlan;

@@ -51,13 +51,17 @@ pub(super) fn check_scores(gaussians: usize, scene: &Scene, config: &Config) -> 
 /// and what training them takes.
 pub(super) fn score_tables(config: &Config) -> usize {
     let rows = config.segmentation.rows();
+    let has_decoder = rows.iter().any(|row| row.trains_decoder());
+    let fine_tunes = has_decoder && config.segmentation.fine_tune != Some(false);
     let training = match rows {
-        _ if rows.contains(&Variant::PerGaussian) => 6,
-        _ if rows.iter().any(|row| row.trains_decoder()) => 3,
+        // Fine-tuning trains free scores too.
+        _ if fine_tunes || rows.contains(&Variant::PerGaussian) => 6,
+        _ if has_decoder => 3,
         _ => 0,
     };
     2 + rows.len() + training
 }
+
 /// Whether stage two has something to train on.
 pub(super) fn has_raw_labels(scene: &Scene) -> bool {
     scene.labelled().next().is_some() && !scene.classes.is_empty()

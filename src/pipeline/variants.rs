@@ -65,12 +65,14 @@ pub fn train_variants(
         if let Some(identities) = &outcome.identities {
             let ids = identities.ids(&inputs.scene.classes);
             progress.gaussians(inputs.gaussians, Some(&ids));
+        }
+        stopped = variant != Variant::Raw && outcome.identities.is_none();
+        if !stopped {
             progress.event(&Event::Scored {
                 variant: variant.title(),
                 miou: outcome.scores.miou(),
             });
         }
-        stopped = variant != Variant::Raw && outcome.identities.is_none();
         rows.push(outcome);
         if stopped {
             break;
@@ -260,6 +262,7 @@ impl<'a> StageTwo<'a> {
         let model = PerGaussian::starting_at(&decoded, VOTE_FLOOR, &device);
         let adam = Adam::new(fine_tuning.rate, None);
         let training = Training::new(model, adam, decoded.classes);
+        drop(decoded);
         let schedule = TrainingSchedule {
             variant: "fine-tuning",
             eval_every: fine_tuning.plan.iterations,

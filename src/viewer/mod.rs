@@ -17,6 +17,8 @@ use glam::{DMat3, DVec3};
 use serde::Serialize;
 use std::path::Path;
 
+/// Largest page that a run makes of its scene without being asked, bytes of [`Viewer::bytes`]: 1.1 million Gaussians of SH degree 3.
+pub const MAX_PAGE_BYTES: usize = 128_000_000;
 /// Bytes of the columns in one element, a multiple of three: browsers limit the length of a text.
 const PART_BYTES: usize = 3 << 25;
 /// Cosine of 3 degrees: directions that close are equal.

@@ -1,7 +1,7 @@
 //! A run that browsers on this machine can watch: its figures, its curves, and its Gaussians as they are.
 //!
-//! [`Watch`] listens to a run in place of another [`Progress`], which it keeps informed. A server thread answers browsers from a
-//! copy of what `Watch` has heard, so no browser can hold the run up. It listens on 127.0.0.1 alone. Its address has a random
+//! [`Watched`] listens to a run in place of another [`Progress`], which it keeps informed. A server thread answers browsers from a
+//! copy of what `Watched` has heard, so no browser can hold the run up. It listens on 127.0.0.1 alone. Its address has a random
 //! token, without which it answers nothing.
 
 mod run_state;
@@ -23,13 +23,13 @@ const FAREWELL: Duration = Duration::from_millis(1_500);
 type Shared = Arc<Mutex<RunState>>;
 
 /// A listener that a browser looks through.
-pub struct Watch<P> {
+pub struct Watched<P> {
     listener: P,
     shared: Shared,
     server: Server,
 }
 
-impl<P: Progress> Watch<P> {
+impl<P: Progress> Watched<P> {
     /// Starts the server of a run called `title`, on a free port. `alpha_max` is the run's cap of a splat's opacity. All events
     /// reach `listener` too.
     ///
@@ -51,7 +51,7 @@ impl<P: Progress> Watch<P> {
     }
 }
 
-impl<P> Drop for Watch<P> {
+impl<P> Drop for Watched<P> {
     /// A browser that is there gets the last figures.
     fn drop(&mut self) {
         locked(&self.shared).end();
@@ -69,7 +69,7 @@ fn locked(shared: &Shared) -> MutexGuard<'_, RunState> {
         .unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
-impl<P: Progress> Progress for Watch<P> {
+impl<P: Progress> Progress for Watched<P> {
     fn event(&mut self, event: &Event) {
         locked(&self.shared).record(event);
         self.listener.event(event);

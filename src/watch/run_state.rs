@@ -1,10 +1,10 @@
 //! What is known of a run that is watched.
 
 use crate::data::{Classes, NamedCamera, Photo, Scene, Split};
-use crate::error::Result;
+use crate::error::{Result, ensure};
 use crate::progress::{CurvePoint, Event};
 use crate::splat::Gaussians;
-use crate::viewer::Viewer;
+use crate::viewer::{MAX_PAGE_BYTES, Viewer};
 use glam::DVec3;
 use serde::Serialize;
 use std::sync::Arc;
@@ -138,6 +138,8 @@ impl RunState {
                 status.done = *done;
                 status.iterations = *iterations;
                 status.loss = None;
+                // Several variants have a stage of this name.
+                status.curves.retain(|curve| curve.stage != *stage);
             }
             Event::Step {
                 iteration,
@@ -150,7 +152,12 @@ impl RunState {
             }
             Event::Viewed { done } => status.done = *done,
             Event::Evaluated(point) => self.curve().points.push(*point),
-            Event::Finished => self.curve().finished = true,
+            Event::Finished => {
+                let curve = status.curves.iter_mut().find(|c| c.stage == status.stage);
+                if let Some(curve) = curve {
+                    curve.finished = true;
+                }
+            }
             Event::Scored { variant, miou } => status.rows.push(Row {
                 variant,
                 miou: *miou,
@@ -229,7 +236,8 @@ impl RunState {
 
     /// Lets the run go on undisturbed after work that took `cost`.
     pub fn rest(&mut self, cost: Duration) {
-        self.next_copy = Instant::now() + (REST * cost).max(PAUSE);
+        let next = Instant::now() + (REST * cost).max(PAUSE);
+        self.next_copy = self.next_copy.max(next);
     }
 
     /// Makes the page of the last copy, which takes time without the lock. `None` before the first copy.
@@ -239,6 +247,9 @@ impl RunState {
         let title = self.status.title.clone();
         let alpha_max = self.alpha_max;
         Some(move || {
+            let bytes = Viewer::bytes(&copy.gaussians, copy.labels.is_some());
+            ensure!(bytes <= MAX_PAGE_BYTES, argument "--view"; found "a scene of {} MB", bytes / 1_000_000;
+                expected "at most {} MB", MAX_PAGE_BYTES / 1_000_000; help "watch its curves; `coseg view` shows the scene");
             let viewer = Viewer {
                 title: &title,
                 scene: "",

@@ -1,4 +1,4 @@
-//! The server of [`Watch`](super::Watch), on a thread of its own.
+//! The server of [`Watched`](super::Watched), on a thread of its own.
 
 use super::{Shared, locked};
 use crate::error::{Error, Result};
@@ -34,7 +34,7 @@ const PAGE: &str = concat!(
 const HEADERS: [(HeaderName, &str); 4] = [
     (
         header::CONTENT_SECURITY_POLICY,
-        "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src 'self'; connect-src 'self'; \
+        "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src 'self' data:; connect-src 'self'; \
          frame-src 'self'; frame-ancestors 'self'; base-uri 'none'; form-action 'none'",
     ),
     (header::REFERRER_POLICY, "no-referrer"),

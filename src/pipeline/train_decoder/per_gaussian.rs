@@ -28,7 +28,7 @@ impl PerGaussian {
         Self::with_logits(Tensor::zeros(size, device), blend)
     }
 
-    /// Logits that give the `probabilities`, none of them below `floor`, on an autodiff `device`.
+    /// Logits that give the `probabilities` with `floor` added to each, on an autodiff `device`.
     pub fn starting_at(probabilities: &Identities, floor: f32, device: &Device) -> Self {
         let logits = probabilities.scores.iter().map(|p| (p + floor).ln());
         let classes = probabilities.classes;

@@ -20,6 +20,13 @@ function pageOf(frame) {
   }
 }
 
+/** Why a frame has no program: what the scene's page or the server says. */
+function troubleOf(frame) {
+  const shown = frame.contentDocument;
+  const said = (shown?.getElementById("trouble") ?? shown?.body)?.textContent;
+  return said || "The scene could not be loaded.";
+}
+
 class Watch {
   constructor() {
     /** Number of the copy of the Gaussians in the picture. */
@@ -141,8 +148,12 @@ class Watch {
     const next = element("iframe", null, { title: "scene", className: "next", src: "scene.html#watch" });
     next.addEventListener("load", () => {
       this.loading = false;
+      // A copy that cannot be shown is not asked for again.
+      this.shown = copy;
       const page = pageOf(next);
       if (!page) {
+        at("waiting").textContent = troubleOf(next);
+        at("waiting").hidden = this.frame !== null;
         next.remove();
         return;
       }
@@ -153,7 +164,6 @@ class Watch {
       next.className = "";
       this.frame?.remove();
       this.frame = next;
-      this.shown = copy;
       at("waiting").hidden = true;
     });
     at("picture").append(next);

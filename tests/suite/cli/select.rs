@@ -106,6 +106,21 @@ fn a_plate_without_labels_becomes_an_object() {
         Some("red plate")
     );
 
+    // The threshold that is printed gives the same selection.
+    let (_, threshold) = said.trim_end().rsplit_once("threshold ").unwrap();
+    let again = [
+        "--frame",
+        "v2",
+        "--pixel",
+        &red,
+        "--name",
+        "red plate",
+        "--threshold",
+        threshold,
+    ];
+    folder.select(&folder.scene, "again", &again);
+    assert_eq!(labels(&folder.path("again")), labels(&a));
+
     // Another name is another label; the same name adds to it.
     folder.select(
         &a,
@@ -188,6 +203,7 @@ fn refusals_name_what_is_wrong() {
         ("--name", " ", "1 to 200 characters"),
         ("--threshold", "-1", "0 or more"),
         ("--threshold", "nan", "0 or more"),
+        ("--threshold", "inf", "0 or more"),
         ("--pixel", "1", "a column and a row"),
     ] {
         let others = [["--frame", "v2"], ["--pixel", &green], name];

@@ -170,9 +170,9 @@ fn a_run_under_nohup_outlives_its_terminal() {
     );
 }
 
-/// Asks the server of a run, without waiting for what it says.
+/// What the server of a run answers.
 #[cfg(feature = "serve")]
-fn ask(address: &str, method: &str, what: &str) {
+fn ask(address: &str, method: &str, what: &str) -> String {
     let (host, token) = address.split_once('/').unwrap();
     let request = format!(
         "{method} /{token}{what} HTTP/1.1\r\nHost: {host}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
@@ -182,6 +182,7 @@ fn ask(address: &str, method: &str, what: &str) {
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();
     assert!(answer.starts_with("HTTP/1.1 20"), "{answer}");
+    answer
 }
 
 #[cfg(feature = "serve")]
@@ -193,7 +194,6 @@ fn a_run_that_is_watched_gives_the_same_scene_and_can_be_stopped() {
     let watched = folder.path().join("watched");
     let arguments = |run: &Path| {
         let mut arguments = long(folder.path(), run);
-        arguments.extend(["--set".to_owned(), "building.iterations=60".to_owned()]);
         arguments.extend(["--set".to_owned(), "segmentation.rows=vote".to_owned()]);
         arguments
     };
@@ -205,9 +205,7 @@ fn a_run_that_is_watched_gives_the_same_scene_and_can_be_stopped() {
     let mut running = Running::start(env!("CARGO_BIN_EXE_coseg"), &words);
     let line = running.until("watch: http://127.0.0.1:");
     let address = line.strip_prefix("watch: http://").unwrap();
-    ask(address, "GET", "status");
-    running.until("building 30/");
-    ask(address, "GET", "status");
+    while ask(address, "GET", "status").contains("\"copy\":0") {}
     ask(address, "GET", "scene.html");
     ask(address, "POST", "stop");
     let (code, said) = running.end();

@@ -81,7 +81,8 @@ fn fine_tuned_gaussians_agree_better_with_the_raw_labels_in_their_pixels() {
     // The mean log-probability of the raw labels, each weighed by its part in the pixel.
     let likelihood = |outcome: &Outcome| {
         let views = outcome.scene.split(Split::Train);
-        let (settings, device) = (Settings::default(), crate::support::device());
+        let settings = Settings::default();
+        let device = crate::support::device();
         let votes = vote(
             &outcome.gaussians,
             views,

@@ -4,7 +4,7 @@ use crate::support::browser::browser;
 use crate::support::devtools::Tab;
 use crate::support::plates::loaded;
 use coseg::progress::{CurvePoint, Event, Progress, Silent};
-use coseg::watch::Watch;
+use coseg::watch::Watched;
 use serde_json::json;
 
 /// The picture that the page shows.
@@ -14,7 +14,7 @@ const PICTURE: &str = "document.querySelector('iframe:not(.next)').contentWindow
 fn the_page_follows_the_run_from_its_first_copy_to_its_end() {
     let Some(browser) = browser() else { return };
     let (scene, gaussians, labels, _folder) = loaded();
-    let mut watch = Watch::start("plates", 0.999, Silent).unwrap();
+    let mut watch = Watched::start("plates", 0.999, Silent).unwrap();
     let mut tab = Tab::visit(&browser, watch.address(), [900, 700]);
     tab.until("document.getElementById('stage').textContent === 'The photos are being read.'");
     watch.scene(&scene);

@@ -2,7 +2,7 @@
 
 use crate::support::plates::loaded;
 use coseg::progress::{CurvePoint, Event, Progress, Silent};
-use coseg::watch::Watch;
+use coseg::watch::Watched;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
@@ -18,7 +18,7 @@ struct Client {
 }
 
 impl Client {
-    fn of<P: Progress>(watch: &Watch<P>) -> Self {
+    fn of<P: Progress>(watch: &Watched<P>) -> Self {
         let rest = watch.address().strip_prefix("http://").unwrap();
         let (host, root) = rest.split_at(rest.find('/').unwrap());
         assert!(host.starts_with("127.0.0.1:"), "{host}");
@@ -71,8 +71,8 @@ impl Client {
     }
 }
 
-fn watch() -> (Watch<Silent>, Client) {
-    let watch = Watch::start("plates", 0.999, Silent).unwrap();
+fn watch() -> (Watched<Silent>, Client) {
+    let watch = Watched::start("plates", 0.999, Silent).unwrap();
     let client = Client::of(&watch);
     (watch, client)
 }
