@@ -50,6 +50,7 @@ fn nothing_is_begun_after_a_stop() {
     let mut config = config(folder.path());
     config.data.association = Association::Gaussians;
     config.segmentation.rows = Some(vec![Variant::Vote, Variant::Ours]);
+    config.segmentation.fine_tune = Some(true);
     let out = folder.path().join("run");
     for (stage, iteration, began) in [
         ("building", 7, &["building"][..]),
