@@ -22,7 +22,7 @@ const FAREWELL: Duration = Duration::from_millis(1_500);
 /// What the run and the server share.
 type Shared = Arc<Mutex<RunState>>;
 
-/// A listener that a browser looks through.
+/// Passes all events of a run on to a listener, and shows the run to browsers.
 pub struct Watched<P> {
     listener: P,
     shared: Shared,
@@ -62,7 +62,7 @@ impl<P> Drop for Watched<P> {
     }
 }
 
-/// The state, also after a panic of another thread: every field is replaced as a whole.
+/// The state. It stays usable after a panic in the other thread, because no field is ever half written.
 fn locked(shared: &Shared) -> MutexGuard<'_, RunState> {
     shared
         .lock()
@@ -76,7 +76,7 @@ impl<P: Progress> Progress for Watched<P> {
     }
 
     fn stop(&mut self) -> bool {
-        let asked = locked(&self.shared).stopping;
+        let asked = locked(&self.shared).status.stopping;
         self.listener.stop() || asked
     }
 

@@ -20,8 +20,6 @@ const REST: u32 = 40;
 /// A run as its browsers see it.
 pub(super) struct RunState {
     pub status: Status,
-    /// Whether a browser asked the run to stop.
-    pub stopping: bool,
     started: Instant,
     /// When a browser asked last.
     asked: Option<Instant>,
@@ -35,7 +33,7 @@ pub(super) struct RunState {
 }
 
 /// The figures, as JSON for the page.
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 pub(super) struct Status {
     title: String,
     /// Present stage; empty before the first.
@@ -46,7 +44,8 @@ pub(super) struct Status {
     loss: Option<f64>,
     gaussians: usize,
     seconds: f64,
-    stopping: bool,
+    /// Whether a browser asked the run to stop.
+    pub stopping: bool,
     /// Number of the copy of the Gaussians that can be shown, from 1; 0 is none.
     copy: usize,
     /// Whether its Gaussians have labels.
@@ -101,21 +100,8 @@ impl RunState {
         Self {
             status: Status {
                 title: title.to_owned(),
-                stage: "",
-                done: 0,
-                iterations: 0,
-                loss: None,
-                gaussians: 0,
-                seconds: 0.0,
-                stopping: false,
-                copy: 0,
-                labelled: false,
-                ended: false,
-                curves: Vec::new(),
-                rows: Vec::new(),
-                views: Vec::new(),
+                ..Status::default()
             },
-            stopping: false,
             started: now,
             asked: None,
             seen_end: false,
@@ -205,7 +191,6 @@ impl RunState {
         if !self.status.ended {
             self.status.seconds = self.started.elapsed().as_secs_f64();
         }
-        self.status.stopping = self.stopping;
         &self.status
     }
 
@@ -248,7 +233,7 @@ impl RunState {
         let alpha_max = self.alpha_max;
         Some(move || {
             let bytes = Viewer::bytes(&copy.gaussians, copy.labels.is_some());
-            ensure!(bytes <= MAX_PAGE_BYTES, argument "--view"; found "a scene of {} MB", bytes / 1_000_000;
+            ensure!(bytes <= MAX_PAGE_BYTES, argument "scene"; found "a scene of {} MB", bytes / 1_000_000;
                 expected "at most {} MB", MAX_PAGE_BYTES / 1_000_000; help "watch its curves; `coseg view` shows the scene");
             let viewer = Viewer {
                 title: &title,

@@ -190,7 +190,7 @@ async fn photo(State(shared): State<Shared>, Path(index): Path<usize>) -> Respon
 }
 
 async fn stop(State(shared): State<Shared>) -> StatusCode {
-    locked(&shared).stopping = true;
+    locked(&shared).status.stopping = true;
     StatusCode::NO_CONTENT
 }
 

@@ -132,7 +132,7 @@ class Watch {
     const view = this.views[index];
     at("photo").src = `photo/${index}`;
     at("photo").alt = `photo ${view.name}`;
-    at("caption").textContent = view.split === "test" ? "Its photo, which the run never sees" : "Its photo";
+    at("caption").textContent = view.split === "test" ? "Its photo, which is not trained on" : "Its photo";
     at("photo").parentElement.hidden = false;
   }
 
