@@ -4,7 +4,7 @@
 //! `fox.json` has masks of the fox in the scene `fox` of instant-ngp: the fur, without the board. A mask is a polygon, its corners in
 //! units of an image of `size`. Give another file for another thing.
 //!
-//!     cargo run --release -- train --config configs/fox.toml --data fox --out runs/fox
+//!     cargo run --release -- train --data fox --set data.transforms=transforms_4.json --set 'segmentation.rows=[]' --out runs/fox
 //!     cargo run --release --example select_clicks -- runs/fox
 
 use coseg::data::{Limits, NamedCamera, read_cameras};
