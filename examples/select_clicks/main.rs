@@ -8,7 +8,7 @@
 //!     cargo run --release --example select_clicks -- runs/fox
 
 use coseg::data::{Limits, NamedCamera, read_cameras};
-use coseg::objects::{Growth, seed};
+use coseg::objects::{Growth, Regions, seed};
 use coseg::raster::{Projected, Settings};
 use coseg::splat::{Gaussians, ply};
 use rand::{Rng, SeedableRng};
@@ -87,6 +87,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         .iter()
         .map(draw)
         .collect::<Result<Vec<_>, _>>()?;
+    let regions = Regions::new(&scene.gaussians)?;
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(1);
     let mut ious = Vec::new();
     for _ in 0..PAIRS {
@@ -104,7 +105,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             println!("a pair of clicks on the background is left out");
             continue;
         }
-        let growth = Growth::new(&scene.gaussians, &seeds)?;
+        let growth = Growth::new(&regions, &seeds);
         ious.push(mean_iou(&judged, &growth, &scene.gaussians));
     }
     if ious.is_empty() {

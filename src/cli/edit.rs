@@ -96,7 +96,12 @@ impl EditArgs {
         ensure!(self.changes_something(), argument "coseg edit"; found "no operation";
             expected "--edits, --keep, --remove, --turn, --move or --paint";
             help "say what to change; `coseg edit --help` has examples");
-        let mut scene = self.input.read()?;
+        // Edits may be the first labels of a scene.
+        let mut scene = if self.edits.is_some() {
+            self.input.read_or_unlabelled()?
+        } else {
+            self.input.read()?
+        };
         let gaussians = std::mem::take(&mut scene.ply.gaussians);
         let editing = Editing::new(gaussians, scene.labels.clone(), scene.classes.clone());
         let (edited, done) = match &self.edits {

@@ -6,7 +6,7 @@ use super::{terminal, values};
 use clap::Args;
 use coseg::data::{NamedCamera, read_cameras};
 use coseg::error::{Result, ensure, invalid};
-use coseg::objects::{Edited, Editing, Growth, color_apart, is_name, seed};
+use coseg::objects::{Edited, Editing, Growth, Regions, color_apart, is_name, seed};
 use coseg::raster::{Projected, Settings};
 use std::path::PathBuf;
 
@@ -46,7 +46,7 @@ pub struct SelectArgs {
     name: String,
     /// How far the selection grows, 0 or more [default: proposed, and printed]
     #[arg(long, value_name = "T", value_parser = parse_threshold)]
-    threshold: Option<f64>,
+    threshold: Option<f32>,
 }
 
 fn parse_name(text: &str) -> std::result::Result<String, String> {
@@ -57,12 +57,12 @@ fn parse_name(text: &str) -> std::result::Result<String, String> {
         .ok_or_else(|| expected.into())
 }
 
-fn parse_threshold(text: &str) -> std::result::Result<f64, String> {
+fn parse_threshold(text: &str) -> std::result::Result<f32, String> {
     let threshold = text
         .trim()
         .parse()
         .ok()
-        .filter(|t: &f64| t.is_finite() && *t >= 0.0);
+        .filter(|t: &f32| t.is_finite() && *t >= 0.0);
     threshold.ok_or_else(|| "expected a number of 0 or more".into())
 }
 
@@ -73,7 +73,8 @@ impl SelectArgs {
             expected "one for each --frame, of which there are {}", self.frames.len();
             help "give --frame and --pixel once for each pixel");
         let scene = self.input.read_or_unlabelled()?;
-        let growth = Growth::new(&scene.ply.gaussians, &self.seeds(&scene)?)?;
+        let seeds = self.seeds(&scene)?;
+        let growth = Growth::new(&Regions::new(&scene.ply.gaussians)?, &seeds);
         let threshold = self.threshold.unwrap_or(growth.proposed);
         let rows = growth.rows(threshold);
         let (id, edited) = self.named(&scene, &rows)?;

@@ -248,7 +248,9 @@ fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<String> {
     }
     let cameras = scene.cameras();
     transforms::write_cameras(&run.file(CAMERAS), &cameras)?;
-    let page_bytes = Viewer::bytes(gaussians, ids.is_some());
+    // Whoever opens the page may give a scene its first labels.
+    let labels = ids.unwrap_or_else(|| vec![scene.classes.ignore; gaussians.len()]);
+    let page_bytes = Viewer::bytes(gaussians, true);
     if page_bytes > MAX_PAGE_BYTES {
         // The page of an earlier result.
         atomic::remove(run.file(VIEWER))?;
@@ -266,7 +268,7 @@ fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<String> {
         sha256: &sha256(&run.file(SCENE))?,
         gaussians,
         origin: scene.origin,
-        labels: ids.as_deref(),
+        labels: Some(&labels),
         classes: &scene.classes,
         cameras: &cameras,
         up: scene.known_up(),

@@ -17,8 +17,9 @@ use std::path::{Path, PathBuf};
 const HELP: &str = "\
 The page works offline and needs WebGL 2. It takes 116 bytes for each Gaussian of SH degree 3. It shows colours, labels,
 or both. Click on an object to choose it; hide it, show it alone, turn it or move it. Mend labels: name, colour, merge
-and delete objects, and select Gaussians by brush, lasso or box for another object or a new one. Save them: the page
-downloads edits.json, and the page shows the `coseg edit --edits` command that writes the result as a new file.
+and delete objects, and select things by clicks, or Gaussians by brush, lasso or box, for another object or a new one.
+A scene without labels gets its first ones so. Save them: the page downloads edits.json, and shows the command that
+writes the result as a new file.
 
   FILE.html#view=NAME&mode=labels   starts at the view NAME, percent-encoded; modes are colour, both and labels
 
@@ -34,7 +35,7 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_help = HELP)]
 pub struct ViewArgs {
-    /// Scene, a PLY, .spz or .splat file, or its folder; with a `label` column it has objects
+    /// Scene, a PLY, .spz or .splat file, or its folder
     #[arg(long, value_name = "FILE|DIR")]
     scene: PathBuf,
     /// Page to write [default: viewer.html beside the scene, or in the folder]
@@ -67,8 +68,13 @@ impl ViewArgs {
             expected "an .html file"; help "end the name in .html");
         own::check(&out)?;
         let ply = formats::read(&path, &Limits::default())?;
+        let gaussians = ply.gaussians;
         let names = self.classes.as_ref().map(|file| file.display().to_string());
         let classes = classes_beside(&path, self.classes.as_deref())?;
+        // Whoever opens the page may give a scene its first labels.
+        let labels = ply
+            .labels
+            .unwrap_or_else(|| vec![classes.ignore; gaussians.len()]);
         let cameras = self.cameras.or_else(|| cameras_path(None, &path).ok());
         let cameras = cameras.map_or_else(|| Ok(Vec::new()), |file| read_cameras(&file, None))?;
         let viewer = Viewer {
@@ -76,9 +82,9 @@ impl ViewArgs {
             scene: &self.scene.display().to_string(),
             names: names.as_deref(),
             sha256: &sha256(&path)?,
-            gaussians: &ply.gaussians,
+            gaussians: &gaussians,
             origin: ply.origin,
-            labels: ply.labels.as_deref(),
+            labels: Some(&labels),
             classes: &classes,
             cameras: &cameras,
             up: self.up,

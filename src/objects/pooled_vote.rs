@@ -75,14 +75,6 @@ impl PooledVotes {
     }
 }
 
-/// The superpoints of a scene at the smallest scale of the pooled vote.
-///
-/// # Errors
-/// [`crate::Error::NonFinite`] when a centre is not finite.
-pub fn superpoints(gaussians: &Gaussians) -> Result<Superpoints> {
-    Ok(finest(&SurfaceGraph::new(gaussians, NEIGHBOURS)?))
-}
-
 /// The superpoints of `graph` at the smallest scale of the pooled vote.
 pub(super) fn finest(graph: &SurfaceGraph) -> Superpoints {
     graph.superpoints(SCALES[0], MIN_GAUSSIANS)

@@ -6,10 +6,11 @@
 
 mod packing;
 
+use crate::data::labels::palette::UNLABELLED;
 use crate::data::{Class, Classes, NamedCamera, Split};
 use crate::error::{Error, Result, bail, ensure};
 use crate::files::atomic;
-use crate::objects::{Object, inventory, superpoints};
+use crate::objects::{Object, Regions, inventory};
 use crate::splat::Gaussians;
 use crate::splat::camera::{Camera, level_up};
 use base64::Engine;
@@ -25,7 +26,7 @@ const PART_BYTES: usize = 3 << 25;
 const MIN_COSINE: f64 = 0.9986;
 
 /// The parts of the page's program, in order.
-const SCRIPT: [&str; 23] = [
+const SCRIPT: [&str; 24] = [
     include_str!("page/vector.js"),
     include_str!("page/scene.js"),
     include_str!("page/state.js"),
@@ -36,6 +37,7 @@ const SCRIPT: [&str; 23] = [
     include_str!("page/projection.js"),
     include_str!("page/pick.js"),
     include_str!("page/depth.js"),
+    include_str!("page/growth.js"),
     include_str!("page/selection.js"),
     include_str!("page/renderer.js"),
     include_str!("page/navigation.js"),
@@ -87,6 +89,8 @@ struct Header<'a> {
     sha256: &'a str,
     origin: DVec3,
     gaussians: usize,
+    /// Of the tree; none without labels.
+    regions: usize,
     bytes: usize,
     degree: usize,
     alpha_max: f64,
@@ -145,13 +149,13 @@ impl Viewer<'_> {
         atomic::write_bytes(path, self.page()?.as_bytes())
     }
 
-    /// Bytes of the page that depend on `gaussians`.
+    /// Bytes of the page that depend on `gaussians`, without the tree of regions.
     pub fn bytes(gaussians: &Gaussians, has_labels: bool) -> usize {
         packing::bytes(gaussians, has_labels).div_ceil(3) * 4
     }
 
-    /// The page: 116 bytes for each Gaussian of SH degree 3 (111 without labels), and about 100 kB. Superpoints are computed for
-    /// scenes with labels.
+    /// The page: 116 bytes for each Gaussian of SH degree 3 (111 without labels), and about 100 kB. A scene with labels has the tree of
+    /// its [`Regions`] too, 16 bytes for each.
     ///
     /// # Errors
     /// [`Error::Argument`] for no Gaussian, fields or labels of another length, or an `alpha_max` or `up` out of range;
@@ -177,13 +181,14 @@ impl Viewer<'_> {
                 places[row as usize] = place;
             }
         }
-        let superpoints = self
+        let regions = self
             .labels
-            .map(|_| superpoints(self.gaussians))
-            .transpose()?;
-        let columns = packing::columns(self.gaussians, &places, superpoints.as_ref());
+            .map(|_| Regions::new(self.gaussians))
+            .transpose()?
+            .unwrap_or_default();
+        let columns = packing::columns(self.gaussians, &places, &regions);
         let parts: String = columns.chunks(PART_BYTES).map(part).collect();
-        let header = json(&self.header(&all[0], &objects, columns.len()))?;
+        let header = json(&self.header(&all[0], &objects, &regions, columns.len()))?;
         let shaders = json(&serde_json::json!({
             "splatVertex": include_str!("page/splat.vert"),
             "splatFragment": include_str!("page/splat.frag"),
@@ -200,15 +205,24 @@ impl Viewer<'_> {
         ]))
     }
 
-    fn header(&self, all: &Object, objects: &[Object], bytes: usize) -> Header<'_> {
+    fn header(
+        &self,
+        all: &Object,
+        objects: &[Object],
+        regions: &Regions,
+        bytes: usize,
+    ) -> Header<'_> {
+        // Beside other objects of a scene without classes, label 0 may be one too.
+        let is_bare = self.classes.is_empty() && objects.len() == 1;
+        let look = |id: u16| match self.labels {
+            None => (None, [255; 3]),
+            Some(_) if is_bare && id == self.classes.ignore => (Some("unlabelled"), UNLABELLED),
+            Some(_) => (self.classes.known_name(id), self.classes.legend_color(id)),
+        };
         let entry = |object: &Object| Entry {
             id: self.labels.map(|_| object.id),
-            name: self.labels.and_then(|_| self.classes.known_name(object.id)),
-            color: if self.labels.is_some() {
-                self.classes.legend_color(object.id)
-            } else {
-                [255; 3]
-            },
+            name: look(object.id).0,
+            color: look(object.id).1,
             gaussians: object.rows.len(),
             low: object.low,
             high: object.high,
@@ -233,6 +247,7 @@ impl Viewer<'_> {
             sha256: self.sha256,
             origin: self.origin,
             gaussians: self.gaussians.len(),
+            regions: regions.parents.len(),
             bytes,
             degree: self.gaussians.sh_degree,
             alpha_max: self.alpha_max,

@@ -1,33 +1,31 @@
-//! The columns of numbers in a page: 83 bytes for each Gaussian of SH degree 3, and 4 more with labels, little endian.
+//! The columns of numbers in a page: 83 bytes for each Gaussian of SH degree 3, and 4 more with labels, then 12 for each region;
+//! little endian.
 //!
-//! Centres are `f32`, superpoints `u32`. Lengths are logarithms in steps of 1/1024 (0.05 %), quaternions have steps of 1/32767, opacities of
-//! 1/65535, constant colour terms of 1/1024 (up to 32), view-dependent ones of 1/127 of the largest of their Gaussian.
+//! Centres are `f32`, superpoints and parents `u32`, heights and prominences `f32`. Lengths are logarithms in steps of 1/1024
+//! (0.05 %), quaternions have steps of 1/32767, opacities of 1/65535, constant colour terms of 1/1024 (up to 32), view-dependent
+//! ones of 1/127 of the largest of their Gaussian.
 
-use crate::objects::Superpoints;
+use crate::objects::Regions;
 use crate::splat::{Gaussians, rotation};
 
 const LOG_STEPS: f32 = 1024.0;
 const BASE_STEPS: f32 = 1024.0;
 
-/// Bytes of [`columns`].
+/// Bytes of [`columns`] without regions.
 pub(super) fn bytes(gaussians: &Gaussians, has_labels: bool) -> usize {
     gaussians.len() * (35 + 3 * gaussians.sh_len() + if has_labels { 4 } else { 0 })
 }
 
-/// The columns, one after the other. `objects` has the index of each Gaussian's object in the page's list; a scene with labels has
-/// superpoints.
-pub(super) fn columns(
-    gaussians: &Gaussians,
-    objects: &[u16],
-    superpoints: Option<&Superpoints>,
-) -> Vec<u8> {
+/// The columns, one after the other. `objects` has the index of each Gaussian's object in the page's list; a scene without labels has
+/// no regions.
+pub(super) fn columns(gaussians: &Gaussians, objects: &[u16], regions: &Regions) -> Vec<u8> {
     let width = 3 * gaussians.sh_len();
     let colours = || gaussians.sh.chunks_exact(width).map(|sh| sh.split_at(3));
     let spread: Vec<i16> = colours()
         .map(|(_, rest)| steps(largest(rest).ln(), LOG_STEPS))
         .collect();
 
-    let mut out = Vec::with_capacity(bytes(gaussians, superpoints.is_some()));
+    let mut out = Vec::with_capacity(bytes(gaussians, true) + 12 * regions.parents.len());
     out.extend(
         gaussians
             .means
@@ -35,8 +33,12 @@ pub(super) fn columns(
             .iter()
             .flat_map(|v| v.to_le_bytes()),
     );
-    let of = superpoints.map_or(&[][..], |superpoints| &superpoints.of);
-    out.extend(of.iter().flat_map(|v| v.to_le_bytes()));
+    for column in [&regions.superpoints.of, &regions.parents] {
+        out.extend(column.iter().flat_map(|v| v.to_le_bytes()));
+    }
+    for column in [&regions.heights, &regions.prominences] {
+        out.extend(column.iter().flat_map(|v| v.to_le_bytes()));
+    }
     out.extend(
         gaussians
             .log_scales

@@ -40,7 +40,7 @@ class Editor {
   back() {
     if (this.tools.shape) this.tools.cancel();
     else if (this.selection.count) this.selection.clear();
-    else if (this.tools.isActive) this.tools.choose("objects");
+    else if (this.tools.tool !== "objects") this.tools.choose("objects");
     else this.choose(null);
     this.refresh();
   }
@@ -121,15 +121,39 @@ class Editor {
     } else if (this.chosen.size && left) this.push({ op: "delete_objects", objects: [...this.chosen] });
   }
 
+  /** Whether a Gaussian can be selected: it is shown, and of a chosen object if there are any. */
+  isFree(row) {
+    const part = this.state.parts[this.state.partOf[row]];
+    return this.state.isShown(part) && (!this.chosen.size || this.chosen.has(part.object));
+  }
+
+  /** Selects the thing that the Gaussian `row` is part of, and the Gaussians of earlier points. */
+  point(row) {
+    const seeds = [...this.selection.seeds, row];
+    const growth = new Growth(this.scene, seeds);
+    this.selection.clear();
+    Object.assign(this.selection, { seeds, growth });
+    this.growTo(growth.proposed);
+  }
+
+  /** Lets what points selected grow to a level of its growth. */
+  growTo(level) {
+    const { growth } = this.selection;
+    if (!growth) return;
+    this.selection.level = Math.max(0, Math.min(growth.levels.length - 1, level));
+    this.state.partOf.forEach((_, row) => {
+      this.selection.set(row, Number(growth.holds(row, this.selection.level) && this.isFree(row)));
+    });
+    this.refresh();
+  }
+
   /** Takes the whole of each superpoint that is touched, of objects that are chosen if any are. */
   grow() {
     const { superpoints } = this.scene;
     if (!superpoints || !this.selection.count) return;
     const touched = new Set(this.selection.rows().map((row) => superpoints[row]));
     superpoints.forEach((superpoint, row) => {
-      const id = this.state.objectOf(row);
-      const isFree = id !== null && (!this.chosen.size || this.chosen.has(id));
-      if (isFree && touched.has(superpoint)) this.selection.set(row, 1);
+      if (touched.has(superpoint) && this.isFree(row)) this.selection.set(row, 1);
     });
     this.refresh();
   }

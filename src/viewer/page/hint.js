@@ -19,9 +19,9 @@ class Hint {
 
   follow(e) {
     const { page } = this;
-    if (e.buttons || page.tools.isActive) this.clear();
+    if (e.buttons || page.tools.isDrawing) this.clear();
     const isTooMuch = page.scene.gaussians > HOVERED || !page.scene.labelled;
-    if (e.buttons || page.tools.isActive || isTooMuch || e.timeStamp - this.last < PAUSE) return;
+    if (e.buttons || page.tools.isDrawing || isTooMuch || e.timeStamp - this.last < PAUSE) return;
     this.last = e.timeStamp;
     const [x, y] = page.navigation.place(e);
     const found = page.pickAt(x, y);

@@ -12,11 +12,12 @@ const KEYS = {
 /** Those of a scene with labels. */
 const EDITING_KEYS = {
   KeyV: (page) => page.tools.choose("objects"),
+  KeyC: (page) => page.tools.choose("points"),
   KeyP: (page) => page.tools.choose("brush"),
   KeyO: (page) => page.tools.choose("lasso"),
   KeyX: (page) => page.tools.choose("box"),
-  BracketLeft: (page) => page.tools.resize(1 / 1.25),
-  BracketRight: (page) => page.tools.resize(1.25),
+  BracketLeft: (page) => page.tools.step(-1),
+  BracketRight: (page) => page.tools.step(1),
   KeyF: () => document.getElementById("search").focus(),
   F2: (page) => page.details.name.select(),
   KeyT: (page) => page.details.target.focus(),

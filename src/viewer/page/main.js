@@ -3,6 +3,7 @@
 const MODES = { colour: 0, both: 0.6, labels: 1 };
 const BACKGROUNDS = [[0, 0, 0], [0.5, 0.5, 0.5], [1, 1, 1]];
 const FRAME = 1000 / 60; // milliseconds of a step without a frame before it
+const COVERED = 0.5; // least coverage of a point that shows a thing, as in select.rs
 const SLOW = 60; // milliseconds of a frame above which moving pictures are drawn smaller
 
 /** The decoded text, or the text itself where its percent signs encode nothing. */
@@ -190,10 +191,15 @@ class Page extends Editor {
     return pick(this.scene, this.order, this.state, this.fitted, x, y);
   }
 
-  /** Chooses what is at a point; with Shift too, with Alt no longer. */
+  /** Chooses what is at a point; with Shift too, with Alt no longer. The tool of points selects the thing that is there. */
   clicked(x, y, { shiftKey, altKey }) {
     if (!this.scene.labelled || this.watched) return;
-    const found = this.pickAt(x, y)?.object ?? null;
+    const picked = this.pickAt(x, y);
+    if (this.tools.tool === "points") {
+      if (picked?.coverage >= COVERED) this.point(picked.row);
+      return;
+    }
+    const found = picked?.object ?? null;
     const how = altKey ? "subtract" : shiftKey ? "add" : "new";
     const isAlone = this.chosen.size === 1 && this.chosen.has(found);
     if (how !== "new") this.choose(found, how);
@@ -202,7 +208,7 @@ class Page extends Editor {
 
   /** What a click or a shape in the middle of the picture does, for keys. */
   takeMiddle(event) {
-    if (this.tools.isActive) this.tools.takeMiddle(event);
+    if (this.tools.isDrawing) this.tools.takeMiddle(event);
     else this.clicked(this.fitted.width / 2, this.fitted.height / 2, event);
   }
 

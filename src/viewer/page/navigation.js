@@ -56,7 +56,7 @@ class Navigation {
     const at = this.place(e);
     this.pointers.set(e.pointerId, at);
     // A second finger moves the camera instead.
-    this.drawing = this.view.tools.isActive && this.pointers.size === 1 && e.button <= 0;
+    this.drawing = this.view.tools.isDrawing && this.pointers.size === 1 && e.button <= 0;
     if (this.drawing) {
       this.view.tools.begin(at, e);
       return;

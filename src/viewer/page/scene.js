@@ -36,14 +36,18 @@ class Scene {
     const n = this.gaussians;
     const terms = (this.degree + 1) ** 2 - 1;
     let at = 0;
-    const take = (Type, width) => {
-      const column = new Type(buffer, at, width * n);
+    const take = (Type, width, rows = n) => {
+      const column = new Type(buffer, at, width * rows);
       at += column.byteLength;
       return column;
     };
     const means = take(Float32Array, 3);
     /** The group of neighbours on one surface of each Gaussian. */
     this.superpoints = this.labelled ? take(Uint32Array, 1) : null;
+    /** The tree that superpoints merge into, see regions.rs: they are its first regions. */
+    this.parents = take(Uint32Array, 1, this.regions);
+    this.heights = take(Float32Array, 1, this.regions);
+    this.prominences = take(Float32Array, 1, this.regions);
     const scales = take(Int16Array, 3);
     const base = take(Int16Array, 3);
     const rotations = take(Int16Array, 4);

@@ -4,6 +4,10 @@ class Selection {
   constructor(count) {
     this.flags = new Uint8Array(count);
     this.count = 0;
+    /** Gaussians under the points that it grew from, how it grew, and how far. */
+    this.seeds = [];
+    this.growth = null;
+    this.level = 0;
   }
 
   set(row, flag) {
@@ -14,6 +18,8 @@ class Selection {
   clear() {
     this.flags.fill(0);
     this.count = 0;
+    this.seeds = [];
+    this.growth = null;
   }
 
   /** Drops Gaussians that are deleted. */

@@ -25,18 +25,31 @@ class Toolbar {
       page.tools.slider = Number(this.depth.value);
       page.refresh();
     };
+    [this.ask, this.reach, this.reachText, this.how] = [at("ask"), at("reach"), at("reach-text"), at("how")];
+    this.reach.oninput = () => page.growTo(Number(this.reach.value));
     this.within = at("within");
     at("toolbar").hidden = !page.scene.labelled;
     this.digits = digitsOf(page.scene.extent);
   }
 
   update() {
-    const { tools, edits } = this.page;
+    const { tools, edits, selection } = this.page;
     for (const button of this.buttons) button.setAttribute("aria-pressed", String(button.dataset.tool === tools.tool));
     for (const button of this.ways) button.setAttribute("aria-pressed", String(button.dataset.how === tools.how));
     this.undo.disabled = !edits.done.length;
     this.redo.disabled = !edits.undone.length;
-    this.options.hidden = !tools.isActive;
+    this.options.hidden = tools.tool === "objects";
+    const { growth, level } = selection;
+    this.ask.hidden = tools.isDrawing || growth !== null;
+    this.reach.parentElement.hidden = tools.isDrawing || growth === null;
+    if (growth) {
+      this.reach.max = growth.levels.length - 1;
+      this.reach.value = level;
+      this.reachText.textContent = `${level + 1} of ${growth.levels.length}`;
+      this.reach.setAttribute("aria-valuetext", `${this.reachText.textContent}, ${selection.count} Gaussians`);
+    }
+    this.how.hidden = !tools.isDrawing;
+    this.depth.parentElement.hidden = !tools.isDrawing;
     this.radius.parentElement.hidden = tools.tool !== "brush";
     this.radius.value = tools.radius;
     this.depth.value = tools.slider;

@@ -1,6 +1,6 @@
-// Brush, lasso and box: they select Gaussians of the surface that the picture shows.
+// What clicks and drags do. Brush, lasso and box select Gaussians of the surface that the picture shows.
 
-const TOOLS = ["objects", "brush", "lasso", "box"];
+const DRAWING = ["brush", "lasso", "box"]; // the others leave drags to the camera: "objects" and "points"
 const RADII = [4, 200]; // pixels of the brush
 const NO_LIMIT = 100; // of the depth slider
 
@@ -18,8 +18,9 @@ class Tools {
     page.canvas.addEventListener("pointerleave", () => this.shape || this.clear());
   }
 
-  get isActive() {
-    return this.tool !== "objects";
+  /** Whether drags draw. */
+  get isDrawing() {
+    return DRAWING.includes(this.tool);
   }
 
   /** How far behind the surface Gaussians are taken, world units: 0.1 % to 100 % of the scene, or no limit. */
@@ -32,8 +33,14 @@ class Tools {
   choose(tool) {
     this.cancel();
     this.tool = tool;
-    document.body.classList.toggle("drawing", this.isActive);
+    document.body.classList.toggle("aiming", tool !== "objects");
     this.page.refresh();
+  }
+
+  /** A larger brush, or a thing that grows by a level; or smaller. */
+  step(by) {
+    if (this.tool === "points") this.page.growTo(this.page.selection.level + by);
+    else this.resize(1.25 ** by);
   }
 
   resize(factor) {

@@ -2,7 +2,7 @@
 
 use crate::support::plates::{HEIGHT, WIDTH, camera, plates};
 use crate::support::raster_reference::all_pixels;
-use coseg::objects::{Growth, seed};
+use coseg::objects::{Growth, Regions, seed};
 use coseg::raster::{Projected, Settings};
 use coseg::splat::Gaussians;
 
@@ -27,13 +27,17 @@ fn squares(greys: &[f32], gap: f32) -> Gaussians {
     }
 }
 
+fn grown(gaussians: &Gaussians, seeds: &[u32]) -> Growth {
+    Growth::new(&Regions::new(gaussians).unwrap(), seeds)
+}
+
 fn range(from: u32, to: u32) -> Vec<u32> {
     (from..to).collect()
 }
 
 #[test]
 fn what_is_like_the_seed_is_reached_first() {
-    let growth = Growth::new(&squares(&[0.2, 0.3, 0.9], 0.0), &[5]).unwrap();
+    let growth = grown(&squares(&[0.2, 0.3, 0.9], 0.0), &[5]);
     assert_eq!(growth.rows(0.0), range(0, 100));
     let [own, like, unlike] = [5, 105, 205].map(|row: usize| growth.thresholds[row]);
     assert!(own == 0.0 && own < like && like < unlike, "{like} {unlike}");
@@ -44,39 +48,54 @@ fn what_is_like_the_seed_is_reached_first() {
 #[test]
 fn the_first_difference_is_wards() {
     // 100 and 100 Gaussians whose greys differ by 0.1, and which share all edges that leave the first.
-    let growth = Growth::new(&squares(&[0.2, 0.3], 0.0), &[0]).unwrap();
-    let ward = (50.0_f64 * 3.0 * 0.1 * 0.1).sqrt();
+    let growth = grown(&squares(&[0.2, 0.3], 0.0), &[0]);
+    let ward = (50.0_f32 * 3.0 * 0.1 * 0.1).sqrt();
     assert!((growth.thresholds[150] - ward).abs() < 1e-5 * ward);
 }
 
 #[test]
 fn two_seeds_are_joined_by_the_proposed_threshold() {
     let gaussians = squares(&[0.2, 0.3, 0.9, 0.95, 0.9], 0.0);
-    let growth = Growth::new(&gaussians, &[5, 105]).unwrap();
+    let growth = grown(&gaussians, &[5, 105]);
     assert_eq!(growth.rows(growth.proposed), range(0, 200));
 }
 
 #[test]
 fn nothing_leads_across_a_gap() {
     let gaussians = squares(&[0.2, 0.2, 0.2], 5.0);
-    let growth = Growth::new(&gaussians, &[105]).unwrap();
-    assert_eq!(growth.rows(f64::MAX), range(100, 200));
+    let growth = grown(&gaussians, &[105]);
+    assert_eq!(growth.rows(f32::MAX), range(100, 200));
     assert!(growth.thresholds[0].is_infinite());
-    let growth = Growth::new(&gaussians, &[5, 105]).unwrap();
+    let growth = grown(&gaussians, &[5, 105]);
     assert_eq!(growth.rows(growth.proposed), range(0, 200));
 }
 
 #[test]
 fn one_superpoint_is_its_own_selection() {
-    let growth = Growth::new(&squares(&[0.5], 0.0), &[0]).unwrap();
+    let growth = grown(&squares(&[0.5], 0.0), &[0]);
     assert_eq!((growth.thresholds, growth.proposed), (vec![0.0; 100], 0.0));
+}
+
+#[test]
+fn parents_come_after_their_parts_and_are_as_high() {
+    let gaussians = squares(&[0.2, 0.3, 0.9, 0.95, 0.9], 0.0);
+    let regions = Regions::new(&gaussians).unwrap();
+    assert_eq!(regions.parents.len(), 2 * regions.superpoints.count - 1);
+    let (root, parts) = regions.parents.split_last().unwrap();
+    assert_eq!(*root as usize, parts.len());
+    for (region, &parent) in parts.iter().enumerate() {
+        assert!(parent as usize > region);
+        assert!(regions.heights[region] <= regions.heights[parent as usize]);
+    }
+    // More than half of the scene is no thing.
+    assert_eq!(regions.prominences[*root as usize], 0.0);
 }
 
 #[test]
 fn a_centre_that_is_not_finite_is_refused() {
     let mut gaussians = squares(&[0.5], 0.0);
     gaussians.means[7][1] = f32::NAN;
-    assert!(Growth::new(&gaussians, &[0]).is_err());
+    assert!(Regions::new(&gaussians).is_err());
 }
 
 #[test]

@@ -5,7 +5,7 @@ use crate::support::devtools::{ALT, SHIFT, Tab};
 use crate::support::mended_plates::{assert_applied, opened, page, selected, spot, state};
 use crate::support::program::{succeeds, utf8};
 use coseg::data::Limits;
-use coseg::objects::superpoints;
+use coseg::objects::Regions;
 use coseg::splat::ply;
 use serde_json::json;
 
@@ -143,7 +143,7 @@ fn a_selection_grows_to_the_superpoints_that_it_touches() {
         return;
     };
     let scene = ply::read(&dir.path().join("plates.ply"), &Limits::default()).unwrap();
-    let of = superpoints(&scene.gaussians).unwrap().of;
+    let of = Regions::new(&scene.gaussians).unwrap().superpoints.of;
     tab.key("KeyP", 0);
     tab.value("page.tools.radius = 6");
     let middle = spot(&mut tab, [-0.9, 0.0, 0.1]);

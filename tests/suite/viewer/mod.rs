@@ -8,4 +8,6 @@ pub mod mends;
 pub mod page;
 #[cfg(unix)]
 pub mod panel;
+#[cfg(unix)]
+pub mod points;
 pub mod viewer_edits;

@@ -99,23 +99,24 @@ fn unpacked(page: &str) -> (Gaussians, Vec<u16>) {
         header["degree"].as_u64().unwrap() as usize,
     );
     let labelled = !header["objects"][0]["id"].is_null();
+    let regions = header["regions"].as_u64().unwrap() as usize;
     let bytes = columns(page);
     assert_eq!(header["bytes"], bytes.len());
     let rest = 3 * ((degree + 1).pow(2) - 1);
     assert_eq!(
         bytes.len(),
-        n * (38 + rest) + if labelled { 4 * n } else { 0 },
-        "83 bytes a Gaussian of degree 3, and its superpoint"
+        n * (38 + rest) + if labelled { 4 * n + 12 * regions } else { 0 },
+        "83 bytes a Gaussian of degree 3, its superpoint, and regions"
     );
     let mut left = bytes.as_slice();
-    let mut take = |width: usize| left.split_off(..width * n).unwrap();
-    let floats: Vec<f32> = take(12)
+    let mut bytes = |count: usize| left.split_off(..count).unwrap();
+    let floats: Vec<f32> = bytes(12 * n)
         .chunks_exact(4)
         .map(|b| f32::from_le_bytes(b.try_into().unwrap()))
         .collect();
-    take(if labelled { 4 } else { 0 });
+    bytes(if labelled { 4 * n + 12 * regions } else { 0 });
     let mut shorts = |width: usize| -> Vec<i16> {
-        take(2 * width)
+        bytes(2 * width * n)
             .chunks_exact(2)
             .map(|b| i16::from_le_bytes(b.try_into().unwrap()))
             .collect()
