@@ -87,6 +87,8 @@ pub mod report;
 mod seal;
 pub mod segmentation;
 pub mod segmenter;
+#[cfg(feature = "serve")]
+mod server;
 pub mod splat;
 pub mod viewer;
 #[cfg(feature = "serve")]

@@ -10,6 +10,8 @@ use coseg::data::{Limits, read_cameras};
 use coseg::error::{Result, ensure};
 use coseg::files::{extension, file_name, own, sha256};
 use coseg::splat::formats;
+#[cfg(feature = "serve")]
+use coseg::viewer::Served;
 use coseg::viewer::Viewer;
 use glam::DVec3;
 use std::path::{Path, PathBuf};
@@ -23,10 +25,12 @@ writes the result as a new file.
 
   FILE.html#view=NAME&mode=labels   starts at the view NAME, percent-encoded; modes are colour, both and labels
 
-`coseg train` writes this page as viewer.html into its run folder, up to 128 MB.
+`coseg train` writes this page as viewer.html into its run folder, up to 128 MB. With --serve (feature `serve`) the page is not
+written: it comes from this machine piece by piece, which is for large scenes, and \"Save edits\" writes the file.
 
 Examples:
   coseg view --scene runs/room
+  coseg view --scene other/point_cloud.ply --serve
   coseg view --scene edited/scene.ply --out table.html
   coseg view --scene other/model --out model.html                   a model folder of graphdeco's 3DGS
   coseg view --scene other/point_cloud.ply --up 0,0,1";
@@ -50,38 +54,81 @@ pub struct ViewArgs {
     /// Which way is up in the world, such as 0,0,1 [default: that of the cameras, or 0,-1,0]
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_direction, allow_hyphen_values = true)]
     up: Option<DVec3>,
+    /// Serve the page to a browser of this machine instead: it draws while it loads, and saves edits itself
+    #[cfg(feature = "serve")]
+    #[arg(long, conflicts_with = "out")]
+    serve: bool,
+    /// The file in which the served page saves edits, and from which it starts [default: edits.json beside the scene]
+    #[cfg(feature = "serve")]
+    #[arg(long, value_name = "FILE.json", requires = "serve")]
+    edits: Option<PathBuf>,
     /// Cap of a splat's opacity at a pixel, in (0, 1]; graphdeco has 0.99 [default: the run's, or 0.999]
     #[arg(long, value_name = "X", value_parser = alpha_max)]
     alpha_max: Option<f64>,
 }
 
 impl ViewArgs {
-    /// Writes the page.
+    /// Writes the page, or serves it.
     pub fn run(self) -> Result<()> {
         let path = scene_path(&self.scene)?;
-        let out = match self.out {
-            Some(out) => out,
+        #[cfg(feature = "serve")]
+        if self.serve {
+            return self.serve(&path);
+        }
+        let out = match &self.out {
+            Some(out) => out.clone(),
             None if self.scene.is_dir() => self.scene.join(VIEWER),
             None => path.with_file_name(VIEWER),
         };
         ensure!(extension(&out) == "html", argument "--out"; found "{}", out.display();
             expected "an .html file"; help "end the name in .html");
         own::check(&out)?;
-        let ply = formats::read(&path, &Limits::default())?;
+        self.with_viewer(&path, |viewer| viewer.write(&out))?;
+        terminal::say(&format!("{}: open it in a browser", out.display()));
+        Ok(())
+    }
+
+    /// Serves the page until the process ends.
+    #[cfg(feature = "serve")]
+    fn serve(&self, path: &Path) -> Result<()> {
+        terminal::note(&format!("reading {}", path.display()));
+        let beside = || path.with_file_name("edits.json");
+        let edits = self.edits.clone().unwrap_or_else(beside);
+        ensure!(extension(&edits) == "json", argument "--edits"; found "{}", edits.display();
+            expected "a .json file"; help "end the name in .json");
+        self.with_viewer(path, |viewer| {
+            let served = Served {
+                viewer,
+                edits,
+                block: Served::BLOCK,
+            };
+            let started = |address: &str| {
+                terminal::say(&format!("open {address} in a browser; Ctrl-C ends it"));
+            };
+            served.run(started, || false)
+        })
+    }
+
+    /// Reads the scene at `path`, and does `act` with its page.
+    fn with_viewer(&self, path: &Path, act: impl FnOnce(Viewer) -> Result<()>) -> Result<()> {
+        let ply = formats::read(path, &Limits::default())?;
         let gaussians = ply.gaussians;
         let names = self.classes.as_ref().map(|file| file.display().to_string());
-        let classes = classes_beside(&path, self.classes.as_deref())?;
+        let classes = classes_beside(path, self.classes.as_deref())?;
         // Whoever opens the page may give a scene its first labels.
         let labels = ply
             .labels
             .unwrap_or_else(|| vec![classes.ignore; gaussians.len()]);
-        let cameras = self.cameras.or_else(|| cameras_path(None, &path).ok());
+        let cameras = self
+            .cameras
+            .clone()
+            .or_else(|| cameras_path(None, path).ok());
         let cameras = cameras.map_or_else(|| Ok(Vec::new()), |file| read_cameras(&file, None))?;
-        let viewer = Viewer {
-            title: &title(&path),
+        act(Viewer {
+            title: &title(path),
             scene: &self.scene.display().to_string(),
             names: names.as_deref(),
-            sha256: &sha256(&path)?,
+            sha256: &sha256(path)?,
             gaussians: &gaussians,
             origin: ply.origin,
             labels: Some(&labels),
@@ -90,11 +137,8 @@ impl ViewArgs {
             up: self.up,
             alpha_max: self
                 .alpha_max
-                .unwrap_or_else(|| rendering_beside(&path).raster.alpha_max),
-        };
-        viewer.write(&out)?;
-        terminal::say(&format!("{}: open it in a browser", out.display()));
-        Ok(())
+                .unwrap_or_else(|| rendering_beside(path).raster.alpha_max),
+        })
     }
 }
 

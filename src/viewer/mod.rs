@@ -5,18 +5,23 @@
 //! Gaussians behind a transmittance of 1e-4, which the page blends too.
 
 mod packing;
+#[cfg(feature = "serve")]
+mod served;
 
 use crate::data::labels::palette::UNLABELLED;
 use crate::data::{Class, Classes, NamedCamera, Split};
 use crate::error::{Error, Result, bail, ensure};
 use crate::files::atomic;
-use crate::objects::{Object, Regions, inventory};
+use crate::objects::{Object, Operation, Regions, inventory};
 use crate::splat::Gaussians;
 use crate::splat::camera::{Camera, level_up};
 use base64::Engine;
 use glam::{DMat3, DVec3};
 use serde::Serialize;
 use std::path::Path;
+
+#[cfg(feature = "serve")]
+pub use self::served::Served;
 
 /// Largest page that a run makes of its scene without being asked, bytes of [`Viewer::bytes`]: 1.1 million Gaussians of SH degree 3.
 pub const MAX_PAGE_BYTES: usize = 128_000_000;
@@ -89,9 +94,16 @@ struct Header<'a> {
     sha256: &'a str,
     origin: DVec3,
     gaussians: usize,
-    /// Of the tree; none without labels.
+    /// Regions of the tree in the page; none without labels.
     regions: usize,
+    /// Bytes of the columns in the page.
     bytes: usize,
+    /// How many blocks of columns a server has instead, 0 without one.
+    blocks: usize,
+    /// What the server's file of edits has.
+    saved: &'a [Operation],
+    /// The value of `--edits` in the commands that the page writes.
+    edits: &'a str,
     degree: usize,
     alpha_max: f64,
     up: DVec3,
@@ -130,6 +142,15 @@ struct Entry<'a> {
     high: DVec3,
 }
 
+/// The objects that a page lists.
+struct Listed {
+    /// All Gaussians as one object.
+    all: Object,
+    objects: Vec<Object>,
+    /// The index of each Gaussian's object.
+    places: Vec<u16>,
+}
+
 /// A camera relative to the origin.
 #[derive(Serialize)]
 struct View<'a> {
@@ -161,6 +182,26 @@ impl Viewer<'_> {
     /// [`Error::Argument`] for no Gaussian, fields or labels of another length, or an `alpha_max` or `up` out of range;
     /// [`Error::NonFinite`].
     pub fn page(&self) -> Result<String> {
+        let listed = self.listed()?;
+        let regions = self
+            .labels
+            .map(|_| Regions::new(self.gaussians))
+            .transpose()?
+            .unwrap_or_default();
+        let mut columns = packing::tree(&regions);
+        columns.extend(packing::places(self.gaussians, &listed.places));
+        columns.extend(packing::looks(self.gaussians, 0..self.gaussians.len()));
+        let header = Header {
+            regions: regions.parents.len(),
+            bytes: columns.len(),
+            ..self.header(&listed)
+        };
+        let parts: String = columns.chunks(PART_BYTES).map(part).collect();
+        shell(&header, &parts)
+    }
+
+    /// The objects of the scene, after its checks.
+    fn listed(&self) -> Result<Listed> {
         self.gaussians.check(self.labels)?;
         ensure!(!self.gaussians.is_empty(), argument "gaussians"; found "none"; expected "one or more";
             help "name a scene that is not empty");
@@ -171,7 +212,7 @@ impl Viewer<'_> {
                 help "name one, such as 0,0,1");
         }
         let unlabelled = vec![0; self.gaussians.len()];
-        let all = inventory(self.gaussians, &unlabelled);
+        let mut all = inventory(self.gaussians, &unlabelled);
         let objects = self
             .labels
             .map_or_else(|| all.clone(), |labels| inventory(self.gaussians, labels));
@@ -181,37 +222,15 @@ impl Viewer<'_> {
                 places[row as usize] = place;
             }
         }
-        let regions = self
-            .labels
-            .map(|_| Regions::new(self.gaussians))
-            .transpose()?
-            .unwrap_or_default();
-        let columns = packing::columns(self.gaussians, &places, &regions);
-        let parts: String = columns.chunks(PART_BYTES).map(part).collect();
-        let header = json(&self.header(&all[0], &objects, &regions, columns.len()))?;
-        let shaders = json(&serde_json::json!({
-            "splatVertex": include_str!("page/splat.vert"),
-            "splatFragment": include_str!("page/splat.frag"),
-            "screenVertex": include_str!("page/screen.vert"),
-            "screenFragment": include_str!("page/screen.frag"),
-        }))?;
-        Ok(filled(&[
-            ("version", env!("CARGO_PKG_VERSION")),
-            ("style", include_str!("page/viewer.css")),
-            ("header", &header),
-            ("shaders", &shaders),
-            ("columns", &parts),
-            ("script", &SCRIPT.concat()),
-        ]))
+        Ok(Listed {
+            all: all.remove(0),
+            objects,
+            places,
+        })
     }
 
-    fn header(
-        &self,
-        all: &Object,
-        objects: &[Object],
-        regions: &Regions,
-        bytes: usize,
-    ) -> Header<'_> {
+    fn header(&self, listed: &Listed) -> Header<'_> {
+        let Listed { all, objects, .. } = listed;
         // Beside other objects of a scene without classes, label 0 may be one too.
         let is_bare = self.classes.is_empty() && objects.len() == 1;
         let look = |id: u16| match self.labels {
@@ -247,8 +266,11 @@ impl Viewer<'_> {
             sha256: self.sha256,
             origin: self.origin,
             gaussians: self.gaussians.len(),
-            regions: regions.parents.len(),
-            bytes,
+            regions: 0,
+            bytes: 0,
+            blocks: 0,
+            saved: &[],
+            edits: "edits.json",
             degree: self.gaussians.sh_degree,
             alpha_max: self.alpha_max,
             up,
@@ -320,6 +342,29 @@ fn view<'a>(name: &'a str, split: Split, camera: &Camera) -> View<'a> {
         split,
         camera,
     }
+}
+
+/// A page with `header` and the elements `parts`.
+fn shell(header: &Header, parts: &str) -> Result<String> {
+    let shaders = json(&serde_json::json!({
+        "splatVertex": include_str!("page/splat.vert"),
+        "splatFragment": include_str!("page/splat.frag"),
+        "screenVertex": include_str!("page/screen.vert"),
+        "screenFragment": include_str!("page/screen.frag"),
+    }))?;
+    let (network, server) = match header.blocks {
+        0 => ("", ""),
+        _ => ("connect-src 'self'; ", include_str!("page/served.js")),
+    };
+    Ok(filled(&[
+        ("version", env!("CARGO_PKG_VERSION")),
+        ("style", include_str!("page/viewer.css")),
+        ("header", &json(header)?),
+        ("shaders", &shaders),
+        ("network", network),
+        ("columns", parts),
+        ("script", &[server, &SCRIPT.concat()].concat()),
+    ]))
 }
 
 /// JSON for a page: no text in it can end its element.

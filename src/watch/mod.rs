@@ -4,14 +4,15 @@
 //! copy of what `Watched` has heard, so no browser can hold the run up. It listens on 127.0.0.1 alone. Its address has a random
 //! token, without which it answers nothing.
 
+mod routes;
 mod run_state;
-mod server;
 
+use self::routes::routes;
 use self::run_state::RunState;
-use self::server::Server;
 use crate::data::Scene;
 use crate::error::Result;
 use crate::progress::{Event, Progress};
+use crate::server::Server;
 use crate::splat::Gaussians;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
@@ -37,7 +38,7 @@ impl<P: Progress> Watched<P> {
     /// [`crate::Error::Io`] when no port can be opened.
     pub fn start(title: &str, alpha_max: f64, listener: P) -> Result<Self> {
         let shared = Arc::new(Mutex::new(RunState::new(title, alpha_max)));
-        let server = Server::start(shared.clone())?;
+        let server = Server::start(|token| routes(token, shared.clone()))?;
         Ok(Self {
             listener,
             shared,

@@ -43,9 +43,18 @@ impl Edits {
     /// [`crate::Error::Io`]; [`crate::Error::Input`] naming line or field: malformed JSON, another version, an operation that does not exist or
     /// lacks a part.
     pub fn read(path: &Path) -> Result<Self> {
+        Self::parse(path, &files::text(path)?)
+    }
+
+    /// Edits of a `text`, which is or shall be that of the file at `path`.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn parse(path: &Path, text: &str) -> Result<Self> {
         const FORM: &str = "{\"version\": 1, \"scene\": \"SHA-256\", \"operations\": [..]}";
         const HELP: &str = "save the edits again in the viewer";
-        let content: Value = files::json(path, FORM)?;
+        let content: Value =
+            serde_json::from_str(text).map_err(|e| files::json_error(path, &e, FORM))?;
         let version = content.get("version").unwrap_or(&Value::Null);
         ensure!(*version == VERSION, path, "version"; found "{}", shown(version); expected "{VERSION}";
             help "use a file that this version of coseg wrote: open the scene in a page by `coseg view`, and save there");

@@ -15,7 +15,7 @@ const rounded = (value, digits) => String(Number(value.toFixed(digits)));
 function editCommand(scene, edits) {
   if (!edits.operations.length) return "";
   const folder = `${scene.title.replace(/[^\p{L}\p{N}_.-]+/gu, "-").replace(/^[-.]+/, "")}-edited`;
-  const words = ["coseg", "edit", "--scene", quoted(scene.path), "--edits", "edits.json"];
+  const words = ["coseg", "edit", "--scene", quoted(scene.path), "--edits", quoted(scene.edits)];
   if (scene.names) words.push("--classes", quoted(scene.names));
   return [...words, "--out", quoted(`${folder}/scene.ply`)].join(" ");
 }

@@ -78,13 +78,23 @@ class Edits {
     return `{\n  "version": ${VERSION},\n  "scene": "${this.scene.sha256}",\n  "operations": ${list}\n}\n`;
   }
 
-  /** Downloads edits.json. */
-  save() {
+  /** Saves edits.json: its server writes it, or the browser downloads it. */
+  async save() {
+    const { operations } = this;
+    const trouble = this.scene.blocks ? await notSaved(this.text()) : this.download();
+    if (!trouble) {
+      this.saved = operations;
+      this.keep();
+    }
+    this.trouble = trouble || this.trouble;
+    this.changed();
+  }
+
+  download() {
     const url = URL.createObjectURL(new Blob([this.text()], { type: "application/json" }));
     element("a", { href: url, download: "edits.json" }).click();
     setTimeout(() => URL.revokeObjectURL(url), 60_000);
-    this.saved = this.operations;
-    this.finish();
+    return "";
   }
 
   keep() {
@@ -100,11 +110,11 @@ class Edits {
     }
   }
 
-  /** Takes up what was kept. What does not fit the scene is dropped. */
+  /** Takes up what was kept, or else what the server has. What does not fit the scene is dropped. */
   restore() {
     if (!this.key) return;
     try {
-      const { done, saved } = JSON.parse(localStorage.getItem(this.key) ?? '{"done": [], "saved": true}');
+      const { done, saved } = JSON.parse(localStorage.getItem(this.key) ?? "null") ?? { done: this.scene.saved, saved: true };
       this.state = State.after(this.scene, done);
       this.done = done;
       this.saved = saved ? this.operations : [null];

@@ -4,6 +4,7 @@ const MODES = { colour: 0, both: 0.6, labels: 1 };
 const BACKGROUNDS = [[0, 0, 0], [0.5, 0.5, 0.5], [1, 1, 1]];
 const FRAME = 1000 / 60; // milliseconds of a step without a frame before it
 const COVERED = 0.5; // least coverage of a point that shows a thing, as in select.rs
+const BYTES_OF_REGION = 12; // in the tree
 const SLOW = 60; // milliseconds of a frame above which moving pictures are drawn smaller
 
 /** The decoded text, or the text itself where its percent signs encode nothing. */
@@ -16,10 +17,10 @@ function plain(text) {
 }
 
 class Page extends Editor {
-  constructor() {
+  constructor(scene) {
     const bare = /[#&]bare\b/.test(location.hash);
     const watched = /[#&]watch\b/.test(location.hash);
-    super(Scene.embedded(), !bare && !watched);
+    super(scene, !bare && !watched);
     this.bare = bare;
     /** Whether the page is part of that of a run, which has controls of its own. */
     this.watched = watched;
@@ -50,6 +51,25 @@ class Page extends Editor {
     this.fromAddress();
     if (this.bare) this.draw();
     else this.listen();
+    this.panel.update();
+  }
+
+  /** Takes what Gaussians look like from the server, and draws whenever twice as much is there. */
+  async receive() {
+    const { blocks, gaussians, labelled } = this.scene;
+    for (let block = 0, drawn = 0; block < blocks; block++) {
+      this.scene.setLooks(await fetched(`looks/${block}`), block, blocks);
+      const received = block + 1;
+      if (received < blocks && received < 2 * drawn) continue;
+      drawn = received;
+      this.renderer?.upload();
+      this.panel.setReceived(Math.min(gaussians, drawn * Math.ceil(gaussians / blocks)));
+      if (this.bare) this.draw();
+      else this.ask();
+    }
+    if (!labelled) return;
+    const tree = await fetched("tree");
+    this.scene.setTree(tree, (tree.buffer.byteLength - 4 * gaussians) / BYTES_OF_REGION);
     this.panel.update();
   }
 
@@ -196,7 +216,7 @@ class Page extends Editor {
     if (!this.scene.labelled || this.watched) return;
     const picked = this.pickAt(x, y);
     if (this.tools.tool === "points") {
-      if (picked?.coverage >= COVERED) this.point(picked.row);
+      if (this.scene.superpoints && picked?.coverage >= COVERED) this.point(picked.row);
       return;
     }
     const found = picked?.object ?? null;
@@ -271,8 +291,17 @@ class Page extends Editor {
   }
 }
 
+/** Shows the scene that the page carries, or that its server has. */
+async function start() {
+  const scene = new Scene(JSON.parse(document.getElementById("header").textContent));
+  if (scene.blocks) scene.setPlaces(await fetched("places"));
+  else scene.setEmbedded();
+  window.page = new Page(scene);
+  if (scene.blocks) await window.page.receive();
+}
+
 try {
-  window.page = new Page();
+  await start();
   document.body.dataset.ready = "yes";
 } catch (error) {
   document.getElementById("trouble").textContent = `This scene cannot be shown: ${error.message}`;

@@ -14,7 +14,7 @@ class DepthOrder {
     this.length = 0;
   }
 
-  /** Sorts what is shown and lies before the camera. */
+  /** Sorts what is there, is shown and lies before the camera. */
   sort(camera, state) {
     const { geometry, gaussians } = this.scene;
     const { parts, partOf } = state;
@@ -31,7 +31,7 @@ class DepthOrder {
       const p = 4 * partOf[i];
       const depth =
         planes[p] * geometry[at] + planes[p + 1] * geometry[at + 1] + planes[p + 2] * geometry[at + 2] + planes[p + 3];
-      if (depth > NEAR && shown[partOf[i]]) {
+      if (depth > NEAR && shown[partOf[i]] && geometry[at + OPACITY] > 0) {
         // Bits of positive floats are ordered as they are.
         depths[i] = depth;
         this.ids[count++] = i;

@@ -14,7 +14,9 @@ class Panel {
     const at = (id) => document.getElementById(id);
     at("title").textContent = scene.title;
     document.title = `${scene.title} – coseg`;
-    at("lead").textContent = `${grouped(scene.gaussians)} Gaussians`;
+    this.lead = at("lead");
+    this.setReceived(scene.blocks ? 0 : scene.gaussians);
+    at("then").textContent = scene.blocks ? "Then:" : "Then, beside edits.json:";
     this.list = new ObjectList(page);
     this.toolbar = new Toolbar(page);
     for (const id of ["labelled", "found", "handling"]) at(id).hidden = !scene.labelled;
@@ -32,6 +34,13 @@ class Panel {
       at("fold").setAttribute("aria-expanded", String(!folded));
       page.resized();
     };
+  }
+
+  /** How many Gaussians are there. */
+  setReceived(count) {
+    const { gaussians } = this.page.scene;
+    const part = count < gaussians ? `${grouped(count)} of ` : "";
+    this.lead.textContent = `${part}${grouped(gaussians)} Gaussians`;
   }
 
   views(select) {

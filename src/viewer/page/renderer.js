@@ -39,6 +39,16 @@ class Renderer {
     this.target = null;
   }
 
+  /** Takes what has come to the scene. */
+  upload() {
+    const { gl, scene } = this;
+    const size = [TEXTURE_WIDTH, scene.rows];
+    gl.bindTexture(gl.TEXTURE_2D, this.geometry);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ...size, gl.RGBA, gl.FLOAT, scene.geometry);
+    gl.bindTexture(gl.TEXTURE_2D, this.colours);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ...size, gl.RGBA_INTEGER, gl.UNSIGNED_INT, scene.colours);
+  }
+
   program(vertex, fragment) {
     const { gl } = this;
     const program = gl.createProgram();

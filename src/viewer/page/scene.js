@@ -1,4 +1,4 @@
-// The scene that the page carries: a header, and columns of numbers as `packing.rs` writes them.
+// The scene: a header, and columns of numbers as `packing.rs` writes them, which the page carries or its server has.
 
 const LOG_STEP = 1 / 1024; // of logarithms of lengths and of colour scales
 const BASE_STEP = 1 / 1024; // of the constant term of a colour
@@ -24,56 +24,56 @@ class Scene {
     return { name: `${sign > 0 ? "" : "\u2212"}${axis}`, direction: times(sign, AXES[axis]) };
   }
 
-  /**
-   * @param {object} header what `Header` of mod.rs is
-   * @param {ArrayBuffer} buffer the columns
-   */
-  constructor(header, buffer) {
+  /** @param {object} header what `Header` of mod.rs is */
+  constructor(header) {
     Object.assign(this, header);
     /** Whether Gaussians have labels; without them all are one nameless object. */
     this.labelled = this.objects[0].id !== null;
     if (!this.labelled) this.objects[0].id = WHOLE;
-    const n = this.gaussians;
-    const terms = (this.degree + 1) ** 2 - 1;
-    let at = 0;
-    const take = (Type, width, rows = n) => {
-      const column = new Type(buffer, at, width * rows);
-      at += column.byteLength;
-      return column;
-    };
-    const means = take(Float32Array, 3);
-    /** The group of neighbours on one surface of each Gaussian. */
-    this.superpoints = this.labelled ? take(Uint32Array, 1) : null;
-    /** The tree that superpoints merge into, see regions.rs: they are its first regions. */
-    this.parents = take(Uint32Array, 1, this.regions);
-    this.heights = take(Float32Array, 1, this.regions);
-    this.prominences = take(Float32Array, 1, this.regions);
-    const scales = take(Int16Array, 3);
-    const base = take(Int16Array, 3);
-    const rotations = take(Int16Array, 4);
-    const opacities = take(Uint16Array, 1);
-    /** The place of each Gaussian's object in the list. */
-    this.places = take(Uint16Array, 1);
-    const spread = take(Int16Array, 1);
-    const rest = take(Int8Array, 3 * terms);
-
-    this.rows = Math.max(1, Math.ceil((TEXELS * n) / TEXTURE_WIDTH));
+    this.rows = Math.max(1, Math.ceil((TEXELS * this.gaussians) / TEXTURE_WIDTH));
     /** Rows of 16 floats, see above; the texture of the same name. */
     this.geometry = new Float32Array(4 * TEXTURE_WIDTH * this.rows);
     /** Rows of 16 words: 45 signed bytes of view-dependent colour, then the base colour as three floats. */
     this.colours = new Uint32Array(4 * TEXTURE_WIDTH * this.rows);
+    /** The group of neighbours on one surface of each Gaussian; none in scenes without labels, or before it is there. */
+    this.superpoints = null;
+  }
+
+  /** The tree of so many regions: superpoints merge into it, they are its first regions. */
+  setTree(columns, regions) {
+    this.superpoints = columns.take(Uint32Array, this.gaussians);
+    this.parents = columns.take(Uint32Array, regions);
+    this.heights = columns.take(Float32Array, regions);
+    this.prominences = columns.take(Float32Array, regions);
+  }
+
+  setPlaces(columns) {
+    const means = columns.take(Float32Array, 3 * this.gaussians);
+    for (let i = 0; i < this.gaussians; i++) {
+      for (let k = 0; k < 3; k++) this.geometry[FLOATS * i + k] = means[3 * i + k];
+    }
+    /** The place of each Gaussian's object in the list. */
+    this.places = columns.take(Uint16Array, this.gaussians);
+  }
+
+  /** What the Gaussians `first`, `first + step` and so on look like. Until then they are transparent. */
+  setLooks(columns, first, step) {
+    const count = Math.ceil((this.gaussians - first) / step);
+    const terms = (this.degree + 1) ** 2 - 1;
+    const scales = columns.take(Int16Array, 3 * count);
+    const base = columns.take(Int16Array, 3 * count);
+    const rotations = columns.take(Int16Array, 4 * count);
+    const opacities = columns.take(Uint16Array, count);
+    const spread = columns.take(Int16Array, count);
+    const rest = columns.take(Int8Array, 3 * terms * count);
     const bytes = new Int8Array(this.colours.buffer);
     const floats = new Float32Array(this.colours.buffer);
-    for (let i = 0, row = 0; i < n; i++, row += FLOATS) {
-      for (let k = 0; k < 3; k++) {
-        this.geometry[row + k] = means[3 * i + k];
-        floats[row + 12 + k] = base[3 * i + k] * BASE_STEP;
-      }
+    for (let i = 0, row = FLOATS * first; i < count; i++, row += FLOATS * step) {
+      for (let k = 0; k < 3; k++) floats[row + 12 + k] = base[3 * i + k] * BASE_STEP;
       this.geometry[row + OPACITY] = opacities[i] / 65535;
       this.setAxes(row, rotations, 4 * i, scales, 3 * i);
       this.geometry[row + 11] = terms ? Math.exp(spread[i] * LOG_STEP) / 127 : 0;
-      const bytesAt = 4 * row - 3 * terms * i;
-      for (let k = 3 * terms * i; k < 3 * terms * (i + 1); k++) bytes[bytesAt + k] = rest[k];
+      for (let k = 0; k < 3 * terms; k++) bytes[4 * row + k] = rest[3 * terms * i + k];
     }
   }
 
@@ -94,10 +94,9 @@ class Scene {
     out[row + 14] = c * (1 - twice * (x * x + y * y));
   }
 
-  /** The scene in the page. */
-  static embedded() {
-    const header = JSON.parse(document.getElementById("header").textContent);
-    const bytes = new Uint8Array(header.bytes);
+  /** Takes what the page carries. */
+  setEmbedded() {
+    const bytes = new Uint8Array(this.bytes);
     let at = 0;
     for (const part of document.querySelectorAll("script.columns")) {
       const some = decoded(part.textContent.trim());
@@ -106,7 +105,24 @@ class Scene {
       part.remove();
     }
     if (at !== bytes.length) throw new Error("the page is cut off");
-    return new Scene(header, bytes.buffer);
+    const columns = new Columns(bytes.buffer);
+    if (this.labelled) this.setTree(columns, this.regions);
+    this.setPlaces(columns);
+    this.setLooks(columns, 0, 1);
+  }
+}
+
+/** Columns of numbers, one after the other. */
+class Columns {
+  constructor(buffer) {
+    this.buffer = buffer;
+    this.at = 0;
+  }
+
+  take(Type, count) {
+    const column = new Type(this.buffer, this.at, count);
+    this.at += column.byteLength;
+    return column;
   }
 }
 

@@ -1,10 +1,18 @@
 //! `coseg view`: the page that it writes.
 
 use crate::support::browser::inside;
+#[cfg(feature = "serve")]
+use crate::support::client::Client;
 use crate::support::plates::scene as plates_scene;
 use crate::support::program::{fails, listed, succeeds, utf8};
 use coseg::data::formats::transforms::write_cameras;
 use coseg::data::read_cameras;
+#[cfg(feature = "serve")]
+use {
+    coseg::data::Classes,
+    std::io::{BufRead, BufReader},
+    std::process::{Command, Stdio},
+};
 
 #[test]
 fn the_command_writes_a_page_beside_the_scene() {
@@ -55,4 +63,49 @@ fn a_model_folder_of_graphdeco_has_its_cameras_above_its_gaussians() {
     let out = dir.path().join("pictures");
     succeeds(&["render", "--scene", utf8(&model), "--out", utf8(&out)]);
     assert_eq!(listed(&out).len(), 12, "colour and coverage of six views");
+}
+
+#[cfg(feature = "serve")]
+#[test]
+fn a_served_page_saves_edits_beside_the_scene() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = plates_scene(dir.path());
+    let arguments = ["view", "--serve", "--scene", utf8(&scene)];
+    let mut program = Command::new(env!("CARGO_BIN_EXE_coseg"))
+        .args(arguments)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    BufReader::new(program.stdout.take().unwrap())
+        .read_line(&mut line)
+        .unwrap();
+    let address = line.split(' ').nth(1).unwrap();
+    let client = Client::at(address);
+    let page = String::from_utf8(client.get("").1).unwrap();
+    let header: serde_json::Value = serde_json::from_str(inside(&page, "header")).unwrap();
+    assert_eq!(header["blocks"], 1);
+    let edits = format!(
+        r#"{{"version": 1, "scene": {}, "operations": [{{"op": "rename", "object": 1, "name": "rug"}}]}}"#,
+        header["sha256"]
+    );
+    assert_eq!(client.post("edits", &edits, "").0, 204);
+    program.kill().unwrap();
+    program.wait().unwrap();
+
+    let saved = scene.with_file_name("edits.json");
+    let edit = ["edit", "--scene", utf8(&scene), "--edits", utf8(&saved)];
+    succeeds(&[&edit[..], &["--out", utf8(&dir.path().join("mended"))]].concat());
+    let classes = Classes::read(&dir.path().join("mended/classes.json")).unwrap();
+    assert_eq!(classes.known_name(1), Some("rug"));
+
+    // Edits of another scene stay.
+    let other = edits.replace(header["sha256"].as_str().unwrap(), &"0".repeat(64));
+    std::fs::write(&saved, &other).unwrap();
+    let message = fails(&arguments, 1);
+    assert!(message.contains("edits of another scene"), "{message}");
+    assert_eq!(std::fs::read_to_string(&saved).unwrap(), other);
+    let both = [&arguments[..], &["--out", "page.html"]].concat();
+    assert!(fails(&both, 2).contains("--out"));
 }

@@ -4,6 +4,8 @@ pub mod bent_photos;
 pub mod blender;
 pub mod browser;
 pub mod capture;
+#[cfg(feature = "serve")]
+pub mod client;
 pub mod colmap;
 pub mod comparison;
 pub mod damage;

@@ -10,4 +10,6 @@ pub mod page;
 pub mod panel;
 #[cfg(unix)]
 pub mod points;
+#[cfg(all(unix, feature = "serve"))]
+pub mod served;
 pub mod viewer_edits;

@@ -110,18 +110,18 @@ fn unpacked(page: &str) -> (Gaussians, Vec<u16>) {
     );
     let mut left = bytes.as_slice();
     let mut bytes = |count: usize| left.split_off(..count).unwrap();
+    bytes(if labelled { 4 * n + 12 * regions } else { 0 });
     let floats: Vec<f32> = bytes(12 * n)
         .chunks_exact(4)
         .map(|b| f32::from_le_bytes(b.try_into().unwrap()))
         .collect();
-    bytes(if labelled { 4 * n + 12 * regions } else { 0 });
     let mut shorts = |width: usize| -> Vec<i16> {
         bytes(2 * width * n)
             .chunks_exact(2)
             .map(|b| i16::from_le_bytes(b.try_into().unwrap()))
             .collect()
     };
-    let [scales, base, turns, opacities, places, spread] = [3, 3, 4, 1, 1, 1].map(&mut shorts);
+    let [places, scales, base, turns, opacities, spread] = [1, 3, 3, 4, 1, 1].map(&mut shorts);
     let scaled =
         |v: &[i16], step: f32| v.iter().map(|&v| f32::from(v) * step).collect::<Vec<f32>>();
     let mut sh = Vec::new();

@@ -1,86 +1,30 @@
 //! What the server of a run answers, and whom.
 
+use crate::support::client::Client;
 use crate::support::plates::loaded;
 use coseg::progress::{CurvePoint, Event, Progress, Silent};
 use coseg::watch::Watched;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
-use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::time::Duration;
 
-/// The server of a run, as a client without a browser sees it.
-struct Client {
-    host: String,
-    /// `/TOKEN/`
-    root: String,
-}
-
-impl Client {
-    fn of<P: Progress>(watch: &Watched<P>) -> Self {
-        let rest = watch.address().strip_prefix("http://").unwrap();
-        let (host, root) = rest.split_at(rest.find('/').unwrap());
-        assert!(host.starts_with("127.0.0.1:"), "{host}");
-        assert_eq!(root.len(), 34, "32 hexadecimal digits: {root}");
-        Self {
-            host: host.to_owned(),
-            root: root.to_owned(),
-        }
-    }
-
-    /// Everything that the server says to `bytes`, until it closes the connection or is silent for a while.
-    fn exchange(&self, bytes: &[u8]) -> Vec<u8> {
-        let mut stream = TcpStream::connect(&self.host).expect("the server listens");
-        stream
-            .set_read_timeout(Some(Duration::from_millis(300)))
-            .unwrap();
-        // The server may have closed already.
-        let _ = stream.write_all(bytes);
-        let mut answer = Vec::new();
-        let _ = stream.read_to_end(&mut answer);
-        answer
-    }
-
-    /// Status and body of `method path` with more header lines.
-    fn ask(&self, method: &str, path: &str, host: &str, more: &str) -> (u16, String, Vec<u8>) {
-        let request =
-            format!("{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n");
-        let mut stream = TcpStream::connect(&self.host).expect("the server listens");
-        stream.write_all(request.as_bytes()).unwrap();
-        let mut answer = Vec::new();
-        stream.read_to_end(&mut answer).unwrap();
-        let end = answer.windows(4).position(|w| w == b"\r\n\r\n").unwrap();
-        let head = String::from_utf8(answer[..end].to_vec()).unwrap();
-        let status = head.split(' ').nth(1).unwrap().parse().unwrap();
-        (status, head, answer[end + 4..].to_vec())
-    }
-
-    fn get(&self, what: &str) -> (u16, Vec<u8>) {
-        let path = format!("{}{what}", self.root);
-        let (status, head, body) = self.ask("GET", &path, &self.host, "");
-        assert!(head.contains("frame-ancestors 'self'"), "{head}");
-        assert!(head.contains("no-store"), "{head}");
-        (status, body)
-    }
-
-    fn status(&self) -> Value {
-        let (status, body) = self.get("status");
-        assert_eq!(status, 200);
-        serde_json::from_slice(&body).unwrap()
-    }
+fn figures(client: &Client) -> Value {
+    let (status, body) = client.get("status");
+    assert_eq!(status, 200);
+    serde_json::from_slice(&body).unwrap()
 }
 
 fn watch() -> (Watched<Silent>, Client) {
     let watch = Watched::start("plates", 0.999, Silent).unwrap();
-    let client = Client::of(&watch);
+    let client = Client::at(watch.address());
     (watch, client)
 }
 
 #[test]
 fn figures_follow_the_run() {
     let (mut watch, client) = watch();
-    assert_eq!(client.status()["stage"], "");
+    assert_eq!(figures(&client)["stage"], "");
     watch.event(&Event::Started {
         stage: "building",
         done: 0,
@@ -91,7 +35,7 @@ fn figures_follow_the_run() {
         loss: f64::NAN,
         gaussians: 36,
     });
-    let status = client.status();
+    let status = figures(&client);
     assert_eq!(status["title"], "plates");
     assert_eq!([&status["done"], &status["iterations"]], [7, 200]);
     assert_eq!(status["loss"], Value::Null, "no JSON for a NaN");
@@ -101,7 +45,7 @@ fn figures_follow_the_run() {
         miou: Some(0.5),
         ..CurvePoint::default()
     }));
-    let curve = &client.status()["curves"][0];
+    let curve = &figures(&client)["curves"][0];
     assert_eq!(curve["stage"], "building");
     assert_eq!(curve["points"][0]["miou"], 0.5);
 }
@@ -113,17 +57,17 @@ fn gaussians_are_copied_for_a_browser_that_is_there() {
     watch.scene(&scene);
     assert!(!watch.wants_gaussians(), "nobody has asked yet");
     assert_eq!(client.get("scene.html").0, 404, "nothing to see yet");
-    assert_eq!(client.status()["copy"], 0);
+    assert_eq!(figures(&client)["copy"], 0);
     assert!(watch.wants_gaussians());
     watch.gaussians(&gaussians, None);
     assert!(!watch.wants_gaussians(), "the run rests from the last copy");
-    assert_eq!(client.status()["copy"], 1);
+    assert_eq!(figures(&client)["copy"], 1);
     let (status, page) = client.get("scene.html");
     let page = String::from_utf8(page).unwrap();
     assert_eq!(status, 200);
     assert!(page.contains("\"gaussians\":111"), "all of them");
     watch.gaussians(&gaussians, Some(&labels));
-    assert_eq!(client.status()["labelled"], true);
+    assert_eq!(figures(&client)["labelled"], true);
 }
 
 #[test]
@@ -151,7 +95,7 @@ fn a_browser_can_stop_the_run() {
     let (status, ..) = client.ask("POST", &stop, &client.host, "Content-Length: 0\r\n");
     assert_eq!(status, 204);
     assert!(watch.stop());
-    assert_eq!(client.status()["stopping"], true);
+    assert_eq!(figures(&client)["stopping"], true);
 }
 
 #[test]
@@ -215,7 +159,7 @@ fn broken_requests_do_not_end_the_server() {
         }
     });
     client.exchange(&vec![b'a'; 1 << 20]);
-    assert_eq!(client.status()["title"], "plates");
+    assert_eq!(figures(&client)["title"], "plates");
 }
 
 #[test]

@@ -1,34 +1,18 @@
-//! The server of [`Watched`](super::Watched), on a thread of its own.
+//! A server of pages for browsers on this machine, on a thread of its own. It listens on 127.0.0.1 alone. Its address has a random token,
+//! without which it answers nothing.
 
-use super::{Shared, locked};
 use crate::error::{Error, Result};
 use axum::Router;
 use axum::body::Body;
-use axum::extract::{Path, Request, State};
+use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post};
-use image::ImageFormat;
 use rand::TryRngCore;
 use rand::rngs::OsRng;
-use std::io::Cursor;
 use std::net::{Ipv4Addr, TcpListener};
 use std::thread::JoinHandle;
-use std::time::Instant;
 use tokio::sync::oneshot;
-
-const PAGE: &str = concat!(
-    include_str!("page/head.html"),
-    "<style>\n",
-    include_str!("page/watch.css"),
-    "</style>\n",
-    include_str!("page/body.html"),
-    "<script type=\"module\">\n",
-    include_str!("page/chart.js"),
-    include_str!("page/watch.js"),
-    "</script>\n</body>\n</html>\n"
-);
 
 /// Sent with every answer: nothing is kept, framed, or loaded from elsewhere.
 const HEADERS: [(HeaderName, &str); 4] = [
@@ -43,15 +27,15 @@ const HEADERS: [(HeaderName, &str); 4] = [
 ];
 
 /// Answers browsers until it is dropped.
-pub(super) struct Server {
+pub(crate) struct Server {
     address: String,
     end: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Server {
-    /// Listens on a free port of 127.0.0.1.
-    pub fn start(shared: Shared) -> Result<Self> {
+    /// Serves `routes`, which all begin with `/TOKEN/`, on a free port of 127.0.0.1.
+    pub fn start(routes: impl FnOnce(&str) -> Router) -> Result<Self> {
         let failed = |action| move |e| Error::io("127.0.0.1", action, e);
         let listener =
             TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).map_err(failed("open a port of"))?;
@@ -70,7 +54,7 @@ impl Server {
             .max_blocking_threads(1)
             .build()
             .map_err(failed("serve"))?;
-        let routes = routes(&token, shared).layer(from_fn_with_state(host, guarded));
+        let routes = routes(&token).layer(from_fn_with_state(host, guarded));
         let serve = async move {
             let listener = tokio::net::TcpListener::from_std(listener)?;
             tokio::select! {
@@ -78,10 +62,10 @@ impl Server {
                 _ = ended => Ok(()),
             }
         };
-        let thread = std::thread::Builder::new().name("watch".to_owned());
+        let thread = std::thread::Builder::new().name("server".to_owned());
         let thread = thread.spawn(move || {
             if let Err(error) = runtime.block_on(serve) {
-                tracing::warn!("the page of the run is no longer served: {error}");
+                tracing::warn!("the page is no longer served: {error}");
             }
             runtime.shutdown_background();
         });
@@ -115,16 +99,6 @@ fn token() -> std::io::Result<String> {
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-fn routes(token: &str, shared: Shared) -> Router {
-    Router::new()
-        .route(&format!("/{token}/"), get(async || html(PAGE.to_owned())))
-        .route(&format!("/{token}/status"), get(status))
-        .route(&format!("/{token}/scene.html"), get(scene))
-        .route(&format!("/{token}/photo/{{index}}"), get(photo))
-        .route(&format!("/{token}/stop"), post(stop))
-        .with_state(shared)
-}
-
 /// Refuses pages of other origins, and names of other hosts that lead here (DNS rebinding).
 async fn guarded(State(host): State<String>, request: Request, next: Next) -> Response {
     let headers = request.headers();
@@ -147,61 +121,17 @@ fn is_own_origin(headers: &HeaderMap, host: &str) -> bool {
     headers.get(header::ORIGIN).is_none_or(|o| *o == *own)
 }
 
-async fn status(State(shared): State<Shared>) -> Response {
-    let text = serde_json::to_string(locked(&shared).visit());
-    match text {
-        Ok(text) => typed("application/json", Body::from(text)),
-        Err(error) => failed(error),
-    }
-}
-
-/// The viewer's page of the last copy of the Gaussians.
-async fn scene(State(shared): State<Shared>) -> Response {
-    let Some(page) = locked(&shared).page() else {
-        return StatusCode::NOT_FOUND.into_response();
-    };
-    let start = Instant::now();
-    let made = tokio::task::spawn_blocking(page).await;
-    locked(&shared).rest(start.elapsed());
-    match made {
-        Ok(Ok(page)) => html(page),
-        Ok(Err(error)) => failed(error),
-        Err(error) => failed(error),
-    }
-}
-
-/// The photo of a view, as PNG.
-async fn photo(State(shared): State<Shared>, Path(index): Path<usize>) -> Response {
-    let Some(photo) = locked(&shared).photo(index) else {
-        return StatusCode::NOT_FOUND.into_response();
-    };
-    let encode = move || {
-        let mut bytes = Cursor::new(Vec::new());
-        let pixels = photo.pixels()?;
-        let written = pixels.write_to(&mut bytes, ImageFormat::Png);
-        written.map_err(|e| Error::io("photo", "encode", std::io::Error::other(e)))?;
-        Ok::<_, Error>(bytes.into_inner())
-    };
-    match tokio::task::spawn_blocking(encode).await {
-        Ok(Ok(bytes)) => typed("image/png", Body::from(bytes)),
-        Ok(Err(error)) => failed(error),
-        Err(error) => failed(error),
-    }
-}
-
-async fn stop(State(shared): State<Shared>) -> StatusCode {
-    locked(&shared).status.stopping = true;
-    StatusCode::NO_CONTENT
-}
-
-fn html(page: String) -> Response {
+/// An answer that is a page.
+pub(crate) fn html(page: String) -> Response {
     typed("text/html; charset=utf-8", Body::from(page))
 }
 
-fn typed(kind: &'static str, body: Body) -> Response {
+/// An answer of a MIME type.
+pub(crate) fn typed(kind: &'static str, body: Body) -> Response {
     ([(header::CONTENT_TYPE, kind)], body).into_response()
 }
 
-fn failed(error: impl std::fmt::Display) -> Response {
+/// An answer that says what went wrong.
+pub(crate) fn failed(error: impl std::fmt::Display) -> Response {
     (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response()
 }

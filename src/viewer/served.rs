@@ -1,0 +1,166 @@
+//! A page that a server fills: of scenes too large for one HTML file, and with edits that are saved as a file.
+//!
+//! The page has where all Gaussians are, and then what they look like in blocks. Block k of B has the Gaussians k, k + B, k + 2 B and
+//! so on, so each one is spread over the scene, and a few show all of it.
+
+use super::{Header, Viewer, packing, shell};
+use crate::error::{Result, ensure};
+use crate::files::{atomic, own};
+use crate::objects::{Edits, Operation, Regions};
+use crate::server::{Server, failed, html, typed};
+use axum::Router;
+use axum::body::{Body, Bytes};
+use axum::extract::{DefaultBodyLimit, Path, State};
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use axum::routing::{get, post};
+use rayon::prelude::*;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::thread;
+use std::time::Duration;
+use tokio::sync::watch;
+
+/// Bytes of edits at most: all Gaussians of a scene of 10 million, some times over.
+const MAX_EDITS: usize = 1 << 28;
+/// How often the server looks whether it is to end.
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// A page of a scene, its server, and its file of edits.
+pub struct Served<'a> {
+    /// The content.
+    pub viewer: Viewer<'a>,
+    /// The file that the page saves edits in, and that it starts from where it is there.
+    pub edits: PathBuf,
+    /// Gaussians of a block at most.
+    pub block: usize,
+}
+
+/// What the server answers with.
+struct Content {
+    page: String,
+    places: Bytes,
+    looks: Vec<Bytes>,
+    /// `None` while it is computed.
+    tree: watch::Receiver<Option<Bytes>>,
+    sha256: String,
+    edits: PathBuf,
+}
+
+impl Served<'_> {
+    /// Gaussians of a block, where nothing speaks for another number: 8 MB at SH degree 3.
+    pub const BLOCK: usize = 100_000;
+
+    /// Serves the page on a free port of 127.0.0.1 until `is_over`. `started` gets its address: whoever has it may see the scene
+    /// and save edits.
+    ///
+    /// # Errors
+    /// As [`Viewer::page`]; as [`Edits::read`]; [`crate::Error::Input`] where the file of edits belongs to another scene;
+    /// [`crate::Error::Io`] when no port can be opened.
+    pub fn run(&self, started: impl FnOnce(&str), is_over: impl Fn() -> bool) -> Result<()> {
+        let listed = self.viewer.listed()?;
+        let gaussians = self.viewer.gaussians;
+        let saved = self.saved()?;
+        let blocks = gaussians.len().div_ceil(self.block.max(1));
+        let edits = self.edits.display().to_string();
+        let header = Header {
+            blocks,
+            saved: &saved,
+            edits: &edits,
+            ..self.viewer.header(&listed)
+        };
+        let looks = (0..blocks).into_par_iter().map(|first| {
+            let rows = (first..gaussians.len()).step_by(blocks);
+            packing::looks(gaussians, rows).into()
+        });
+        let (tree, computed) = watch::channel(None);
+        let content = Arc::new(Content {
+            page: shell(&header, "")?,
+            places: packing::places(gaussians, &listed.places).into(),
+            looks: looks.collect(),
+            tree: computed,
+            sha256: self.viewer.sha256.to_owned(),
+            edits: self.edits.clone(),
+        });
+        let server = Server::start(|token| routes(token, content))?;
+        started(server.address());
+        thread::scope(|scope| {
+            scope.spawn(move || match Regions::new(gaussians) {
+                Ok(regions) => {
+                    tree.send_replace(Some(packing::tree(&regions).into()));
+                }
+                Err(error) => tracing::warn!("the page has no tree of regions: {error}"),
+            });
+            while !is_over() {
+                thread::sleep(PAUSE);
+            }
+        });
+        Ok(())
+    }
+
+    /// The edits to start from.
+    fn saved(&self) -> Result<Vec<Operation>> {
+        if !self.edits.exists() {
+            return Ok(Vec::new());
+        }
+        let edits = Edits::read(&self.edits)?;
+        ensure!(edits.scene == self.viewer.sha256, &self.edits, "scene"; found "edits of another scene";
+            expected "edits of this one, or no file"; help "name another file by --edits, or move this one");
+        // The page holds all that it writes over.
+        own::allow(&self.edits);
+        Ok(edits.operations)
+    }
+}
+
+fn routes(token: &str, content: Arc<Content>) -> Router {
+    Router::new()
+        .route(&format!("/{token}/"), get(page))
+        .route(&format!("/{token}/places"), get(places))
+        .route(&format!("/{token}/looks/{{block}}"), get(looks))
+        .route(&format!("/{token}/tree"), get(tree))
+        .route(&format!("/{token}/edits"), post(save))
+        .layer(DefaultBodyLimit::max(MAX_EDITS))
+        .with_state(content)
+}
+
+async fn page(State(content): State<Arc<Content>>) -> Response {
+    html(content.page.clone())
+}
+
+async fn places(State(content): State<Arc<Content>>) -> Response {
+    numbers(content.places.clone())
+}
+
+async fn looks(State(content): State<Arc<Content>>, Path(block): Path<usize>) -> Response {
+    match content.looks.get(block) {
+        Some(columns) => numbers(columns.clone()),
+        None => StatusCode::NOT_FOUND.into_response(),
+    }
+}
+
+/// Answers when the tree is there.
+async fn tree(State(content): State<Arc<Content>>) -> Response {
+    let mut tree = content.tree.clone();
+    match tree.wait_for(Option::is_some).await.as_deref() {
+        Ok(Some(columns)) => numbers(columns.clone()),
+        _ => failed("the scene has no tree of regions"),
+    }
+}
+
+/// Writes the file of edits, if it is one of this scene.
+async fn save(State(content): State<Arc<Content>>, body: String) -> Response {
+    let written = || {
+        let edits = Edits::parse(&content.edits, &body)?;
+        ensure!(edits.scene == content.sha256, &content.edits, "scene"; found "edits of another scene";
+            expected "edits of the scene that is served"; help "load the page again");
+        atomic::write_bytes(&content.edits, body.as_bytes())
+    };
+    match written() {
+        Ok(()) => StatusCode::NO_CONTENT.into_response(),
+        Err(error) => (StatusCode::BAD_REQUEST, error.to_string()).into_response(),
+    }
+}
+
+fn numbers(columns: Bytes) -> Response {
+    typed("application/octet-stream", Body::from(columns))
+}

@@ -1,0 +1,83 @@
+//! What the server of a run answers.
+
+use super::{Shared, locked};
+use crate::error::Error;
+use crate::server::{failed, html, typed};
+use axum::Router;
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use axum::routing::{get, post};
+use image::ImageFormat;
+use std::io::Cursor;
+use std::time::Instant;
+
+const PAGE: &str = concat!(
+    include_str!("page/head.html"),
+    "<style>\n",
+    include_str!("page/watch.css"),
+    "</style>\n",
+    include_str!("page/body.html"),
+    "<script type=\"module\">\n",
+    include_str!("page/chart.js"),
+    include_str!("page/watch.js"),
+    "</script>\n</body>\n</html>\n"
+);
+
+pub(super) fn routes(token: &str, shared: Shared) -> Router {
+    Router::new()
+        .route(&format!("/{token}/"), get(async || html(PAGE.to_owned())))
+        .route(&format!("/{token}/status"), get(status))
+        .route(&format!("/{token}/scene.html"), get(scene))
+        .route(&format!("/{token}/photo/{{index}}"), get(photo))
+        .route(&format!("/{token}/stop"), post(stop))
+        .with_state(shared)
+}
+
+async fn status(State(shared): State<Shared>) -> Response {
+    let text = serde_json::to_string(locked(&shared).visit());
+    match text {
+        Ok(text) => typed("application/json", Body::from(text)),
+        Err(error) => failed(error),
+    }
+}
+
+/// The viewer's page of the last copy of the Gaussians.
+async fn scene(State(shared): State<Shared>) -> Response {
+    let Some(page) = locked(&shared).page() else {
+        return StatusCode::NOT_FOUND.into_response();
+    };
+    let start = Instant::now();
+    let made = tokio::task::spawn_blocking(page).await;
+    locked(&shared).rest(start.elapsed());
+    match made {
+        Ok(Ok(page)) => html(page),
+        Ok(Err(error)) => failed(error),
+        Err(error) => failed(error),
+    }
+}
+
+/// The photo of a view, as PNG.
+async fn photo(State(shared): State<Shared>, Path(index): Path<usize>) -> Response {
+    let Some(photo) = locked(&shared).photo(index) else {
+        return StatusCode::NOT_FOUND.into_response();
+    };
+    let encode = move || {
+        let mut bytes = Cursor::new(Vec::new());
+        let pixels = photo.pixels()?;
+        let written = pixels.write_to(&mut bytes, ImageFormat::Png);
+        written.map_err(|e| Error::io("photo", "encode", std::io::Error::other(e)))?;
+        Ok::<_, Error>(bytes.into_inner())
+    };
+    match tokio::task::spawn_blocking(encode).await {
+        Ok(Ok(bytes)) => typed("image/png", Body::from(bytes)),
+        Ok(Err(error)) => failed(error),
+        Err(error) => failed(error),
+    }
+}
+
+async fn stop(State(shared): State<Shared>) -> StatusCode {
+    locked(&shared).status.stopping = true;
+    StatusCode::NO_CONTENT
+}

@@ -1,0 +1,218 @@
+//! A page that a server fills, and the file in which it saves edits.
+
+use crate::support::browser::browser;
+use crate::support::client::Client;
+use crate::support::devtools::Tab;
+use crate::support::mended_plates::spot;
+use crate::support::plates::{camera, plates};
+use crate::viewer::page::viewer;
+use coseg::Error;
+use coseg::data::{Classes, NamedCamera, Split};
+use coseg::objects::{Edits, Operation};
+use coseg::splat::Gaussians;
+use coseg::viewer::{Served, Viewer};
+use glam::DVec3;
+use serde_json::json;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
+
+/// What the page of the plates has.
+struct Plates {
+    gaussians: Gaussians,
+    labels: Vec<u16>,
+    classes: Classes,
+    cameras: [NamedCamera; 1],
+}
+
+impl Plates {
+    fn new() -> Self {
+        let (gaussians, labels) = plates();
+        let names = [(1, "red"), (2, "green"), (3, "blue"), (4, "wall")];
+        Self {
+            gaussians,
+            labels,
+            classes: Classes::from_names(0, names),
+            cameras: [NamedCamera {
+                name: "v2".into(),
+                split: Split::Test,
+                camera: camera(2),
+            }],
+        }
+    }
+
+    fn viewer(&self) -> Viewer<'_> {
+        Viewer {
+            cameras: &self.cameras,
+            origin: DVec3::ZERO,
+            ..viewer(&self.gaussians, Some(&self.labels), &self.classes)
+        }
+    }
+
+    /// Serves the plates in blocks of 20 while `act` uses the address.
+    fn served<T>(&self, edits: &Path, act: impl FnOnce(&str) -> T) -> T {
+        let served = Served {
+            viewer: self.viewer(),
+            edits: edits.to_owned(),
+            block: 20,
+        };
+        let is_over = AtomicBool::new(false);
+        let (sender, address) = mpsc::channel();
+        std::thread::scope(|scope| {
+            let started = move |address: &str| sender.send(address.to_owned()).unwrap();
+            let is_over = &is_over;
+            scope.spawn(move || {
+                served
+                    .run(started, || is_over.load(Ordering::Relaxed))
+                    .unwrap()
+            });
+            let _end = End(is_over);
+            act(&address.recv().unwrap())
+        })
+    }
+}
+
+/// Ends a server, after a failure too.
+struct End<'a>(&'a AtomicBool);
+
+impl Drop for End<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// A number for all that a page knows of its Gaussians.
+const DIGEST: &str = "[page.scene.geometry, page.scene.colours, page.scene.superpoints, page.scene.parents, page.scene.heights, \
+    page.scene.prominences, page.state.partOf].map((column) => new Uint8Array(column.buffer, column.byteOffset, column.byteLength) \
+    .reduce((sum, byte) => Math.imul(sum, 31) + byte | 0, 7))";
+
+#[test]
+fn blocks_make_the_scene_of_the_offline_page() {
+    let Some(browser) = browser() else { return };
+    let plates = Plates::new();
+    let dir = tempfile::tempdir().unwrap();
+    let page = dir.path().join("page.html");
+    plates.viewer().write(&page).unwrap();
+    let want = Tab::open(&browser, &page, [600, 400]).value(DIGEST);
+    plates.served(&dir.path().join("edits.json"), |address| {
+        let mut tab = Tab::visit(&browser, address, [600, 400]);
+        tab.until("document.body.dataset.ready === 'yes'");
+        assert_eq!(tab.value("page.scene.blocks"), 6);
+        assert_eq!(tab.value(DIGEST), want);
+        let lead = tab.text("document.getElementById('lead').textContent");
+        assert_eq!(lead, "111 Gaussians");
+        assert_eq!(
+            tab.text("document.getElementById('trouble').textContent"),
+            ""
+        );
+    });
+}
+
+#[test]
+fn edits_are_saved_and_the_page_starts_from_them() {
+    let Some(browser) = browser() else { return };
+    let plates = Plates::new();
+    let dir = tempfile::tempdir().unwrap();
+    let edits = dir.path().join("edits.json");
+    plates.served(&edits, |address| {
+        let mut tab = Tab::visit(&browser, address, [1000, 700]);
+        tab.until("document.body.dataset.ready === 'yes'");
+        let red = spot(&mut tab, [-0.9, 0.0, 0.1]);
+        tab.key("KeyC", 0);
+        tab.drag(&[red], 0);
+        tab.key("KeyN", 0);
+        tab.type_text("rug");
+        tab.key("Enter", 0);
+        assert!(!edits.exists());
+        tab.value("document.getElementById('save').click()");
+        tab.until("document.getElementById('summary').textContent === '2 edits, saved'");
+        let command = tab.text("document.getElementById('command').textContent");
+        assert!(
+            command.contains(&format!("--edits {}", edits.display())),
+            "{command}"
+        );
+    });
+    let saved = Edits::read(&edits).unwrap();
+    assert!(
+        matches!(&saved.operations[..], [Operation::Assign { gaussians, .. }, Operation::Rename { name, .. }]
+        if *gaussians == Vec::from_iter(0..25) && name == "rug")
+    );
+
+    // Another port is another origin: the browser has kept nothing for it.
+    plates.served(&edits, |address| {
+        let mut tab = Tab::visit(&browser, address, [1000, 700]);
+        tab.until("document.body.dataset.ready === 'yes'");
+        assert_eq!(tab.text("page.state.object(5).name"), "rug");
+        assert_eq!(
+            tab.value("[page.edits.isSaved, page.edits.done.length]"),
+            json!([true, 2])
+        );
+        tab.value("page.edits.undo()");
+        assert_eq!(tab.value("page.edits.isSaved"), false);
+    });
+}
+
+#[test]
+fn only_edits_of_the_scene_are_saved() {
+    let plates = Plates::new();
+    let dir = tempfile::tempdir().unwrap();
+    let edits = dir.path().join("edits.json");
+    let text = |scene: &str| format!(r#"{{"version": 1, "scene": "{scene}", "operations": []}}"#);
+    plates.served(&edits, |address| {
+        let client = Client::at(address);
+        let own = text(plates.viewer().sha256);
+        let origin = "Origin: http://evil.example\r\n";
+        assert_eq!(client.post("edits", &own, origin).0, 403);
+        for wrong in [
+            "",
+            "{",
+            "[]",
+            &text("0000"),
+            &own.replace("[]", r#"[{"op": "explode"}]"#),
+        ] {
+            let (status, said) = client.post("edits", wrong, "");
+            assert_eq!(status, 400, "{wrong}");
+            assert!(
+                String::from_utf8(said).unwrap().contains("edits.json"),
+                "{wrong}"
+            );
+        }
+        assert!(!edits.exists());
+        assert_eq!(client.post("edits", &own, "").0, 204);
+        assert_eq!(std::fs::read_to_string(&edits).unwrap(), own);
+    });
+
+    std::fs::write(&edits, text("0000")).unwrap();
+    let served = Served {
+        viewer: plates.viewer(),
+        edits: edits.clone(),
+        block: 20,
+    };
+    let refused = served
+        .run(|_| panic!("it has started"), || true)
+        .unwrap_err();
+    assert!(matches!(refused, Error::Input { .. }));
+    assert!(
+        refused.to_string().contains("edits of another scene"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn strangers_see_nothing() {
+    let plates = Plates::new();
+    let dir = tempfile::tempdir().unwrap();
+    plates.served(&dir.path().join("edits.json"), |address| {
+        let client = Client::at(address);
+        for what in ["", "places", "looks/0", "looks/5", "tree"] {
+            assert_eq!(client.get(what).0, 200, "{what}");
+            let (status, _, body) = client.ask("GET", &format!("/{what}"), &client.host, "");
+            assert_eq!((status, body.len()), (404, 0), "without the token");
+            let path = format!("{}{what}", client.root);
+            let (status, _, body) = client.ask("GET", &path, "evil.example", "");
+            assert_eq!((status, body.len()), (403, 0), "another host");
+        }
+        assert_eq!(client.get("looks/6").0, 404);
+        assert_eq!(client.get("looks/-1").0, 400);
+    });
+}
