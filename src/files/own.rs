@@ -7,11 +7,12 @@
 use super::lock;
 use crate::error::{Error, Result, bail, ensure};
 use sha2::{Digest, Sha256};
+use std::cell::RefCell;
 use std::collections::{HashMap, HashSet};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
+use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::{Duration, SystemTime};
 
 /// How the names of temporary files begin and end.
@@ -39,18 +40,43 @@ struct Known {
 
 static KNOWN: LazyLock<Mutex<Known>> = LazyLock::new(Mutex::default);
 
-fn known() -> MutexGuard<'static, Known> {
-    KNOWN.lock().unwrap_or_else(PoisonError::into_inner)
+thread_local! {
+    /// What this thread knows instead, during [`guarded`].
+    static OF_THREAD: RefCell<Option<Known>> = const { RefCell::new(None) };
+}
+
+fn with_known<T>(work: impl FnOnce(&mut Known) -> T) -> T {
+    OF_THREAD.with_borrow_mut(|of_thread| match of_thread {
+        Some(known) => work(known),
+        None => work(&mut KNOWN.lock().unwrap_or_else(PoisonError::into_inner)),
+    })
 }
 
 /// From now on this process, which runs the first one of `commands`, writes over no files but those that these commands wrote.
 pub fn guard(commands: &[&'static str]) {
-    known().commands = commands.to_vec();
+    with_known(|known| known.commands = commands.to_vec());
+}
+
+/// Calls `work` as a process of its own that has this [`guard`]: for programs that run several commands. It holds for what this
+/// thread writes.
+pub fn guarded<T>(commands: &[&'static str], work: impl FnOnce() -> T) -> T {
+    struct Restored(Option<Known>);
+    impl Drop for Restored {
+        fn drop(&mut self) {
+            OF_THREAD.set(self.0.take());
+        }
+    }
+    let known = Known {
+        commands: commands.to_vec(),
+        ..Known::default()
+    };
+    let _restored = Restored(OF_THREAD.replace(Some(known)));
+    work()
 }
 
 /// Lets this process write over `path`, or over all files that lie in the folder `path`.
 pub fn allow(path: impl AsRef<Path>) {
-    known().allowed.insert(path.as_ref().to_owned());
+    with_known(|known| known.allowed.insert(path.as_ref().to_owned()));
 }
 
 /// Refuses to write over the file at `path`, unless this program wrote it. Commands call this before they start to work.
@@ -62,19 +88,17 @@ pub fn check(path: impl AsRef<Path>) -> Result<()> {
     let Ok(there) = fs::symlink_metadata(path) else {
         return Ok(());
     };
-    let known = known();
-    if known.commands.is_empty() {
-        return Ok(());
-    }
     let stamp = there.modified().ok().map(|time| (time, there.len()));
-    let is_allowed = |path: &Path| known.allowed.contains(path);
-    if is_allowed(path)
-        || is_allowed(folder(path))
-        || stamp.is_some() && known.stamps.get(path) == stamp.as_ref()
-    {
+    let is_known = with_known(|known| {
+        let is_allowed = |path: &Path| known.allowed.contains(path);
+        known.commands.is_empty()
+            || is_allowed(path)
+            || is_allowed(folder(path))
+            || stamp.is_some() && known.stamps.get(path) == stamp.as_ref()
+    });
+    if is_known {
         return Ok(());
     }
-    drop(known);
     ensure!(there.is_file() && is_recorded(path)?,
         argument "output"; found "{}, which this command did not write, or which was changed since", path.display();
         expected "a new file, or one that this command wrote"; help "move it away, or name another output");
@@ -102,7 +126,7 @@ fn is_recorded(path: &Path) -> Result<bool> {
     io::copy(&mut content, &mut hash).map_err(|e| Error::io(path, "read", e))?;
     let digest = hash.finalize();
     let lines = read(folder(path))?;
-    let commands = known().commands.clone();
+    let commands = with_known(|known| known.commands.clone());
     let mut own = commands.iter().map(|command| line(path, &digest, command));
     Ok(own.any(|line| lines.contains(&line)))
 }
@@ -125,8 +149,11 @@ fn remove_abandoned(folder: &Path) {
 /// Notes that a file with this SHA-256 is about to take its place at `path`. The first time in a folder, removes what killed
 /// processes left there.
 pub(super) fn note(path: &Path, digest: &[u8]) -> Result<()> {
+    with_known(|known| note_in(known, path, digest))
+}
+
+fn note_in(known: &mut Known, path: &Path, digest: &[u8]) -> Result<()> {
     let folder = folder(path);
-    let mut known = known();
     let Some(&command) = known.commands.first() else {
         return Ok(());
     };
@@ -158,7 +185,7 @@ pub(super) fn note(path: &Path, digest: &[u8]) -> Result<()> {
 pub(super) fn stamp(path: &Path) {
     let written = fs::symlink_metadata(path).and_then(|at| Ok((at.modified()?, at.len())));
     if let Ok(stamp) = written {
-        known().stamps.insert(path.to_owned(), stamp);
+        with_known(|known| known.stamps.insert(path.to_owned(), stamp));
     }
 }
 
@@ -177,7 +204,7 @@ pub fn remove_empty(folder: impl AsRef<Path>) {
     for name in ours {
         let _ = fs::remove_file(folder.join(name));
     }
-    known().lines.remove(folder);
+    with_known(|known| known.lines.remove(folder));
     let _ = fs::remove_dir(folder);
 }
 
