@@ -84,6 +84,7 @@ pub mod random;
 pub mod raster;
 pub mod reconstruction;
 pub mod report;
+pub mod runs;
 mod seal;
 pub mod segmentation;
 pub mod segmenter;

@@ -1,13 +1,12 @@
 //! `coseg bench`: speed against error, times of the stages, memory.
 
-use super::run_folder::RunFolder;
-use super::scene_file::{SCENE, read_scene};
-use super::{BackendArgs, Settings, terminal};
+use super::{BackendArgs, Settings, or_usage_error, terminal};
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
 use coseg::bench::{Bench, Figures, Machine};
 use coseg::error::{Error, Result};
 use coseg::files::{atomic, own};
+use coseg::runs::{RunFolder, SCENE, read_scene};
 use std::path::{Path, PathBuf};
 
 const HELP: &str = "\
@@ -77,9 +76,10 @@ impl BenchArgs {
             Some(dir) => {
                 let run = RunFolder::existing(dir)?;
                 let scene = read_scene(&run.file(SCENE))?;
-                (run.config(&self.settings.sets)?, Some(scene))
+                let sets = &self.settings.sets;
+                (or_usage_error(run.config(sets))?, Some(scene))
             }
-            None => (self.settings.load(self.data.as_ref(), None)?, None),
+            None => (self.settings.load(self.data.as_ref())?, None),
         };
         let bench = Bench::load(config, trained, device, self.repeats)?;
         terminal::say(&bench.subject());

@@ -1,7 +1,6 @@
 //! `coseg compare`: a table of variants on equal Gaussians, as a plan states it.
 
 use super::progress::Bars;
-use super::scene_file::scene_path;
 use super::train::{command_line, quoted};
 use super::{BackendArgs, interrupt, terminal};
 use clap::Args;
@@ -9,6 +8,7 @@ use coseg::compare::{Cell, Options, Plan, Tables, Watch, run};
 use coseg::error::Result;
 use coseg::files::{absolute, own};
 use coseg::progress::{Event, Progress};
+use coseg::runs::scene_path;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 

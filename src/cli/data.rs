@@ -1,6 +1,5 @@
 //! `coseg data`: checks or describes a scene folder, or suggests photos to label.
 
-use super::scene_file::{read_scene, scene_path};
 use super::{Settings, fault_list, terminal};
 use clap::{Args, Subcommand};
 use coseg::data::{self, Info, LoadOptions};
@@ -9,6 +8,7 @@ use coseg::files::{extension, own};
 use coseg::pipeline::suggest;
 use coseg::report::pictures;
 use coseg::report::sheet::contact_sheet;
+use coseg::runs::{read_scene, scene_path};
 use std::path::{Path, PathBuf};
 
 /// Pictures on a contact sheet, at most, and pixels across each.
@@ -114,7 +114,7 @@ impl DataArgs {
 
 impl CheckArgs {
     fn run(self) -> Result<()> {
-        let config = self.settings.load(Some(&self.dir), None)?;
+        let config = self.settings.load(Some(&self.dir))?;
         check(&self.dir, &LoadOptions::for_training(&config), self.all)
     }
 }
@@ -158,7 +158,7 @@ impl InfoArgs {
     }
 
     fn run(self) -> Result<()> {
-        let config = self.settings.load(Some(&self.dir), None)?;
+        let config = self.settings.load(Some(&self.dir))?;
         let options = LoadOptions::for_training(&config);
         if let Some(path) = &self.sheet {
             self.check_sheet(path, &options)?;
@@ -183,7 +183,7 @@ impl InfoArgs {
 impl SuggestArgs {
     fn run(self) -> Result<()> {
         let dir = self.dir.or(self.data).unwrap_or_default();
-        let config = self.settings.load(Some(&dir), None)?;
+        let config = self.settings.load(Some(&dir))?;
         let mut scene = data::load(&dir, &LoadOptions::from(&config))?;
         let given = self.scene.as_deref().map(scene_path).transpose()?;
         let given = given.map(|path| read_scene(&path)).transpose()?;

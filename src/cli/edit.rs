@@ -1,12 +1,12 @@
 //! `coseg edit`: objects of a labelled scene kept, removed, turned, moved and painted; edits of the viewer applied.
 
-use super::object_scene::{ObjectScene, ObjectSceneArgs, OutArgs};
+use super::object_scene::{ObjectSceneArgs, OutArgs};
 use super::terminal;
 use super::values::numbers;
 use clap::Args;
 use coseg::error::{Result, ensure};
-use coseg::objects::{Edited, Editing, Edits, Object};
-use coseg::splat::Motion;
+use coseg::objects::{Editing, Edits};
+use coseg::runs::{ObjectEdits, turn};
 use glam::{DQuat, DVec3};
 use std::path::PathBuf;
 
@@ -60,17 +60,16 @@ pub struct EditArgs {
 
 fn parse_turn(text: &str) -> std::result::Result<(String, DQuat), String> {
     let parse = || {
-        let (object, turn) = text.rsplit_once('=')?;
-        let (axis, degrees) = turn.split_once(',')?;
+        let (object, about) = text.rsplit_once('=')?;
+        let (axis, degrees) = about.split_once(',')?;
         let axis = match axis.trim() {
             "x" => DVec3::X,
             "y" => DVec3::Y,
             "z" => DVec3::Z,
-            direction => vector(direction, ':')?.try_normalize()?,
+            direction => vector(direction, ':')?,
         };
-        let [degrees] = numbers::<f64, 1>(degrees, ',').filter(|[d]| d.is_finite())?;
-        let turn = DQuat::from_axis_angle(axis, degrees.to_radians());
-        Some((object.to_owned(), turn))
+        let [degrees] = numbers::<f64, 1>(degrees, ',')?;
+        Some((object.to_owned(), turn(axis, degrees)?))
     };
     let expected = "expected an object, x, y, z or a direction, and degrees, for instance chair=z,90 or chair=0.1:-0.99:0.05,90";
     parse().ok_or_else(|| expected.into())
@@ -93,7 +92,8 @@ fn vector(text: &str, separator: char) -> Option<DVec3> {
 impl EditArgs {
     /// Edits and writes.
     pub fn run(self) -> Result<()> {
-        ensure!(self.changes_something(), argument "coseg edit"; found "no operation";
+        let objects = self.objects();
+        ensure!(self.paint || self.edits.is_some() || !objects.is_empty(), argument "coseg edit"; found "no operation";
             expected "--edits, --keep, --remove, --turn, --move or --paint";
             help "say what to change; `coseg edit --help` has examples");
         // Edits may be the first labels of a scene.
@@ -112,7 +112,7 @@ impl EditArgs {
                     format!("edits: {}", edits.operations.len()),
                 )
             }
-            None => self.by_options(&scene, editing)?,
+            None => objects.apply(&scene, editing)?,
         };
         let out = self.out.check(&self.input, &scene, &edited.classes)?;
         let mut gaussians = edited.gaussians;
@@ -141,79 +141,13 @@ impl EditArgs {
         Ok(())
     }
 
-    fn changes_something(&self) -> bool {
-        let lists = [
-            self.keep.is_empty(),
-            self.remove.is_empty(),
-            self.turn.is_empty(),
-            self.moves.is_empty(),
-        ];
-        self.paint || self.edits.is_some() || lists.contains(&false)
-    }
-
-    /// What --keep, --remove, --turn and --move make of the scene, and a few words about it.
-    fn by_options(&self, scene: &ObjectScene, mut editing: Editing) -> Result<(Edited, String)> {
-        let kept = scene.ids(&self.keep, "--keep")?;
-        let removed = scene.ids(&self.remove, "--remove")?;
-        let stays =
-            |id: u16| (self.keep.is_empty() || kept.contains(&id)) && !removed.contains(&id);
-        let motions = self.motions(scene, &editing, &stays)?;
-        for (rows, motion) in &motions {
-            editing.displace(rows, motion);
+    /// What --keep, --remove, --turn and --move ask for.
+    fn objects(&self) -> ObjectEdits {
+        ObjectEdits {
+            keep: self.keep.clone(),
+            remove: self.remove.clone(),
+            turns: self.turn.clone(),
+            moves: self.moves.clone(),
         }
-        let leaving = scene.objects.iter().filter(|object| !stays(object.id));
-        let leaving: Vec<_> = leaving.collect();
-        for object in &leaving {
-            editing.remove(&object.rows);
-        }
-        let done = format!(
-            "objects removed: {}, turns and moves: {}",
-            leaving.len(),
-            motions.len()
-        );
-        Ok((editing.finish("--keep, --remove")?, done))
-    }
-
-    /// Rows and motions of the objects that stay: first turns, then moves, in the order of the command line.
-    fn motions(
-        &self,
-        scene: &ObjectScene,
-        editing: &Editing,
-        stays: &dyn Fn(u16) -> bool,
-    ) -> Result<Vec<(Vec<u32>, Motion)>> {
-        let still = Motion {
-            rotation: DQuat::IDENTITY,
-            pivot: DVec3::ZERO,
-            translation: DVec3::ZERO,
-        };
-        let mut motions = Vec::new();
-        let mut add = |what: &str, flag: &str, motion: &dyn Fn(&Object) -> Motion| {
-            let staying = scene
-                .find(what, flag)?
-                .into_iter()
-                .filter(|object| stays(object.id));
-            let before = motions.len();
-            motions.extend(staying.map(|object| (object.rows.clone(), motion(object))));
-            ensure!(motions.len() > before, argument "{flag}"; found "{what}";
-                expected "an object that is neither removed nor left out"; help "leave it out, or keep the object");
-            Ok(())
-        };
-        for (what, rotation) in &self.turn {
-            add(what, "--turn", &|object| Motion {
-                rotation: *rotation,
-                pivot: object.center(),
-                ..still
-            })?;
-        }
-        for (what, translation) in &self.moves {
-            ensure!(editing.is_near(*translation),
-                argument "--move"; found "{what}={translation}"; expected "at most {:.3e} world units", editing.farthest();
-                help "move by less: positions that far away lose digits");
-            add(what, "--move", &|_| Motion {
-                translation: *translation,
-                ..still
-            })?;
-        }
-        Ok(motions)
     }
 }

@@ -1,7 +1,5 @@
 //! `coseg eval`: the scores of a run.
 
-use super::run_folder::{IDENTITIES, RunFolder};
-use super::scene_file::SCENE;
 use super::{held_out, terminal};
 use clap::Args;
 use coseg::backend::device::open_cpu;
@@ -9,11 +7,11 @@ use coseg::config::{Association, Config, Variant};
 use coseg::data::{Classes, Limits, Split};
 use coseg::error::{Result, ensure};
 use coseg::metrics::ImageScores;
-use coseg::objects::{Identities, Semantics};
+use coseg::objects::Semantics;
 use coseg::pipeline::{HeldOut, Inputs, Pictures, load_scene};
 use coseg::report::{TestScores, VariantScores};
+use coseg::runs::{RunFolder, SCENE, identities_beside};
 use coseg::splat::ply;
-use coseg::splat::ply::PlyScene;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -67,7 +65,8 @@ impl EvalArgs {
             ..Inputs::new(&scene, &ply.gaussians, &config, &device)
         };
         // Before the work.
-        let identities = identities(&run, &ply, scene.classes.len())?;
+        let identities =
+            identities_beside(&run.file(SCENE), ply.gaussians.len(), scene.classes.len())?;
         let views = image_scores(&inputs)?;
         let labels = match identities {
             Some(identities) => Some(HeldOut::new(&inputs).score(&identities, &inputs)?),
@@ -127,21 +126,6 @@ fn stored_row(config: &Config) -> Option<Variant> {
         .find(|row| **row == Variant::Ours)
         .or_else(|| rows.iter().rfind(|row| **row != Variant::Raw))
         .copied()
-}
-
-/// The identities of the run, where it has some.
-fn identities(run: &RunFolder, ply: &PlyScene, classes: usize) -> Result<Option<Identities>> {
-    let path = run.file(IDENTITIES);
-    if !path.is_file() {
-        return Ok(None);
-    }
-    let identities = Identities::read(&path)?;
-    let rows = identities.scores.len() / identities.classes.max(1);
-    ensure!(rows == ply.gaussians.len(), &path, "scores"; found "{rows} rows";
-        expected "{}, as in scene.ply", ply.gaussians.len(); help "the two files are of different runs; train again");
-    ensure!(identities.classes == classes, &path, "scores"; found "{} columns", identities.classes;
-        expected "{classes}, as classes.json has classes"; help "the two files are of different runs; train again");
-    Ok(Some(identities))
 }
 
 /// Scores of the rendered colours of each held-out view.

@@ -1,12 +1,15 @@
 //! `coseg export`: a scene, or each of its objects, in formats of other programs.
 
-use super::object_scene::{ObjectScene, ObjectSceneArgs, check_output, has_table, write_classes};
-use super::scene_file::{CAMERAS, CLASSES, copy_cameras, read_scene, scene_path};
+use super::object_scene::ObjectSceneArgs;
 use super::terminal;
 use clap::{Args, ValueEnum};
 use coseg::data::Classes;
 use coseg::error::{Error, Result, bail, ensure, invalid};
 use coseg::files::{atomic, extension, names, own};
+use coseg::runs::{
+    CAMERAS, CLASSES, ObjectScene, check_output, copy_cameras, has_table, read_scene, scene_path,
+    write_classes,
+};
 use coseg::splat::formats::{self, Format, label_path};
 use coseg::splat::{Gaussians, ply};
 use glam::DVec3;
@@ -170,8 +173,9 @@ impl ExportArgs {
     }
 
     fn write(&self, scene: &ObjectScene, format: FileFormat, parts: Vec<Part>) -> Result<()> {
+        let inputs = (scene.path.as_path(), self.input.classes.as_deref());
         for (out, _) in &parts {
-            check_output(out, self.force, &self.input, &scene.path, &scene.classes)?;
+            check_output(out, self.force, inputs, &scene.classes)?;
             let beside = label_path(out);
             if self.force {
                 own::allow(&beside);

@@ -114,7 +114,7 @@ impl SegmenterArgs {
 impl LabelArgs {
     /// Labels the photos, unless it is stopped.
     pub fn run(self) -> Result<ExitCode> {
-        let config = self.settings.load(Some(&self.data), None)?;
+        let config = self.settings.load(Some(&self.data))?;
         let options = LoadOptions::from(&config);
         interrupt::watch();
         let scene = (self.data.as_path(), &options);

@@ -1,15 +1,13 @@
 //! A trained scene and a folder with raw labels: the input of commands that label Gaussians.
 
-use super::scene_file::{CAMERAS, CLASSES, SCENE, scene_path};
 use super::{BackendArgs, Settings};
 use burn::tensor::Device;
 use clap::Args;
 use coseg::config::Config;
-use coseg::data::{self, Limits, LoadOptions, Scene};
+use coseg::data::{self, LoadOptions, Scene};
 use coseg::error::{Result, ensure};
 use coseg::files::{atomic, own};
-use coseg::pipeline::compare_with_photos;
-use coseg::splat::formats;
+use coseg::runs::{CAMERAS, CLASSES, SCENE, load_both, scene_path};
 use coseg::splat::ply::PlyScene;
 use std::path::PathBuf;
 
@@ -34,7 +32,7 @@ pub struct LabelledArgs {
 impl LabelledArgs {
     /// The settings.
     pub fn config(&self) -> Result<Config> {
-        self.settings.load(Some(&self.data), None)
+        self.settings.load(Some(&self.data))
     }
 
     /// Where to compute.
@@ -64,10 +62,6 @@ impl LabelledArgs {
         for name in folders {
             own::check_folder(self.out.join(name))?;
         }
-        let scene = data::load(&self.data, &options)?;
-        let ply = formats::read(&path, &Limits::default())?;
-        let scene = scene.with_origin(ply.origin);
-        compare_with_photos(&path, &ply.gaussians, &scene, config, device)?;
-        Ok((scene, ply))
+        load_both(&self.data, &self.scene, config, device)
     }
 }

@@ -21,8 +21,6 @@ mod progress;
 mod prune;
 mod render;
 mod render_path;
-mod run_folder;
-mod scene_file;
 mod select;
 mod separate;
 pub mod terminal;
@@ -223,27 +221,21 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// The checked settings; `data` and `seed` override the others. Without a scene folder those of the built-in room.
-    pub fn load(&self, data: Option<&PathBuf>, seed: Option<u64>) -> Result<Config> {
+    /// The checked settings; `data` overrides the others. Without a scene folder those of the built-in room.
+    pub fn load(&self, data: Option<&PathBuf>) -> Result<Config> {
         let data = data.map(PathBuf::as_path);
-        let config = Config::load_for(data, self.config.as_deref(), &self.sets);
-        let checked = config.and_then(|mut config| {
-            config.seed = seed.unwrap_or(config.seed);
-            config.validate()?;
-            Ok(config)
-        });
-        or_usage_error(checked)
+        or_usage_error(Config::load_for(data, self.config.as_deref(), &self.sets))
     }
 }
 
 /// Ends the program as clap does where a setting is wrong: it was given on the command line.
-pub fn or_usage_error(config: Result<Config>) -> Result<Config> {
-    if let Err(error @ Error::Config { .. }) = config {
+pub fn or_usage_error<T>(read: Result<T>) -> Result<T> {
+    if let Err(error @ Error::Config { .. }) = read {
         clap::Error::raw(
             ErrorKind::ValueValidation,
             format!("{}\n", terminal::escaped(&error.to_string())),
         )
         .exit();
     }
-    config
+    read
 }

@@ -1,13 +1,13 @@
 //! `coseg objects`: the objects of a labelled scene, and the one that a pixel shows.
 
-use super::object_scene::{ObjectScene, ObjectSceneArgs};
-use super::scene_file::{cameras_path, frame_with_pixel, rendering_beside};
+use super::object_scene::ObjectSceneArgs;
 use super::{terminal, values};
 use clap::Args;
 use coseg::data::{NamedCamera, read_cameras};
 use coseg::error::Result;
 use coseg::objects::pick;
 use coseg::raster::{Projected, Settings};
+use coseg::runs::{ObjectScene, cameras_path, frame_with_pixel, rendering_beside};
 use glam::DVec3;
 use serde_json::json;
 use std::path::PathBuf;

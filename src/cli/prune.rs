@@ -1,13 +1,12 @@
 //! `coseg prune`: a scene without the Gaussians that its photos do not need.
 
 use super::labelled::LabelledArgs;
-use super::object_scene::write_classes;
-use super::scene_file::{CLASSES, classes_beside, copy_cameras, scene_path};
 use super::terminal;
 use clap::{ArgGroup, Args};
 use coseg::data::Classes;
 use coseg::error::{Result, ensure};
 use coseg::pipeline::{Keep, prune, score_images};
+use coseg::runs::{CLASSES, classes_beside, copy_cameras, scene_path, write_classes};
 use coseg::splat::ply;
 
 const HELP: &str = "\

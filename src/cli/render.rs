@@ -1,10 +1,6 @@
 //! `coseg render`: pictures of a PLY scene.
 
-use super::object_scene::without_labels;
 use super::render_path::PathArgs;
-use super::scene_file::{
-    CAMERAS, FEATURE_COLORS, cameras_path, classes_beside, read_scene, rendering_beside, scene_path,
-};
 use super::values::{alpha_max, numbers};
 use super::{BackendArgs, terminal};
 use burn::tensor::Device;
@@ -19,6 +15,10 @@ use coseg::features::FeatureColors;
 use coseg::files::atomic;
 use coseg::objects::{Frame, RenderOptions, Renderer};
 use coseg::report::pictures;
+use coseg::runs::{
+    CAMERAS, FEATURE_COLORS, cameras_path, classes_beside, read_scene, rendering_beside,
+    scene_path, without_labels,
+};
 use coseg::splat::Gaussians;
 use std::path::{Path, PathBuf};
 use std::time::Instant;

@@ -1,7 +1,5 @@
 //! Camera paths of `coseg render`.
 
-use super::object_scene::ObjectScene;
-use super::scene_file::CAMERAS;
 use super::values::numbers;
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
@@ -9,6 +7,7 @@ use coseg::data::formats::transforms;
 use coseg::data::{NamedCamera, Split};
 use coseg::error::{Result, bail, ensure};
 use coseg::files::atomic;
+use coseg::runs::{CAMERAS, ObjectScene};
 use coseg::splat::camera::Camera;
 use coseg::splat::camera_path::{CameraPath, Orbit, is_front_facing, sway};
 use coseg::splat::ply::PlyScene;

@@ -1,13 +1,13 @@
 //! `coseg select`: a thing that a few pixels show becomes an object with a name.
 
-use super::object_scene::{ObjectScene, ObjectSceneArgs, OutArgs};
-use super::scene_file::{cameras_path, frame_with_pixel, rendering_beside};
+use super::object_scene::{ObjectSceneArgs, OutArgs};
 use super::{terminal, values};
 use clap::Args;
 use coseg::data::{NamedCamera, read_cameras};
 use coseg::error::{Result, ensure, invalid};
 use coseg::objects::{Edited, Editing, Growth, Regions, color_apart, is_name, seed};
 use coseg::raster::{Projected, Settings};
+use coseg::runs::{ObjectScene, cameras_path, frame_with_pixel, rendering_beside};
 use std::path::PathBuf;
 
 const HELP: &str = "\

@@ -3,26 +3,19 @@
 use super::held_out;
 use super::label::{BEST, SegmenterArgs};
 use super::progress::Bars;
-use super::run_folder::{IDENTITIES, RENDERS, REPORT, RunFolder};
-use super::scene_file::{CAMERAS, FEATURE_COLORS, SCENE, VIEWER, scene_path};
-use super::{BackendArgs, Settings, interrupt, terminal};
-use burn::tensor::Device;
+use super::{BackendArgs, Settings, interrupt, or_usage_error, terminal};
 use clap::Args;
 use coseg::config::Config;
-use coseg::data;
-use coseg::data::formats::transforms;
-use coseg::data::{LoadOptions, Split};
+use coseg::data::LoadOptions;
 use coseg::error::{Result, bail};
-use coseg::files::{atomic, own, sha256};
-use coseg::pipeline;
+use coseg::files::own;
 use coseg::pipeline::{Outcome, VariantOutcome};
 use coseg::progress::Progress;
-use coseg::report::{Command, Metrics, Report, held_out_views};
-use coseg::splat::ply;
-use coseg::viewer::{MAX_PAGE_BYTES, Viewer};
+use coseg::report::Command;
+use coseg::runs::{REPORT, RunFolder, RunOptions, VIEWER, check_folder, scene_name, train};
+use coseg::viewer::MAX_PAGE_BYTES;
 #[cfg(feature = "serve")]
 use coseg::watch::Watched;
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -101,14 +94,9 @@ pub struct TrainArgs {
 
 impl TrainArgs {
     /// Trains or resumes, and writes the run folder unless the run is stopped.
-    pub fn run(mut self) -> Result<ExitCode> {
+    pub fn run(self) -> Result<ExitCode> {
         let (run, config) = self.run_and_config()?;
-        if let Some(dir) = &config.data.dir {
-            let options = LoadOptions::from(&config);
-            data::locate(dir, &options)?;
-            let renders = run.file(RENDERS);
-            data::check_outputs("--out", &[run.path(), &renders], Some((dir, &options)))?;
-        }
+        check_folder(&run, &config)?;
         let _lock = run.claim(self.resume.is_some())?;
         self.train(&run, config)
             .inspect_err(|_| own::remove_empty(run.path()))
@@ -134,21 +122,16 @@ impl TrainArgs {
             device: device_text,
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };
-        let started = run.start(&config, command)?;
         let mut progress = self.progress(&config)?;
-        let outcome = pipeline::run(&config, run.path(), &device, &mut *progress);
-        let outcome = outcome.inspect_err(|_| started.remove_new())?;
-        started.write_commands()?;
-        if outcome.stopped {
+        let trained = train(run, &config, command, &device, &mut *progress)?;
+        if trained.outcome.stopped {
             let line = self.resume_line(run);
             terminal::note(&format!("stopped; resume with: {line}"));
             return Ok(ExitCode::from(interrupt::EXIT));
         }
-        let viewer = write_scene(&outcome, run)?;
-        write_report(&outcome, run, started.commands, &device)?;
-        summary(&outcome);
+        summary(&trained.outcome);
         terminal::say(&format!("report: {}", run.file(REPORT).display()));
-        terminal::say(&viewer);
+        terminal::say(&viewer_line(run, trained.page_bytes));
         Ok(ExitCode::SUCCESS)
     }
 
@@ -187,27 +170,24 @@ impl TrainArgs {
         Ok(done.stopped)
     }
 
-    /// The run folder and the settings, with absolute paths: a run is resumed and scored from other folders too.
-    fn run_and_config(&mut self) -> Result<(RunFolder, Config)> {
-        if let Some(path) = &self.scene {
-            // Ahead of `--set`. All Gaussians of the file come back.
-            let sets = [
-                "building.iterations=0".to_owned(),
-                "building.max_gaussians=unlimited".to_owned(),
-                "unprojection.attendance=0".to_owned(),
-                format!("building.gaussians={}", scene_path(path)?.display()),
-            ];
-            self.settings.sets.splice(0..0, sets);
+    /// The run folder and the settings. Faults of the options end the program as clap does.
+    fn run_and_config(&self) -> Result<(RunFolder, Config)> {
+        let options = RunOptions {
+            data: self.data.clone(),
+            scene: self.scene.clone(),
+            out: self.out.clone(),
+            resume: self.resume.clone(),
+            config: self.settings.config.clone(),
+            sets: self.settings.sets.clone(),
+            seed: self.seed,
+        };
+        let opened = options.open();
+        // The settings of a run that is resumed without any are no options.
+        if self.resume.is_some() && self.settings.sets.is_empty() {
+            opened
+        } else {
+            or_usage_error(opened)
         }
-        if let Some(dir) = &self.resume {
-            let run = RunFolder::existing(dir)?;
-            let mut config = run.config(&self.settings.sets)?;
-            config.data.dir = self.data.clone().or(config.data.dir);
-            return Ok((run, config.with_absolute_paths()?));
-        }
-        let config = self.settings.load(self.data.as_ref(), self.seed)?;
-        let run = RunFolder::new(self.out.as_deref(), &scene_name(&config))?;
-        Ok((run, config.with_absolute_paths()?))
     }
 
     /// The command line that resumes `run`. The settings of `--set` belong to a resumed run only once it is done again.
@@ -230,92 +210,14 @@ impl TrainArgs {
     }
 }
 
-/// Writes the labelled scene, its cameras and its page for the browser. Returns where that page is, or how to get it.
-fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<String> {
-    let scene = &outcome.scene;
-    let gaussians = &outcome.gaussians;
-    let identities = outcome.stored().map(|(_, identities)| identities);
-    let ids = identities.map(|identities| identities.ids(&scene.classes));
-    ply::write(&run.file(SCENE), gaussians, scene.origin, ids.as_deref())?;
-    match identities {
-        Some(identities) => identities.write(&run.file(IDENTITIES))?,
-        // Those of an earlier result, which had other variants.
-        None => atomic::remove(run.file(IDENTITIES))?,
+/// Where the page of the scene is, or how to get it.
+fn viewer_line(run: &RunFolder, page_bytes: usize) -> String {
+    if page_bytes <= MAX_PAGE_BYTES {
+        return format!("viewer: {}", run.file(VIEWER).display());
     }
-    match &outcome.feature_colors {
-        Some(colors) => colors.write(&run.file(FEATURE_COLORS))?,
-        None => atomic::remove(run.file(FEATURE_COLORS))?,
-    }
-    let cameras = scene.cameras();
-    transforms::write_cameras(&run.file(CAMERAS), &cameras)?;
-    // Whoever opens the page may give a scene its first labels.
-    let labels = ids.unwrap_or_else(|| vec![scene.classes.ignore; gaussians.len()]);
-    let page_bytes = Viewer::bytes(gaussians, true);
-    if page_bytes > MAX_PAGE_BYTES {
-        // The page of an earlier result.
-        atomic::remove(run.file(VIEWER))?;
-        let megabytes = page_bytes / 1_000_000;
-        let folder = quoted(run.path().display().to_string());
-        let line = format!("coseg view --scene {folder}");
-        return Ok(format!(
-            "viewer: left out, as it takes {megabytes} MB; `{line}` writes it"
-        ));
-    }
-    let viewer = Viewer {
-        title: &scene_name(&outcome.config),
-        scene: &run.path().display().to_string(),
-        names: None,
-        sha256: &sha256(&run.file(SCENE))?,
-        gaussians,
-        origin: scene.origin,
-        labels: Some(&labels),
-        classes: &scene.classes,
-        cameras: &cameras,
-        up: scene.known_up(),
-        alpha_max: outcome.config.raster.alpha_max,
-    };
-    viewer.write(&run.file(VIEWER))?;
-    Ok(format!("viewer: {}", run.file(VIEWER).display()))
-}
-
-/// Renders the held-out views, and writes the report and the metrics.
-fn write_report(
-    outcome: &Outcome,
-    run: &RunFolder,
-    commands: Vec<Command>,
-    device: &Device,
-) -> Result<()> {
-    let classes = &outcome.scene.classes;
-    let renders = run.file(RENDERS);
-    let mut metrics = Metrics {
-        commands,
-        ..Metrics::of(outcome)
-    };
-    let mut scores = BTreeMap::new();
-    let views = held_out_views(outcome, &outcome.config, device, |view| {
-        scores.insert(view.view.name.clone(), view.scores);
-        view.write(classes, &renders)
-    })?;
-    let shown = views.iter().map(|v| (v.view.name.clone(), v.scores));
-    scores.extend(shown);
-    metrics.test.views = scores;
-    // Of a resumed run, the largest of the parts that came to their end.
-    metrics.peak_memory_bytes = metrics.peak_memory_bytes.max(run.peak_memory_before());
-    let report = Report {
-        metrics,
-        classes,
-        config: &outcome.config,
-        held_out: outcome.scene.split(Split::Test).count(),
-        views,
-        notes: Report::notes_of(outcome, &outcome.config),
-    };
-    report.write(run.path())
-}
-
-/// Name of the scene, for the run folder.
-fn scene_name(config: &Config) -> String {
-    let dir = config.data.dir.as_deref();
-    dir.map_or("builtin".to_owned(), data::scene_name)
+    let megabytes = page_bytes / 1_000_000;
+    let folder = quoted(run.path().display().to_string());
+    format!("viewer: left out, as it takes {megabytes} MB; `coseg view --scene {folder}` writes it")
 }
 
 /// This command line, quoted where a shell would need it. What is no Unicode is shown as U+FFFD.

@@ -1,14 +1,12 @@
 //! `coseg view`: a scene as a page for the browser.
 
-use super::scene_file::{
-    SCENE, VIEWER, cameras_path, classes_beside, rendering_beside, scene_path,
-};
 use super::terminal;
 use super::values::{alpha_max, numbers};
 use clap::Args;
 use coseg::data::{Limits, read_cameras};
 use coseg::error::{Result, ensure};
 use coseg::files::{extension, file_name, own, sha256};
+use coseg::runs::{SCENE, VIEWER, cameras_path, classes_beside, rendering_beside, scene_path};
 use coseg::splat::formats;
 #[cfg(feature = "serve")]
 use coseg::viewer::Served;

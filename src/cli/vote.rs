@@ -3,12 +3,9 @@
 use super::labelled::LabelledArgs;
 use super::{held_out, terminal};
 use clap::Args;
-use coseg::config::Association;
-use coseg::data::Split;
-use coseg::error::{Result, bail, ensure};
-use coseg::objects::{pooled_vote, refined_vote, vote};
+use coseg::error::Result;
 use coseg::pipeline::{HeldOut, Inputs};
-use coseg::raster::Settings;
+use coseg::runs::{check_vote, vote};
 use coseg::splat::ply;
 
 const HELP: &str = "\
@@ -34,28 +31,10 @@ impl VoteArgs {
     /// Votes, writes and scores.
     pub fn run(self) -> Result<()> {
         let config = self.input.config()?;
-        ensure!(config.data.association == Association::None,
-            setting "data.association"; found "\"gaussians\"";
-            expected "\"none\": the votes are for classes that are the same in every view";
-            help "use `coseg associate`, which makes objects of segments and votes for these");
-        let settings = Settings::from(&config.raster);
+        check_vote(&config)?;
         let device = self.input.device()?;
         let (scene, ply) = self.input.read(&config, &device, &[])?;
-        if scene.labelled().next().is_none() {
-            bail!(&self.input.data, "raw_label_path"; found "nothing"; expected "raw labels of training views";
-                help "add raw_label_path to the frames of a transforms.json, or name a folder with --set data.raw_labels=FOLDER");
-        }
-        let gaussians = &ply.gaussians;
-        let views = || scene.split(Split::Train);
-        let classes = &scene.classes;
-        let identities = if self.pooled {
-            let votes = vote(gaussians, views(), classes, &settings, &device)?;
-            let refined = refined_vote(gaussians, views(), classes, &settings, &device)?;
-            let exponent = config.segmentation.prior_exponent;
-            pooled_vote(gaussians, &votes, &refined, exponent)?.identities
-        } else {
-            vote(gaussians, views(), classes, &settings, &device)?.identities()
-        };
+        let identities = vote(&scene, &ply.gaussians, self.pooled, &config, &device)?;
         let ids = identities.ids(&scene.classes);
         let path = self.input.out.join("scene.ply");
         ply::write(&path, &ply.gaussians, ply.origin, Some(&ids))?;

@@ -1,13 +1,13 @@
 //! The files of a run folder.
 
-use super::or_usage_error;
 use super::scene_file::{CAMERAS, CLASSES, CONFIG, FEATURE_COLORS, SCENE, VIEWER, classes_beside};
-use coseg::config::Config;
-use coseg::data::Classes;
-use coseg::error::{Result, ensure};
-use coseg::files::lock::Lock;
-use coseg::files::{self, atomic, own};
-use coseg::report::{Command, Metrics};
+use crate::config::Config;
+use crate::data::Classes;
+use crate::error::{Result, ensure};
+use crate::files::lock::Lock;
+use crate::files::{self, atomic, own};
+use crate::objects::Identities;
+use crate::report::{Command, Metrics};
 use std::path::{Path, PathBuf};
 
 /// The command lines of a run.
@@ -18,7 +18,7 @@ pub const IDENTITIES: &str = "identities.safetensors";
 const METRICS: &str = "metrics.json";
 /// The figures on a page.
 pub const REPORT: &str = "report.html";
-/// Held-out views.
+/// The folder of held-out views.
 pub const RENDERS: &str = "renders";
 /// The files of a run folder, those in its folders aside.
 const FILES: [&str; 10] = [
@@ -46,7 +46,7 @@ impl RunFolder {
     /// An existing run.
     ///
     /// # Errors
-    /// [`coseg::Error::Input`] when `dir` holds no `config.toml`.
+    /// [`crate::Error::Input`] when `dir` holds no `config.toml`.
     pub fn existing(dir: &Path) -> Result<Self> {
         let run = Self(dir.to_owned());
         ensure!(run.is_used(), dir, "{CONFIG}"; found "no such file"; expected "a run folder";
@@ -57,7 +57,7 @@ impl RunFolder {
     /// The folder of a new run: `dir`, or `runs/NAME`, numbered when that is taken.
     ///
     /// # Errors
-    /// [`coseg::Error::Input`] when `dir` already holds a run.
+    /// [`crate::Error::Input`] when `dir` already holds a run.
     pub fn new(dir: Option<&Path>, name: &str) -> Result<Self> {
         let Some(dir) = dir else {
             let base = Path::new("runs");
@@ -76,7 +76,7 @@ impl RunFolder {
     /// this program did not write.
     ///
     /// # Errors
-    /// [`coseg::Error::Input`] naming the process that has the folder; [`coseg::Error::Argument`] naming a file that is in the way.
+    /// [`crate::Error::Input`] naming the process that has the folder; [`crate::Error::Argument`] naming a file that is in the way.
     pub fn claim(&self, resume: bool) -> Result<Lock> {
         if resume {
             own::allow(&self.0);
@@ -100,7 +100,7 @@ impl RunFolder {
     /// be resumed however it ends. A resumed run keeps its earlier settings file until it succeeds: it may still refuse these.
     ///
     /// # Errors
-    /// [`coseg::Error::Io`] naming the file; [`coseg::Error::Argument`] for settings that TOML cannot hold.
+    /// [`crate::Error::Io`] naming the file; [`crate::Error::Argument`] for settings that TOML cannot hold.
     pub fn start(&self, config: &Config, command: Command) -> Result<StartedRun> {
         // A file that cannot be read is ignored.
         let earlier = std::fs::read(self.file(COMMANDS)).ok();
@@ -142,12 +142,7 @@ impl RunFolder {
     /// # Errors
     /// As [`Config::load`].
     pub fn config(&self, sets: &[String]) -> Result<Config> {
-        let config = Config::load(Some(&self.file(CONFIG)), sets);
-        if sets.is_empty() {
-            config
-        } else {
-            or_usage_error(config)
-        }
+        Config::load(Some(&self.file(CONFIG)), sets)
     }
 
     /// The class table; empty for runs without labels.
@@ -173,7 +168,7 @@ impl StartedRun {
     /// Writes the command lines.
     ///
     /// # Errors
-    /// [`coseg::Error::Io`] naming the file.
+    /// [`crate::Error::Io`] naming the file.
     pub fn write_commands(&self) -> Result<()> {
         atomic::write_json(self.run.file(COMMANDS), &self.commands)
     }
@@ -193,4 +188,26 @@ impl StartedRun {
         own::remove_empty(&checkpoints);
         own::remove_empty(&self.run.0);
     }
+}
+
+/// The identities beside the scene `scene` of `gaussians` Gaussians and `classes` classes, where there are some.
+///
+/// # Errors
+/// As [`Identities::read`]; [`crate::Error::Input`] for other numbers of Gaussians or classes.
+pub fn identities_beside(
+    scene: &Path,
+    gaussians: usize,
+    classes: usize,
+) -> Result<Option<Identities>> {
+    let path = scene.with_file_name(IDENTITIES);
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let identities = Identities::read(&path)?;
+    let rows = identities.scores.len() / identities.classes.max(1);
+    ensure!(rows == gaussians, &path, "scores"; found "{rows} rows";
+        expected "{gaussians}, as in scene.ply"; help "the two files are of different runs; train again");
+    ensure!(identities.classes == classes, &path, "scores"; found "{} columns", identities.classes;
+        expected "{classes}, as classes.json has classes"; help "the two files are of different runs; train again");
+    Ok(Some(identities))
 }

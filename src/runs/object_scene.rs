@@ -1,105 +1,69 @@
-//! A labelled PLY scene with the names of its labels: what commands about objects work on.
+//! A labelled scene with the names of its labels, and where such a scene may be written.
 
-use super::scene_file::{CLASSES, SCENE, classes_beside, copy_cameras, read_scene, scene_path};
-use clap::Args;
-use coseg::data::{Classes, LoadOptions, check_output_file, locate};
-use coseg::error::{Error, Result, bail, ensure, invalid};
-use coseg::files::{atomic, extension, own, sha256};
-use coseg::objects::{Edited, Editing, Edits, Object, inventory};
-use coseg::splat::ply::PlyScene;
-use coseg::splat::{Gaussians, ply};
+use super::scene_file::{CLASSES, SCENE, classes_beside, copy_cameras};
+use crate::data::{Classes, LoadOptions, check_output_file, locate};
+use crate::error::{Error, Result, bail, ensure, invalid};
+use crate::files::{atomic, extension, own, sha256};
+use crate::objects::{Edited, Editing, Edits, Object, inventory};
+use crate::splat::ply::PlyScene;
+use crate::splat::{Gaussians, ply};
 use glam::DVec3;
 use std::path::{Path, PathBuf};
-
-/// Arguments that name the scene and its classes.
-#[derive(Args, Debug)]
-pub struct ObjectSceneArgs {
-    /// Scene with labels: a PLY, .spz or .splat file, or a run folder
-    #[arg(long, value_name = "FILE|RUN")]
-    pub scene: PathBuf,
-    /// Names of the labels [default: classes.json beside the scene, if it is there]
-    #[arg(long, value_name = "FILE.json")]
-    pub classes: Option<PathBuf>,
-}
 
 /// Objects that an error lists at most.
 const MAX_LISTED: usize = 20;
 
 /// A labelled scene.
+#[derive(Clone, Debug)]
 pub struct ObjectScene {
-    /// The PLY file.
+    /// The file that it was read from.
     pub path: PathBuf,
+    /// The Gaussians and their origin. Its labels are in [`ObjectScene::labels`] alone.
     pub ply: PlyScene,
+    /// One id for each Gaussian.
     pub labels: Vec<u16>,
-    /// Empty where no names are known.
+    /// Names of the labels; empty where none are known.
     pub classes: Classes,
-    /// Ascending by id.
+    /// What the labels stand for, ascending by id.
     pub objects: Vec<Object>,
 }
 
-impl ObjectSceneArgs {
-    /// Reads both.
-    pub fn read(&self) -> Result<ObjectScene> {
-        let path = scene_path(&self.scene)?;
-        let ply = read_scene(&path)?;
-        ObjectScene::new(path, ply, self.classes.as_ref())
-    }
-
-    /// Reads both. Gaussians of a scene without labels are unlabelled.
-    pub fn read_or_unlabelled(&self) -> Result<ObjectScene> {
-        let path = scene_path(&self.scene)?;
-        let mut ply = read_scene(&path)?;
-        let ignore = classes_beside(&path, self.classes.as_deref())?.ignore;
-        let unlabelled = vec![ignore; ply.gaussians.len()];
-        ply.labels.get_or_insert(unlabelled);
-        ObjectScene::new(path, ply, self.classes.as_ref())
-    }
-}
-
-/// Arguments that name what a command writes.
-#[derive(Args, Debug)]
-pub struct OutArgs {
-    /// PLY file to write, or a folder for a scene.ply
-    #[arg(long, value_name = "FILE.ply|DIR")]
-    out: PathBuf,
-    /// Write over the scene itself, or over files that this command did not write
-    #[arg(long)]
+/// The .ply file that `--out` means: `out` itself, or scene.ply in that folder. A scene with labels of `classes` may be written
+/// there, see [`check_output`].
+///
+/// # Errors
+/// As [`check_output`]; [`Error::Argument`] for another extension.
+pub fn scene_output(
+    out: &Path,
     force: bool,
+    inputs: (&Path, Option<&Path>),
+    classes: &Classes,
+) -> Result<PathBuf> {
+    let is_folder = out.is_dir() || extension(out).is_empty();
+    let out = if is_folder {
+        out.join(SCENE)
+    } else {
+        out.to_owned()
+    };
+    check_output(&out, force, inputs, classes)?;
+    ensure!(extension(&out) == "ply", argument "--out"; found "{}", out.display(); expected "a .ply file";
+        help "end the name in .ply; `coseg export` writes other formats");
+    Ok(out)
 }
 
-impl OutArgs {
-    /// The .ply file to write, where a scene with labels of `classes` may be written there, see [`check_output`].
-    pub fn check(
-        &self,
-        input: &ObjectSceneArgs,
-        scene: &ObjectScene,
-        classes: &Classes,
-    ) -> Result<PathBuf> {
-        let is_folder = self.out.is_dir() || extension(&self.out).is_empty();
-        let out = if is_folder {
-            self.out.join(SCENE)
-        } else {
-            self.out.clone()
-        };
-        check_output(&out, self.force, input, &scene.path, classes)?;
-        ensure!(extension(&out) == "ply", argument "--out"; found "{}", out.display(); expected "a .ply file";
-            help "end the name in .ply; `coseg export` writes other formats");
-        Ok(out)
-    }
-}
-
-/// Refuses to write a scene with labels of `classes` to `out`, made from the scene at `path`. Without `force` it must overwrite
-/// neither an input nor a file that this command did not write.
+/// Refuses to write a scene with labels of `classes` to `out`, made from the scene at `path` and the class table in the file
+/// `table`, if one was given. Without `force` it must overwrite neither an input nor a file that this command did not write.
+///
+/// # Errors
+/// [`Error::Argument`] or [`Error::Input`] naming what is in the way; [`Error::Io`].
 pub fn check_output(
     out: &Path,
     force: bool,
-    input: &ObjectSceneArgs,
-    path: &Path,
+    (path, table): (&Path, Option<&Path>),
     classes: &Classes,
 ) -> Result<()> {
     let names = out.with_file_name(CLASSES);
-    let is_written = |path: &PathBuf| atomic::same_file(path, out);
-    if input.classes.as_ref().is_some_and(is_written) || out == names {
+    if table.is_some_and(|table| atomic::same_file(table, out)) || out == names {
         bail!(argument "--out"; found "{}", out.display();
             expected "another file than the scene and its classes.json"; help "name a new file");
     }
@@ -123,6 +87,9 @@ pub fn check_output(
 }
 
 /// Whether the file `names` is there and has `classes`, or neither is.
+///
+/// # Errors
+/// As [`Classes::read`].
 pub fn has_table(names: &Path, classes: &Classes) -> Result<bool> {
     if !names.exists() {
         return Ok(classes.is_empty());
@@ -130,7 +97,27 @@ pub fn has_table(names: &Path, classes: &Classes) -> Result<bool> {
     Ok(Classes::read(names)? == *classes)
 }
 
+/// Writes Gaussians, relative to an origin, with `labels` of `classes` to `out`; `classes` as classes.json and a copy of the cameras
+/// of the scene `from` beside it.
+///
+/// # Errors
+/// As [`ply::write`] and [`write_classes`].
+pub fn write_scene(
+    out: &Path,
+    from: &Path,
+    (gaussians, origin): (&Gaussians, DVec3),
+    labels: Option<&[u16]>,
+    classes: &Classes,
+) -> Result<()> {
+    ply::write(out, gaussians, origin, labels)?;
+    write_classes(classes, &out.with_file_name(CLASSES))?;
+    copy_cameras(from, out)
+}
+
 /// Makes the file `names` say what the labels of a new scene mean. Without `classes` an older file goes.
+///
+/// # Errors
+/// As [`Classes::read`]; [`Error::Io`].
 pub fn write_classes(classes: &Classes, names: &Path) -> Result<()> {
     if has_table(names, classes)? {
         return Ok(());
@@ -143,28 +130,44 @@ pub fn write_classes(classes: &Classes, names: &Path) -> Result<()> {
 
 impl ObjectScene {
     /// A scene read from `path`, with the names in the file `classes`, or else in the one beside it.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a scene without labels; as [`Classes::read`].
     pub fn new(path: PathBuf, mut ply: PlyScene, classes: Option<&PathBuf>) -> Result<Self> {
         let Some(labels) = ply.labels.take() else {
             return Err(without_labels(&path));
         };
         let classes = classes_beside(&path, classes.map(PathBuf::as_path))?;
-        let objects = inventory(&ply.gaussians, &labels);
-        Ok(Self {
+        Ok(Self::with_labels(path, ply, labels, classes))
+    }
+
+    /// The scene `ply` of the file `path` with these labels.
+    ///
+    /// # Panics
+    /// If `labels` does not have one id for each Gaussian.
+    pub fn with_labels(path: PathBuf, ply: PlyScene, labels: Vec<u16>, classes: Classes) -> Self {
+        Self {
+            objects: inventory(&ply.gaussians, &labels),
             path,
             ply,
             labels,
             classes,
-            objects,
-        })
+        }
     }
 
     /// The scene after `edits`, which must belong to its file.
+    ///
+    /// # Errors
+    /// As [`Edits::apply`] and [`Editing::finish`].
     pub fn edited(&self, mut editing: Editing, edits: &Edits) -> Result<Edited> {
         edits.apply(&mut editing, &sha256(&self.path)?, self.ply.origin)?;
         editing.finish("--edits")
     }
 
     /// Writes a scene made from this one, with `classes` as classes.json and a copy of the cameras beside it.
+    ///
+    /// # Errors
+    /// As [`write_scene`].
     pub fn write(
         &self,
         out: &Path,
@@ -172,12 +175,19 @@ impl ObjectScene {
         labels: &[u16],
         classes: &Classes,
     ) -> Result<()> {
-        ply::write(out, gaussians, self.ply.origin, Some(labels))?;
-        write_classes(classes, &out.with_file_name(CLASSES))?;
-        copy_cameras(&self.path, out)
+        write_scene(
+            out,
+            &self.path,
+            (gaussians, self.ply.origin),
+            Some(labels),
+            classes,
+        )
     }
 
     /// Corners of a box around the objects called `what`, world units.
+    ///
+    /// # Errors
+    /// As [`ObjectScene::find`].
     pub fn bounds(&self, what: &str, flag: &str) -> Result<(DVec3, DVec3)> {
         let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         let around = |(low, high): (DVec3, DVec3), object: &Object| {
@@ -194,6 +204,9 @@ impl ObjectScene {
 
     /// The object with the id `what`, or all objects with that name or, for associated objects, that class: `chair` finds
     /// `chair 2`. `flag` is the option that errors name.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] with the names that there are.
     pub fn find(&self, what: &str, flag: &str) -> Result<Vec<&Object>> {
         let what = what.trim();
         let id: Option<u16> = what.parse().ok();
@@ -223,6 +236,9 @@ impl ObjectScene {
     }
 
     /// Ids of the objects in `list`, see [`Self::find`].
+    ///
+    /// # Errors
+    /// As [`ObjectScene::find`].
     pub fn ids(&self, list: &[String], flag: &str) -> Result<Vec<u16>> {
         let mut ids = Vec::new();
         for what in list {

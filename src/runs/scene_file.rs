@@ -1,11 +1,11 @@
 //! The files of a scene: given by name, or in the folder that `coseg train` wrote.
 
-use coseg::config::Config;
-use coseg::data::{Classes, Limits, NamedCamera};
-use coseg::error::{Error, Result, bail, ensure, invalid};
-use coseg::files::{atomic, extension, own};
-use coseg::splat::formats;
-use coseg::splat::ply::PlyScene;
+use crate::config::Config;
+use crate::data::{Classes, Limits, NamedCamera};
+use crate::error::{Error, Result, ensure, invalid};
+use crate::files::{atomic, extension, own};
+use crate::splat::formats;
+use crate::splat::ply::PlyScene;
 use std::path::{Path, PathBuf};
 
 /// The settings of a run folder.
@@ -25,6 +25,9 @@ const GRAPHDECO: &str = "point_cloud.ply";
 
 /// The PLY file that `--scene` means: the file itself, scene.ply in a folder, or the last of a model folder of graphdeco's
 /// 3DGS.
+///
+/// # Errors
+/// [`Error::Missing`] where nothing is there; [`Error::Input`] for a folder without a scene.
 pub fn scene_path(given: &Path) -> Result<PathBuf> {
     const HELP: &str = "give a .ply, .spz or .splat file, or the folder that `coseg train` or graphdeco's 3DGS wrote";
     let exists = given.try_exists();
@@ -65,6 +68,9 @@ fn of_graphdeco(folder: &Path) -> Option<PathBuf> {
 }
 
 /// The class table `given`, or the one beside the scene `scene`; empty where there is none.
+///
+/// # Errors
+/// As [`Classes::read`].
 pub fn classes_beside(scene: &Path, given: Option<&Path>) -> Result<Classes> {
     let beside = scene.with_file_name(CLASSES);
     match given {
@@ -75,6 +81,9 @@ pub fn classes_beside(scene: &Path, given: Option<&Path>) -> Result<Classes> {
 }
 
 /// Reads a scene that must hold Gaussians.
+///
+/// # Errors
+/// As [`formats::read`]; [`Error::Input`] for an empty one.
 pub fn read_scene(path: &Path) -> Result<PlyScene> {
     let scene = formats::read(path, &Limits::default())?;
     ensure!(!scene.gaussians.is_empty(), path, "element vertex"; found "no Gaussian"; expected "one or more";
@@ -83,6 +92,9 @@ pub fn read_scene(path: &Path) -> Result<PlyScene> {
 }
 
 /// What `--cameras` names, or else the cameras beside the scene `scene` or in its model folder of graphdeco's 3DGS.
+///
+/// # Errors
+/// [`Error::Argument`] where there are none.
 pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
     if let Some(path) = given {
         return Ok(path.to_owned());
@@ -103,22 +115,34 @@ pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
         })
 }
 
-/// The camera of the frame `frame`, a name with or without extension, which must have the pixel `[x, y]`.
+/// The camera of the frame `frame`, a name with or without extension.
+///
+/// # Errors
+/// [`Error::Argument`] with names like `frame`.
+pub fn named_frame<'a>(frames: &'a [NamedCamera], frame: &str) -> Result<&'a NamedCamera> {
+    let named = |name: &str| frames.iter().find(|f| f.name == name);
+    let stem = Path::new(frame).file_stem().and_then(|stem| stem.to_str());
+    if let Some(found) = named(frame).or_else(|| stem.and_then(named)) {
+        return Ok(found);
+    }
+    let mut near: Vec<&str> = frames.iter().map(|f| f.name.as_str()).collect();
+    let likeness = |name: &str| strsim::jaro_winkler(name, stem.unwrap_or(frame));
+    near.sort_by(|a, b| likeness(b).total_cmp(&likeness(a)));
+    near.truncate(5);
+    Err(invalid!(argument "--frame"; found "{frame}";
+        expected "one of {} frames such as {}", frames.len(), near.join(", "); help "name a frame of --cameras"))
+}
+
+/// The same, where the frame must have the pixel `[x, y]`.
+///
+/// # Errors
+/// As [`named_frame`]; [`Error::Argument`] with the size of the frame.
 pub fn frame_with_pixel<'a>(
     frames: &'a [NamedCamera],
     frame: &str,
     [x, y]: [usize; 2],
 ) -> Result<&'a NamedCamera> {
-    let named = |name: &str| frames.iter().find(|f| f.name == name);
-    let stem = Path::new(frame).file_stem().and_then(|stem| stem.to_str());
-    let Some(found) = named(frame).or_else(|| stem.and_then(named)) else {
-        let mut near: Vec<&str> = frames.iter().map(|f| f.name.as_str()).collect();
-        let likeness = |name: &str| strsim::jaro_winkler(name, stem.unwrap_or(frame));
-        near.sort_by(|a, b| likeness(b).total_cmp(&likeness(a)));
-        near.truncate(5);
-        bail!(argument "--frame"; found "{frame}";
-            expected "one of {} frames such as {}", frames.len(), near.join(", "); help "name a frame of --cameras");
-    };
+    let found = named_frame(frames, frame)?;
     let [width, height] = [found.camera.width, found.camera.height];
     ensure!(x < width && y < height, argument "--pixel"; found "{x},{y}";
         expected "a column below {width} and a row below {height}"; help "choose a pixel of the frame");
@@ -140,6 +164,9 @@ pub fn rendering_beside(scene: &Path) -> Config {
 
 /// Copies the cameras beside the scene `from` beside the scene `to`. Without any, those of an earlier scene go. Cameras that this
 /// program did not write stay.
+///
+/// # Errors
+/// [`Error::Io`].
 pub fn copy_cameras(from: &Path, to: &Path) -> Result<()> {
     let [source, target] = [from, to].map(|scene| scene.with_file_name(CAMERAS));
     if atomic::same_file(&source, &target) || own::check(&target).is_err() {

@@ -1,0 +1,20 @@
+//! Run folders and scene files, and what commands do with them: their names, checks of what is written, training, votes, edits.
+
+mod folder;
+mod object_edits;
+mod object_scene;
+mod scene_file;
+mod training;
+mod vote;
+
+pub use self::folder::{IDENTITIES, RENDERS, REPORT, RunFolder, StartedRun, identities_beside};
+pub use self::object_edits::{ObjectEdits, turn};
+pub use self::object_scene::{
+    ObjectScene, check_output, has_table, scene_output, without_labels, write_classes, write_scene,
+};
+pub use self::scene_file::{
+    CAMERAS, CLASSES, CONFIG, FEATURE_COLORS, SCENE, VIEWER, cameras_path, classes_beside,
+    copy_cameras, frame_with_pixel, named_frame, read_scene, rendering_beside, scene_path,
+};
+pub use self::training::{RunOptions, Trained, check_folder, scene_name, train};
+pub use self::vote::{check_vote, load_both, vote};

@@ -1,0 +1,204 @@
+//! A run of both stages into a run folder.
+
+use super::{CAMERAS, FEATURE_COLORS, IDENTITIES, RENDERS, RunFolder, SCENE, VIEWER, scene_path};
+use crate::config::Config;
+use crate::data::formats::transforms;
+use crate::data::{self, LoadOptions, Split};
+use crate::error::Result;
+use crate::files::{atomic, sha256};
+use crate::pipeline::{self, Outcome};
+use crate::progress::Progress;
+use crate::report::{Command, Metrics, Report, held_out_views};
+use crate::splat::ply;
+use crate::viewer::{MAX_PAGE_BYTES, Viewer};
+use burn::tensor::Device;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// What a run is asked for.
+#[derive(Clone, Debug, Default)]
+pub struct RunOptions {
+    /// The scene folder. Without one a new run trains the built-in room, and a resumed one its own scene.
+    pub data: Option<PathBuf>,
+    /// A scene whose Gaussians are labelled instead of new ones, see [`scene_path`].
+    pub scene: Option<PathBuf>,
+    /// The run folder, see [`RunFolder::new`].
+    pub out: Option<PathBuf>,
+    /// A run to continue. It has its own scene, folder, settings file and seed.
+    pub resume: Option<PathBuf>,
+    /// The settings file.
+    pub config: Option<PathBuf>,
+    /// Settings as for [`Config::load`].
+    pub sets: Vec<String>,
+    /// The seed, where not that of the settings.
+    pub seed: Option<u64>,
+}
+
+impl RunOptions {
+    /// The run folder and the settings, with absolute paths: a run is resumed and scored from other folders too.
+    ///
+    /// # Errors
+    /// As [`Config::load_for`], [`RunFolder::new`] and [`RunFolder::existing`], and [`scene_path`].
+    pub fn open(&self) -> Result<(RunFolder, Config)> {
+        let mut sets = Vec::new();
+        if let Some(scene) = &self.scene {
+            // Ahead of the others.
+            sets.extend(settings_of_scene(scene)?);
+        }
+        sets.extend_from_slice(&self.sets);
+        if let Some(dir) = &self.resume {
+            let run = RunFolder::existing(dir)?;
+            let mut config = run.config(&sets)?;
+            config.data.dir = self.data.clone().or(config.data.dir);
+            return Ok((run, config.with_absolute_paths()?));
+        }
+        let mut config = Config::load_for(self.data.as_deref(), self.config.as_deref(), &sets)?;
+        config.seed = self.seed.unwrap_or(config.seed);
+        config.validate()?;
+        let run = RunFolder::new(self.out.as_deref(), &scene_name(&config))?;
+        Ok((run, config.with_absolute_paths()?))
+    }
+}
+
+/// Settings by which a run labels all Gaussians of `scene` and builds none.
+fn settings_of_scene(scene: &Path) -> Result<[String; 4]> {
+    // All Gaussians of the file come back.
+    Ok([
+        "building.iterations=0".to_owned(),
+        "building.max_gaussians=unlimited".to_owned(),
+        "unprojection.attendance=0".to_owned(),
+        format!("building.gaussians={}", scene_path(scene)?.display()),
+    ])
+}
+
+/// Refuses a scene folder that is not there, and a run folder that would mix with it.
+///
+/// # Errors
+/// As [`data::locate`] and [`data::check_outputs`].
+pub fn check_folder(run: &RunFolder, config: &Config) -> Result<()> {
+    let Some(dir) = &config.data.dir else {
+        return Ok(());
+    };
+    let options = LoadOptions::from(config);
+    data::locate(dir, &options)?;
+    let renders = run.file(RENDERS);
+    data::check_outputs("--out", &[run.path(), &renders], Some((dir, &options)))
+}
+
+/// What [`train`] gives.
+pub struct Trained {
+    /// The results. Where `progress` stopped the run, [`Outcome::stopped`] says so, and only checkpoints were written.
+    pub outcome: Outcome,
+    /// Size of the page for the browser. It was left out where this exceeds [`MAX_PAGE_BYTES`].
+    pub page_bytes: usize,
+}
+
+/// Trains or resumes in the folder `run`, which [`RunFolder::claim`] locked, and writes its files unless `progress` stops it.
+/// `command` is what the report shows.
+///
+/// # Errors
+/// Those of [`pipeline::run`] and of writing. A new run whose training has not begun is removed.
+pub fn train(
+    run: &RunFolder,
+    config: &Config,
+    command: Command,
+    device: &Device,
+    progress: &mut dyn Progress,
+) -> Result<Trained> {
+    let started = run.start(config, command)?;
+    let outcome = pipeline::run(config, run.path(), device, progress);
+    let outcome = outcome.inspect_err(|_| started.remove_new())?;
+    started.write_commands()?;
+    let mut page_bytes = 0;
+    if !outcome.stopped {
+        page_bytes = write_scene(&outcome, run)?;
+        write_report(&outcome, run, started.commands, device)?;
+    }
+    Ok(Trained {
+        outcome,
+        page_bytes,
+    })
+}
+
+/// Writes the labelled scene, its cameras and its page for the browser. Returns the size of that page, see [`Trained::page_bytes`].
+fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<usize> {
+    let scene = &outcome.scene;
+    let gaussians = &outcome.gaussians;
+    let identities = outcome.stored().map(|(_, identities)| identities);
+    let ids = identities.map(|identities| identities.ids(&scene.classes));
+    ply::write(&run.file(SCENE), gaussians, scene.origin, ids.as_deref())?;
+    match identities {
+        Some(identities) => identities.write(&run.file(IDENTITIES))?,
+        // Those of an earlier result, which had other variants.
+        None => atomic::remove(run.file(IDENTITIES))?,
+    }
+    match &outcome.feature_colors {
+        Some(colors) => colors.write(&run.file(FEATURE_COLORS))?,
+        None => atomic::remove(run.file(FEATURE_COLORS))?,
+    }
+    let cameras = scene.cameras();
+    transforms::write_cameras(&run.file(CAMERAS), &cameras)?;
+    // Whoever opens the page may give a scene its first labels.
+    let labels = ids.unwrap_or_else(|| vec![scene.classes.ignore; gaussians.len()]);
+    let page_bytes = Viewer::bytes(gaussians, true);
+    if page_bytes > MAX_PAGE_BYTES {
+        // The page of an earlier result.
+        atomic::remove(run.file(VIEWER))?;
+        return Ok(page_bytes);
+    }
+    let viewer = Viewer {
+        title: &scene_name(&outcome.config),
+        scene: &run.path().display().to_string(),
+        names: None,
+        sha256: &sha256(&run.file(SCENE))?,
+        gaussians,
+        origin: scene.origin,
+        labels: Some(&labels),
+        classes: &scene.classes,
+        cameras: &cameras,
+        up: scene.known_up(),
+        alpha_max: outcome.config.raster.alpha_max,
+    };
+    viewer.write(&run.file(VIEWER))?;
+    Ok(page_bytes)
+}
+
+/// Renders the held-out views, and writes the report and the metrics.
+fn write_report(
+    outcome: &Outcome,
+    run: &RunFolder,
+    commands: Vec<Command>,
+    device: &Device,
+) -> Result<()> {
+    let classes = &outcome.scene.classes;
+    let renders = run.file(RENDERS);
+    let mut metrics = Metrics {
+        commands,
+        ..Metrics::of(outcome)
+    };
+    let mut scores = BTreeMap::new();
+    let views = held_out_views(outcome, &outcome.config, device, |view| {
+        scores.insert(view.view.name.clone(), view.scores);
+        view.write(classes, &renders)
+    })?;
+    let shown = views.iter().map(|v| (v.view.name.clone(), v.scores));
+    scores.extend(shown);
+    metrics.test.views = scores;
+    // Of a resumed run, the largest of the parts that came to their end.
+    metrics.peak_memory_bytes = metrics.peak_memory_bytes.max(run.peak_memory_before());
+    let report = Report {
+        metrics,
+        classes,
+        config: &outcome.config,
+        held_out: outcome.scene.split(Split::Test).count(),
+        views,
+        notes: Report::notes_of(outcome, &outcome.config),
+    };
+    report.write(run.path())
+}
+
+/// Name of the scene that `config` names, for the run folder.
+pub fn scene_name(config: &Config) -> String {
+    let dir = config.data.dir.as_deref();
+    dir.map_or("builtin".to_owned(), data::scene_name)
+}
