@@ -1,0 +1,454 @@
+//! Scenes: Gaussians with labels, as files have them.
+
+use crate::arguments::{Object, Objects, backend, sets};
+use crate::arrays::view;
+use crate::camera::Camera;
+use crate::raised;
+use crate::view::View;
+use coseg::backend::device::{self, BackendName};
+use coseg::config::Config;
+use coseg::data::{Classes, NamedCamera, read_cameras};
+use coseg::error::{Error, Result, ensure, invalid};
+use coseg::features::FeatureColors;
+use coseg::files::own;
+use coseg::objects::{Edited, Editing, Edits, Identities, RenderOptions, Renderer};
+use coseg::runs::{self, FEATURE_COLORS, ObjectEdits, ObjectScene};
+use coseg::splat::ply::PlyScene;
+use glam::{DQuat, DVec3};
+use ndarray::{ArrayView2, ArrayView3, arr1, aview1, aview2};
+use numpy::{PyArray1, PyArray2, PyArray3};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, OnceLock, PoisonError};
+
+/// Gaussians with labels.
+#[pyclass(frozen, module = "coseg")]
+pub struct Scene {
+    /// The file that it was read from, or the scene was made from.
+    source: PathBuf,
+    /// Whether it is what the file holds.
+    is_file: bool,
+    /// The Gaussians, their origin and labels.
+    ply: PlyScene,
+    classes: Classes,
+    identities: Option<Identities>,
+    feature_colors: Option<FeatureColors>,
+    cameras: OnceLock<Vec<NamedCamera>>,
+    /// What rendered the last view.
+    renderer: Mutex<Option<Prepared>>,
+}
+
+/// A renderer, and what it was made for.
+struct Prepared {
+    backend: Option<BackendName>,
+    alpha_max: Option<f64>,
+    background: Option<[f32; 3]>,
+    renderer: Renderer,
+}
+
+impl Scene {
+    /// The scene that `--scene` of the command line would mean by `given`, with what lies beside it.
+    pub fn read(given: &Path) -> Result<Self> {
+        let path = runs::scene_path(given)?;
+        let ply = runs::read_scene(&path)?;
+        let classes = runs::classes_beside(&path, None)?;
+        let count = ply.gaussians.len();
+        let identities = runs::identities_beside(&path, count, classes.len())?;
+        let colors = path.with_file_name(FEATURE_COLORS);
+        let colors = colors
+            .is_file()
+            .then(|| FeatureColors::read(&colors, count));
+        Ok(Self {
+            is_file: true,
+            identities,
+            feature_colors: colors.transpose()?,
+            ..Self::made(path, ply, classes)
+        })
+    }
+
+    /// A scene made from that in the file `source`.
+    fn made(source: PathBuf, ply: PlyScene, classes: Classes) -> Self {
+        Self {
+            source,
+            is_file: false,
+            ply,
+            classes,
+            identities: None,
+            feature_colors: None,
+            cameras: OnceLock::new(),
+            renderer: Mutex::new(None),
+        }
+    }
+
+    /// The cameras beside the file.
+    fn frames(&self) -> Result<&[NamedCamera]> {
+        if let Some(frames) = self.cameras.get() {
+            return Ok(frames);
+        }
+        let path = runs::cameras_path(None, &self.source)?;
+        let frames = read_cameras(&path, None)?;
+        Ok(self.cameras.get_or_init(|| frames))
+    }
+
+    /// Renders `camera` by a renderer that is kept for the next view.
+    fn rendered(
+        &self,
+        camera: &coseg::splat::camera::Camera,
+        depth: bool,
+        wanted: (Option<BackendName>, Option<f64>, Option<[f32; 3]>),
+    ) -> Result<View> {
+        let mut prepared = self.renderer.lock().unwrap_or_else(PoisonError::into_inner);
+        let fits = |p: &Prepared| (p.backend, p.alpha_max, p.background) == wanted;
+        let prepared = match prepared.take().filter(fits) {
+            Some(fitting) => prepared.insert(fitting),
+            None => prepared.insert(self.prepared(wanted)?),
+        };
+        let camera = camera.moved(-self.ply.origin);
+        let frame = prepared.renderer.frame(&camera)?;
+        let depth = depth
+            .then(|| prepared.renderer.depth(&camera))
+            .transpose()?;
+        Ok(View { frame, depth })
+    }
+
+    fn prepared(
+        &self,
+        (backend, alpha_max, background): (Option<BackendName>, Option<f64>, Option<[f32; 3]>),
+    ) -> Result<Prepared> {
+        let mut config = runs::rendering_beside(&self.source);
+        let raster = &mut config.raster;
+        raster.alpha_max = alpha_max.unwrap_or(raster.alpha_max);
+        raster.background = background.unwrap_or(raster.background);
+        config.validate()?;
+        let device = device::open(backend)?;
+        let PlyScene {
+            gaussians, labels, ..
+        } = self.ply.clone();
+        let options = RenderOptions::from(&config);
+        Ok(Prepared {
+            backend,
+            alpha_max,
+            background,
+            renderer: Renderer::new(gaussians, labels, options, &device)?,
+        })
+    }
+
+    /// The scene after `edits` or, where there are none, after `objects`.
+    fn edited(&self, objects: &ObjectEdits, edits: Option<&Path>) -> Result<Self> {
+        ensure!(edits.is_some() || !objects.is_empty(),
+            argument "edit"; found "no operation"; expected "edits, or some of keep, remove, turn and move";
+            help "say what to change");
+        ensure!(edits.is_none() || objects.is_empty(),
+            argument "edits"; found "keep, remove, turn or move beside it"; expected "edits alone";
+            help "edit twice");
+        let mut ply = self.ply.clone();
+        let Some(labels) = ply.labels.take() else {
+            return Err(runs::without_labels(&self.source));
+        };
+        let classes = self.classes.clone();
+        let editing = Editing::new(ply.gaussians.clone(), labels.clone(), classes.clone());
+        let scene = ObjectScene::with_labels(self.source.clone(), ply, labels, classes);
+        let Edited {
+            gaussians,
+            labels,
+            classes,
+        } = match edits {
+            Some(file) => {
+                ensure!(self.is_file, argument "--edits"; found "a scene that is in no file";
+                    expected "the scene whose page the edits were saved from"; help "apply edits to the scene that was loaded");
+                scene.edited(editing, &Edits::read(file)?)?
+            }
+            None => objects.apply(&scene, editing)?.0,
+        };
+        let ply = PlyScene {
+            gaussians,
+            origin: self.ply.origin,
+            labels: Some(labels),
+        };
+        Ok(Self::made(self.source.clone(), ply, classes))
+    }
+
+    fn written(&self, path: &Path, force: bool) -> Result<PathBuf> {
+        let inputs = (self.source.as_path(), None);
+        let out = runs::scene_output(path, force, inputs, &self.classes)?;
+        let PlyScene {
+            gaussians,
+            origin,
+            labels,
+        } = &self.ply;
+        let gaussians = (gaussians, *origin);
+        runs::write_scene(
+            &out,
+            &self.source,
+            gaussians,
+            labels.as_deref(),
+            &self.classes,
+        )?;
+        Ok(out)
+    }
+}
+
+/// `[N, width]` view of values that `this` owns.
+fn rows<'py, const W: usize>(
+    this: &Bound<'py, Scene>,
+    values: &[[f32; W]],
+) -> Bound<'py, PyArray2<f32>> {
+    // SAFETY: `this` is frozen and owns the values.
+    unsafe { view(this, aview2(values)) }
+}
+
+#[pymethods]
+impl Scene {
+    #[getter]
+    fn source(&self) -> &Path {
+        &self.source
+    }
+
+    #[getter]
+    fn origin<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        PyArray1::from_owned_array(py, arr1(&self.ply.origin.to_array()))
+    }
+
+    #[getter]
+    fn means<'py>(this: &Bound<'py, Self>) -> Bound<'py, PyArray2<f32>> {
+        rows(this, &this.get().ply.gaussians.means)
+    }
+
+    #[getter]
+    fn log_scales<'py>(this: &Bound<'py, Self>) -> Bound<'py, PyArray2<f32>> {
+        rows(this, &this.get().ply.gaussians.log_scales)
+    }
+
+    #[getter]
+    fn rotations<'py>(this: &Bound<'py, Self>) -> Bound<'py, PyArray2<f32>> {
+        rows(this, &this.get().ply.gaussians.rotations)
+    }
+
+    #[getter]
+    fn opacity_logits<'py>(this: &Bound<'py, Self>) -> Bound<'py, PyArray1<f32>> {
+        // SAFETY: `this` is frozen and owns the values.
+        unsafe { view(this, aview1(&this.get().ply.gaussians.opacity_logits)) }
+    }
+
+    #[getter]
+    fn sh<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let gaussians = &this.get().ply.gaussians;
+        let shape = (gaussians.len(), gaussians.sh_len(), 3);
+        let values = aview1(&gaussians.sh).into_shape_with_order(shape);
+        let values: ArrayView3<'_, f32> =
+            values.map_err(|e| PyValueError::new_err(e.to_string()))?;
+        // SAFETY: `this` is frozen and owns the values.
+        Ok(unsafe { view(this, values) })
+    }
+
+    #[getter]
+    fn labels<'py>(this: &Bound<'py, Self>) -> Option<Bound<'py, PyArray1<u16>>> {
+        let labels = this.get().ply.labels.as_ref();
+        // SAFETY: `this` is frozen and owns the values.
+        labels.map(|labels| unsafe { view(this, aview1(labels)) })
+    }
+
+    #[getter]
+    fn identities<'py>(this: &Bound<'py, Self>) -> PyResult<Option<Bound<'py, PyArray2<f32>>>> {
+        let Some(identities) = &this.get().identities else {
+            return Ok(None);
+        };
+        let shape = (this.get().ply.gaussians.len(), identities.classes);
+        let values = aview1(&identities.scores).into_shape_with_order(shape);
+        let values: ArrayView2<'_, f32> =
+            values.map_err(|e| PyValueError::new_err(e.to_string()))?;
+        // SAFETY: `this` is frozen and owns the values.
+        Ok(Some(unsafe { view(this, values) }))
+    }
+
+    #[getter]
+    fn feature_colors<'py>(this: &Bound<'py, Self>) -> Option<Bound<'py, PyArray2<f32>>> {
+        let colors = this.get().feature_colors.as_ref();
+        colors.map(|colors| rows(this, &colors.rgb))
+    }
+
+    #[getter]
+    fn classes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let classes = PyDict::new(py);
+        for class in &self.classes.entries {
+            classes.set_item(class.id, &class.name)?;
+        }
+        Ok(classes)
+    }
+
+    #[getter]
+    fn unlabelled(&self) -> u16 {
+        self.classes.ignore
+    }
+
+    #[getter]
+    fn cameras<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let cameras = PyDict::new(py);
+        for frame in py.detach(|| self.frames()).map_err(raised)? {
+            let camera = Camera::of_frame(frame.camera.clone(), frame.split.to_string());
+            cameras.set_item(&frame.name, Bound::new(py, camera)?)?;
+        }
+        Ok(cameras)
+    }
+
+    #[pyo3(signature = (camera, *, size=None, depth=false, background=None, alpha_max=None, backend=None))]
+    #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
+    fn render(
+        &self,
+        py: Python<'_>,
+        camera: CameraArgument<'_>,
+        size: Option<(usize, usize)>,
+        depth: bool,
+        background: Option<[f32; 3]>,
+        alpha_max: Option<f64>,
+        backend: Option<&str>,
+    ) -> PyResult<View> {
+        let backend = crate::arguments::backend(backend)?;
+        let mut camera = match camera {
+            CameraArgument::Camera(camera) => camera.get().camera.clone(),
+            CameraArgument::Frame(name) => {
+                let frames = py.detach(|| self.frames()).map_err(raised)?;
+                let named = runs::named_frame(frames, &name).map_err(raised)?;
+                named.camera.clone()
+            }
+        };
+        if let Some((width, height)) = size {
+            camera = camera.with_size(width, height);
+        }
+        let wanted = (backend, alpha_max, background);
+        py.detach(|| self.rendered(&camera, depth, wanted))
+            .map_err(raised)
+    }
+
+    #[pyo3(signature = (*, keep=None, remove=None, turn=None, r#move=None, edits=None))]
+    fn edit(
+        &self,
+        py: Python<'_>,
+        keep: Option<Objects>,
+        remove: Option<Objects>,
+        turn: Option<&Bound<'_, PyDict>>,
+        r#move: Option<&Bound<'_, PyDict>>,
+        edits: Option<PathBuf>,
+    ) -> PyResult<Self> {
+        let objects = ObjectEdits {
+            keep: keep.map(Objects::words).unwrap_or_default(),
+            remove: remove.map(Objects::words).unwrap_or_default(),
+            turns: turn.map(turns).transpose()?.unwrap_or_default(),
+            moves: r#move.map(moves).transpose()?.unwrap_or_default(),
+        };
+        py.detach(|| self.edited(&objects, edits.as_deref()))
+            .map_err(raised)
+    }
+
+    #[pyo3(signature = (path, *, force=false))]
+    fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<PathBuf> {
+        py.detach(|| own::guarded(&["edit"], || self.written(&path, force)))
+            .map_err(raised)
+    }
+
+    fn __len__(&self) -> usize {
+        self.ply.gaussians.len()
+    }
+
+    fn __repr__(&self) -> String {
+        let made = if self.is_file { "" } else { "made from " };
+        format!(
+            "<coseg.Scene of {} Gaussians, {made}{}>",
+            self.ply.gaussians.len(),
+            self.source.display()
+        )
+    }
+}
+
+/// A camera, or the name of a frame beside the scene.
+#[derive(FromPyObject)]
+enum CameraArgument<'py> {
+    Frame(String),
+    Camera(Bound<'py, Camera>),
+}
+
+/// An axis by its name or as a direction.
+#[derive(FromPyObject)]
+enum Axis {
+    Name(String),
+    Direction([f64; 3]),
+}
+
+/// Objects with the turns that Python gave them.
+fn turns(turns: &Bound<'_, PyDict>) -> PyResult<Vec<(String, DQuat)>> {
+    let mut all = Vec::new();
+    for (object, turn) in turns {
+        let object = object.extract::<Object>()?.word();
+        let (axis, degrees): (Axis, f64) = turn.extract()?;
+        let direction = match &axis {
+            Axis::Name(name) => match name.as_str() {
+                "x" => Some(DVec3::X),
+                "y" => Some(DVec3::Y),
+                "z" => Some(DVec3::Z),
+                _ => None,
+            },
+            Axis::Direction(direction) => Some((*direction).into()),
+        };
+        let rotation = direction.and_then(|axis| runs::turn(axis, degrees));
+        let rotation = rotation.ok_or_else(|| {
+            raised(invalid!(argument "--turn"; found "{object}={turn}";
+                expected "an object, x, y, z or a direction, and degrees"; help "for instance {{\"chair\": (\"z\", 90)}}"))
+        })?;
+        all.push((object, rotation));
+    }
+    Ok(all)
+}
+
+/// Objects with the moves that Python gave them.
+fn moves(moves: &Bound<'_, PyDict>) -> PyResult<Vec<(String, DVec3)>> {
+    let mut all = Vec::new();
+    for (object, offset) in moves {
+        let object = object.extract::<Object>()?.word();
+        let offset = DVec3::from(offset.extract::<[f64; 3]>()?);
+        if !offset.is_finite() {
+            return Err(raised(
+                invalid!(argument "--move"; found "{object}={offset}";
+                expected "an object and three numbers"; help "for instance {{\"chair\": (0.5, 0, 0)}}"),
+            ));
+        }
+        all.push((object, offset));
+    }
+    Ok(all)
+}
+
+/// Loads what `--scene` of the command line accepts.
+#[pyfunction]
+pub fn load(py: Python<'_>, path: PathBuf) -> PyResult<Scene> {
+    py.detach(|| Scene::read(&path)).map_err(raised)
+}
+
+/// Votes as `coseg vote` does.
+#[pyfunction]
+#[pyo3(signature = (scene, data, *, pooled=false, config=None, set=None, backend=None))]
+pub fn vote(
+    py: Python<'_>,
+    scene: PathBuf,
+    data: PathBuf,
+    pooled: bool,
+    config: Option<PathBuf>,
+    set: Option<&Bound<'_, PyDict>>,
+    backend: Option<&str>,
+) -> PyResult<Scene> {
+    let sets = sets(set)?;
+    let backend = self::backend(backend)?;
+    let voted = || -> Result<Scene, Error> {
+        let config = Config::load_for(Some(&data), config.as_deref(), &sets)?;
+        runs::check_vote(&config)?;
+        let device = device::open(backend)?;
+        let (photos, mut ply) = runs::load_both(&data, &scene, &config, &device)?;
+        let identities = runs::vote(&photos, &ply.gaussians, pooled, &config, &device)?;
+        ply.labels = Some(identities.ids(&photos.classes));
+        Ok(Scene {
+            identities: Some(identities),
+            ..Scene::made(runs::scene_path(&scene)?, ply, photos.classes)
+        })
+    };
+    py.detach(voted).map_err(raised)
+}
