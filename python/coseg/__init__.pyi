@@ -113,7 +113,7 @@ class Scene:
         """The label id of Gaussians that have no class."""
     @property
     def cameras(self) -> dict[str, Camera]:
-        """The cameras beside the file, by the names of their frames."""
+        """The cameras beside the file, or of the scene folder of a vote, by the names of their frames."""
     def __len__(self) -> int: ...
     def render(
         self,

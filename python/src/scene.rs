@@ -35,6 +35,7 @@ pub struct Scene {
     classes: Classes,
     identities: Option<Identities>,
     feature_colors: Option<FeatureColors>,
+    /// Read when they are needed, unless they came with the scene.
     cameras: OnceLock<Vec<NamedCamera>>,
     /// What rendered the last view.
     renderer: Mutex<Option<Prepared>>,
@@ -167,7 +168,10 @@ impl Scene {
             origin: self.ply.origin,
             labels: Some(labels),
         };
-        Ok(Self::made(self.source.clone(), ply, classes))
+        Ok(Self {
+            cameras: self.cameras.clone(),
+            ..Self::made(self.source.clone(), ply, classes)
+        })
     }
 
     fn written(&self, path: &Path, force: bool) -> Result<PathBuf> {
@@ -447,6 +451,7 @@ pub fn vote(
         ply.labels = Some(identities.ids(&photos.classes));
         Ok(Scene {
             identities: Some(identities),
+            cameras: photos.cameras().into(),
             ..Scene::made(runs::scene_path(&scene)?, ply, photos.classes)
         })
     };

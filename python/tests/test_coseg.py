@@ -4,6 +4,7 @@ import functools
 import gc
 import logging
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -203,6 +204,7 @@ class Voting(WithScene):
             self.assertEqual(voted.classes, self.run_of_scene.classes)
             true = small_scene.labels(2)
             seen = voted.render("v2").labels
+            self.assertEqual(voted.edit(keep="red").cameras, voted.cameras)
             self.assertGreater((seen == true)[true > 0].mean(), 0.7)
 
     @unittest.skipUnless(PROGRAM, "COSEG_PROGRAM names no program to compare with")
@@ -246,6 +248,13 @@ class Training(WithScene):
         self.assertEqual(run.means.shape, self.run_of_scene.means.shape)
         np.testing.assert_array_equal(run.means, self.run_of_scene.means)
 
+    def test_gaussians_of_a_scene_are_labelled(self):
+        run = train(self.data, scene=self.run_folder, out=self.folder / "labelled", set={**SHORT, "building.iterations": 0})
+        given = coseg.load(self.run_folder)
+        order = [np.lexsort(scene.means.T) for scene in (run, given)]
+        np.testing.assert_allclose(run.means[order[0]] + run.origin, given.means[order[1]] + given.origin, atol=1e-5)
+        self.raises("expected data, set, backend and callback alone", train, resume=self.run_folder, scene=self.run_folder)
+
     def test_exceptions_pass_through_a_run(self):
         out = self.folder / "raised"
 
@@ -261,9 +270,10 @@ class Training(WithScene):
 
     @unittest.skipIf(sys.platform == "win32", "signals of POSIX")
     def test_an_interrupt_stops_a_run_with_a_checkpoint(self):
-        import signal
-
         out = self.folder / "interrupted"
+        # Programs in the background start with this signal ignored.
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        self.addCleanup(signal.signal, signal.SIGINT, before)
 
         def interrupts(event):
             if event.kind == "step" and event.step == 5:

@@ -271,3 +271,38 @@ impl Write for Hashed {
         self.file.flush()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::files::atomic::write_bytes;
+
+    #[test]
+    fn a_guarded_piece_of_work_writes_over_files_of_its_commands_alone() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("file");
+        let by = |commands: &[&'static str], text: &str| {
+            guarded(commands, || write_bytes(&path, text.as_bytes()))
+        };
+        write_bytes(&path, b"of nobody").expect("no guard");
+        assert!(by(&["edit"], "of edit").is_err());
+        fs::remove_file(&path).expect("removed");
+        by(&["edit"], "of edit").expect("a new file");
+        by(&["edit"], "of edit again").expect("its own file");
+        assert!(by(&["train"], "of train").is_err());
+        by(&["train", "edit"], "of train").expect("a file of the second command");
+        let inner = guarded(&["train"], || {
+            assert!(by(&["edit"], "of edit").is_err());
+            write_bytes(&path, b"of train again")
+        });
+        inner.expect("the outer guard again");
+        // What was allowed ends with the work as well.
+        guarded(&["edit"], || {
+            allow(&path);
+            write_bytes(&path, b"of edit")
+        })
+        .expect("allowed");
+        write_bytes(&path, b"changed").expect("no guard");
+        assert!(by(&["edit"], "of edit").is_err());
+    }
+}
