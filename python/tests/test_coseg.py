@@ -255,6 +255,12 @@ class Training(WithScene):
         np.testing.assert_allclose(run.means[order[0]] + run.origin, given.means[order[1]] + given.origin, atol=1e-5)
         self.raises("expected data, set, backend and callback alone", train, resume=self.run_folder, scene=self.run_folder)
 
+    def test_a_run_that_reads_image_features_keeps_their_colours(self):
+        rows = {**SHORT, "segmentation.rows": "ours", "segmentation.iterations": 2}
+        colors = train(self.data, scene=self.run_folder, out=self.folder / "ours", set={**rows, "building.iterations": 0}).feature_colors
+        self.assertEqual(colors.shape, (len(self.run_of_scene), 3))
+        self.assertTrue(0 <= colors.min() < colors.max() <= 1 and not colors.flags.writeable)
+
     def test_exceptions_pass_through_a_run(self):
         out = self.folder / "raised"
 
