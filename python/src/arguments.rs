@@ -56,37 +56,3 @@ fn toml(key: &str, value: &Bound<'_, PyAny>) -> PyResult<String> {
 pub fn backend(name: Option<&str>) -> PyResult<Option<BackendName>> {
     name.map(str::parse).transpose().map_err(raised)
 }
-
-/// One object or several: ids and names, as `coseg edit` takes them.
-#[derive(FromPyObject)]
-pub enum Objects {
-    One(Object),
-    Several(Vec<Object>),
-}
-
-/// An object by its id or its name.
-#[derive(FromPyObject)]
-pub enum Object {
-    Id(u16),
-    Name(String),
-}
-
-impl Object {
-    /// The word of the command line.
-    pub fn word(self) -> String {
-        match self {
-            Self::Id(id) => id.to_string(),
-            Self::Name(name) => name,
-        }
-    }
-}
-
-impl Objects {
-    /// The words of the command line.
-    pub fn words(self) -> Vec<String> {
-        match self {
-            Self::One(object) => vec![object.word()],
-            Self::Several(objects) => objects.into_iter().map(Object::word).collect(),
-        }
-    }
-}

@@ -90,3 +90,10 @@ impl Camera {
         )
     }
 }
+
+/// A camera, or the name of a frame beside the scene.
+#[derive(FromPyObject)]
+pub enum CameraArgument<'py> {
+    Frame(String),
+    Camera(Bound<'py, Camera>),
+}

@@ -3,6 +3,7 @@
 mod arguments;
 mod arrays;
 mod camera;
+mod objects;
 mod progress;
 mod scene;
 mod training;

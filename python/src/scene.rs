@@ -1,20 +1,20 @@
 //! Scenes: Gaussians with labels, as files have them.
 
-use crate::arguments::{Object, Objects, backend, sets};
+use crate::arguments::{backend, sets};
 use crate::arrays::view;
-use crate::camera::Camera;
+use crate::camera::{Camera, CameraArgument};
+use crate::objects::{Objects, moves, turns};
 use crate::raised;
 use crate::view::View;
 use coseg::backend::device::{self, BackendName};
 use coseg::config::Config;
 use coseg::data::{Classes, NamedCamera, read_cameras};
-use coseg::error::{Error, Result, ensure, invalid};
+use coseg::error::{Error, Result, ensure};
 use coseg::features::FeatureColors;
 use coseg::files::own;
 use coseg::objects::{Edited, Editing, Edits, Identities, RenderOptions, Renderer};
 use coseg::runs::{self, FEATURE_COLORS, ObjectEdits, ObjectScene};
 use coseg::splat::ply::PlyScene;
-use glam::{DQuat, DVec3};
 use ndarray::{ArrayView2, ArrayView3, arr1, aview1, aview2};
 use numpy::{PyArray1, PyArray2, PyArray3};
 use pyo3::exceptions::PyValueError;
@@ -38,15 +38,15 @@ pub struct Scene {
     /// Read when they are needed, unless they came with the scene.
     cameras: OnceLock<Vec<NamedCamera>>,
     /// What rendered the last view.
-    renderer: Mutex<Option<Prepared>>,
+    renderer: Mutex<Option<(Look, Renderer)>>,
 }
 
-/// A renderer, and what it was made for.
-struct Prepared {
+/// How a view is rendered, where not as the run was.
+#[derive(Clone, Copy, PartialEq)]
+struct Look {
     backend: Option<BackendName>,
     alpha_max: Option<f64>,
     background: Option<[f32; 3]>,
-    renderer: Renderer,
 }
 
 impl Scene {
@@ -98,42 +98,29 @@ impl Scene {
         &self,
         camera: &coseg::splat::camera::Camera,
         depth: bool,
-        wanted: (Option<BackendName>, Option<f64>, Option<[f32; 3]>),
+        look: Look,
     ) -> Result<View> {
-        let mut prepared = self.renderer.lock().unwrap_or_else(PoisonError::into_inner);
-        let fits = |p: &Prepared| (p.backend, p.alpha_max, p.background) == wanted;
-        let prepared = match prepared.take().filter(fits) {
-            Some(fitting) => prepared.insert(fitting),
-            None => prepared.insert(self.prepared(wanted)?),
+        let mut last = self.renderer.lock().unwrap_or_else(PoisonError::into_inner);
+        let (_, renderer) = match last.take().filter(|(of, _)| *of == look) {
+            Some(fitting) => last.insert(fitting),
+            None => last.insert((look, self.renderer(look)?)),
         };
         let camera = camera.moved(-self.ply.origin);
-        let frame = prepared.renderer.frame(&camera)?;
-        let depth = depth
-            .then(|| prepared.renderer.depth(&camera))
-            .transpose()?;
+        let frame = renderer.frame(&camera)?;
+        let depth = depth.then(|| renderer.depth(&camera)).transpose()?;
         Ok(View { frame, depth })
     }
 
-    fn prepared(
-        &self,
-        (backend, alpha_max, background): (Option<BackendName>, Option<f64>, Option<[f32; 3]>),
-    ) -> Result<Prepared> {
+    fn renderer(&self, look: Look) -> Result<Renderer> {
         let mut config = runs::rendering_beside(&self.source);
         let raster = &mut config.raster;
-        raster.alpha_max = alpha_max.unwrap_or(raster.alpha_max);
-        raster.background = background.unwrap_or(raster.background);
+        raster.alpha_max = look.alpha_max.unwrap_or(raster.alpha_max);
+        raster.background = look.background.unwrap_or(raster.background);
         config.validate()?;
-        let device = device::open(backend)?;
-        let PlyScene {
-            gaussians, labels, ..
-        } = self.ply.clone();
-        let options = RenderOptions::from(&config);
-        Ok(Prepared {
-            backend,
-            alpha_max,
-            background,
-            renderer: Renderer::new(gaussians, labels, options, &device)?,
-        })
+        let device = device::open(look.backend)?;
+        let gaussians = self.ply.gaussians.clone();
+        let labels = self.ply.labels.clone();
+        Renderer::new(gaussians, labels, RenderOptions::from(&config), &device)
     }
 
     /// The scene after `edits` or, where there are none, after `objects`.
@@ -321,8 +308,12 @@ impl Scene {
         if let Some((width, height)) = size {
             camera = camera.with_size(width, height);
         }
-        let wanted = (backend, alpha_max, background);
-        py.detach(|| self.rendered(&camera, depth, wanted))
+        let look = Look {
+            backend,
+            alpha_max,
+            background,
+        };
+        py.detach(|| self.rendered(&camera, depth, look))
             .map_err(raised)
     }
 
@@ -364,62 +355,6 @@ impl Scene {
             self.source.display()
         )
     }
-}
-
-/// A camera, or the name of a frame beside the scene.
-#[derive(FromPyObject)]
-enum CameraArgument<'py> {
-    Frame(String),
-    Camera(Bound<'py, Camera>),
-}
-
-/// An axis by its name or as a direction.
-#[derive(FromPyObject)]
-enum Axis {
-    Name(String),
-    Direction([f64; 3]),
-}
-
-/// Objects with the turns that Python gave them.
-fn turns(turns: &Bound<'_, PyDict>) -> PyResult<Vec<(String, DQuat)>> {
-    let mut all = Vec::new();
-    for (object, turn) in turns {
-        let object = object.extract::<Object>()?.word();
-        let (axis, degrees): (Axis, f64) = turn.extract()?;
-        let direction = match &axis {
-            Axis::Name(name) => match name.as_str() {
-                "x" => Some(DVec3::X),
-                "y" => Some(DVec3::Y),
-                "z" => Some(DVec3::Z),
-                _ => None,
-            },
-            Axis::Direction(direction) => Some((*direction).into()),
-        };
-        let rotation = direction.and_then(|axis| runs::turn(axis, degrees));
-        let rotation = rotation.ok_or_else(|| {
-            raised(invalid!(argument "--turn"; found "{object}={turn}";
-                expected "an object, x, y, z or a direction, and degrees"; help "for instance {{\"chair\": (\"z\", 90)}}"))
-        })?;
-        all.push((object, rotation));
-    }
-    Ok(all)
-}
-
-/// Objects with the moves that Python gave them.
-fn moves(moves: &Bound<'_, PyDict>) -> PyResult<Vec<(String, DVec3)>> {
-    let mut all = Vec::new();
-    for (object, offset) in moves {
-        let object = object.extract::<Object>()?.word();
-        let offset = DVec3::from(offset.extract::<[f64; 3]>()?);
-        if !offset.is_finite() {
-            return Err(raised(
-                invalid!(argument "--move"; found "{object}={offset}";
-                expected "an object and three numbers"; help "for instance {{\"chair\": (0.5, 0, 0)}}"),
-            ));
-        }
-        all.push((object, offset));
-    }
-    Ok(all)
 }
 
 /// Loads what `--scene` of the command line accepts.
