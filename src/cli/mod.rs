@@ -10,6 +10,7 @@ mod edit;
 mod eval;
 mod export;
 mod fault_list;
+mod film;
 mod from_photos;
 mod held_out;
 mod interrupt;

@@ -1,6 +1,7 @@
 //! `coseg render`: pictures of a PLY scene.
 
-use super::render_path::PathArgs;
+use super::film;
+use super::render_path::{PATTERN, PathArgs};
 use super::values::{alpha_max, numbers};
 use super::{BackendArgs, terminal};
 use burn::tensor::Device;
@@ -61,14 +62,13 @@ Paths: frames path_0000, path_0001, ... and their cameras as cameras.json.
   --path orbit        once around the point that the cameras look at, at their median distance and height, with the lens
                       of the first one; lower --radius in rooms, where furniture and walls may be in the way
   --object OBJECT     around the box of one object, closer to a small one; `coseg edit --keep OBJECT` isolates it
-A film of the frames, whose width and height must be even:
-  ffmpeg -framerate 30 -i pictures/path_%04d.rgb.png -pix_fmt yuv420p film.mp4
+  --film              film.mp4 of the frames, by ffmpeg
 
 Examples:
   coseg render --scene runs/room --out pictures --split test --labels
   coseg render --scene runs/room --out walk --path interpolate --split train --frames 300 --size 1280,960
   coseg render --scene runs/room --out dataset --split train --labels --annotations coco,yolo
-  coseg render --scene runs/room --out film --path
+  coseg render --scene runs/room --out film --path --film
   coseg render --scene runs/room --out features --split test --features pca
   coseg render --scene runs/room --out sofa --path orbit --object sofa
   coseg render --scene other.ply --cameras path.json --out arrays --format npy --background 1,1,1 --alpha-max 0.99";
@@ -182,6 +182,11 @@ impl RenderArgs {
         let path = scene_path(&self.scene)?;
         let keys = cameras_path(self.cameras.as_deref(), &path)?;
         self.path.check(&self.out, &keys)?;
+        if self.path.film {
+            ensure!(self.format == Format::Png, argument "--film"; found "--format npy"; expected "--format png";
+                help "leave one of them out");
+            film::check(&self.out)?;
+        }
         let mut config = rendering_beside(&path);
         let scene = self
             .cameras
@@ -254,6 +259,10 @@ impl RenderArgs {
         }
         if self.annotations.contains(&AnnotationFormat::Yolo) {
             yolo.write_names(&self.out.join("data.yaml"))?;
+        }
+        if self.path.film {
+            let film = film::write(&self.out, PATTERN)?;
+            terminal::say(&format!("film: {}", film.display()));
         }
         let mut said = format!("{} frames in {}", cameras.len(), self.out.display());
         // A GPU compiles its kernels for the first one.

@@ -18,6 +18,8 @@ use std::path::Path;
 const FRAMES: usize = 120;
 /// The name of a frame of a path before its number.
 const PREFIX: &str = "path_";
+/// Their colours in PNG files, for ffmpeg.
+pub const PATTERN: &str = "path_%04d.rgb.png";
 
 /// Arguments of a path.
 #[derive(Args, Debug)]
@@ -31,6 +33,9 @@ pub struct PathArgs {
     /// Orbit this object, an id or a name as `coseg objects` lists them
     #[arg(long, value_name = "OBJECT", requires = "path")]
     object: Option<String>,
+    /// Write the frames as film.mp4 too, 30 a second; needs ffmpeg
+    #[arg(long, requires = "path")]
+    pub film: bool,
     /// Radius of the orbit, world units [default: from the cameras, or from the object's size]
     #[arg(long, value_name = "X", requires = "path", value_parser = parse_radius)]
     radius: Option<f64>,

@@ -10,6 +10,8 @@ pub mod edit;
 pub mod edits;
 pub mod export;
 pub mod features;
+#[cfg(unix)]
+pub mod film;
 pub mod foreign_files;
 #[cfg(unix)]
 pub mod from_photos;

@@ -12,5 +12,7 @@ pub mod resume;
 pub mod rivals;
 pub mod rows;
 pub mod run_folder;
+#[cfg(target_os = "linux")]
+pub mod soak;
 pub mod stage_two;
 pub mod stops;

@@ -1,0 +1,94 @@
+//! Many runs in one process leave nothing behind: neither memory, nor open files, nor threads.
+
+use crate::support::plate_runs::config;
+use crate::support::plates::scene;
+use coseg::config::Variant;
+use coseg::pipeline::run;
+use coseg::progress::Silent;
+use std::process::Command;
+
+const RUNS: usize = 200;
+/// Runs after which caches are full.
+const SETTLED: usize = 20;
+
+/// What a process holds.
+#[derive(Debug)]
+struct Held {
+    /// Resident memory, bytes.
+    memory: f64,
+    files: f64,
+    threads: f64,
+}
+
+impl Held {
+    fn now() -> Self {
+        let status = std::fs::read_to_string("/proc/self/status").unwrap();
+        let figure = |name: &str| -> f64 {
+            let line = status.lines().find(|line| line.starts_with(name)).unwrap();
+            line.split_whitespace().nth(1).unwrap().parse().unwrap()
+        };
+        Self {
+            memory: 1024.0 * figure("VmRSS:"),
+            files: std::fs::read_dir("/proc/self/fd").unwrap().count() as f64,
+            threads: figure("Threads:"),
+        }
+    }
+}
+
+/// The runs, in a process of their own. It prints what it holds after each.
+#[test]
+#[ignore = "started by the test below"]
+fn runs() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let mut config = config(folder.path());
+    config.building.iterations = 6;
+    config.segmentation.iterations = 3;
+    config.segmentation.fine_tune = Some(false);
+    config.segmentation.rows = Some(vec![Variant::Vote, Variant::Ours]);
+    let device = crate::support::device();
+    for i in 0..RUNS {
+        let out = folder.path().join("run");
+        run(&config, &out, &device, &mut Silent).unwrap();
+        std::fs::remove_dir_all(&out).unwrap();
+        let Held {
+            memory,
+            files,
+            threads,
+        } = Held::now();
+        println!("held {i} {memory} {files} {threads}");
+    }
+}
+
+#[test]
+fn two_hundred_runs_leave_nothing_behind() {
+    let program = std::env::current_exe().unwrap();
+    let arguments = [
+        "pipeline::soak::runs",
+        "--exact",
+        "--ignored",
+        "--nocapture",
+    ];
+    let output = Command::new(program).args(arguments).output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{said}");
+    let figures = said.lines().filter_map(|line| line.split_once("held "));
+    let held: Vec<Vec<f64>> = figures
+        .map(|(_, line)| line.split(' ').map(|v| v.parse().unwrap()).collect())
+        .collect();
+    assert_eq!(held.len(), RUNS, "{said}");
+    let figures = |column: usize, from: usize| {
+        let mut values: Vec<f64> = held[from..][..SETTLED].iter().map(|h| h[column]).collect();
+        values.sort_by(f64::total_cmp);
+        values
+    };
+    // Files that have just been written may count in single runs.
+    let memory = |from| figures(1, from)[SETTLED / 2];
+    let [settled, last] = [SETTLED, RUNS - SETTLED].map(memory);
+    println!("memory after {SETTLED} runs {settled}, after {RUNS} {last}");
+    assert!(last < 1.05 * settled, "memory: {settled}, then {last}");
+    for (column, what) in [(2, "open files"), (3, "threads")] {
+        let [before, after] = [SETTLED, RUNS - SETTLED].map(|from| figures(column, from));
+        assert_eq!(after, before, "{what}");
+    }
+}
