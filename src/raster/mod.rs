@@ -12,9 +12,7 @@ mod gpu;
 mod op;
 mod settings;
 
-pub use self::cpu::{
-    Blended, Positions, Projected, Rendered, SplatGradients, TilePairs, eval_sh, render,
-};
+pub use self::cpu::{Blended, Positions, Projected, Rendered, SplatGradients, TilePairs, render};
 pub(crate) use self::op::{GaussianLabels, Largest};
 pub use self::op::{Lifted, RasterInput, RasterOutput, SplatTensors, SplatView, rasterize};
 pub use self::settings::{Settings, Splats};

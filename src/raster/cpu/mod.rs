@@ -28,5 +28,4 @@ mod weights;
 pub use self::parameter_gradients::SplatGradients;
 pub use self::projected::{Blended, Projected};
 pub use self::render::{Rendered, render};
-pub use self::sh::eval_sh;
 pub use self::tile_map::{Positions, TilePairs};

@@ -57,34 +57,16 @@ fn direction<E: Real>(means: &[E], i: usize, center: Vec3) -> (Vec3, f64) {
     }
 }
 
-/// Colours `max(0, SH(direction) + 0.5)`, `[N, 3]`.
+/// Colours `max(0, SH(direction) + 0.5)`, `[N, 3]`, of rows with a nonzero entry in `wanted`; other rows are 0.
 ///
 /// `means` is `[N, 3]`, `sh` `[N, K, 3]` with `K = (sh_degree + 1)^2`; terms above `active_degree` are left out; the
 /// direction runs from the camera centre to the mean.
 ///
-/// # Panics
-/// If the lengths disagree, or a degree is above 3.
-pub fn eval_sh<E: Real>(
-    means: &[E],
-    sh: &[E],
-    sh_degree: usize,
-    active_degree: usize,
-    center: [f64; 3],
-) -> Vec<E> {
-    let rows = Coefficients::new(means, sh, sh_degree, active_degree, center);
-    let mut out = vec![E::zero(); means.len()];
-    out.par_chunks_mut(3 * CHUNK)
-        .enumerate()
-        .for_each(|(chunk, out)| {
-            evaluate(&rows, chunk * CHUNK, &[1; CHUNK], out);
-        });
-    out
-}
-
-/// [`eval_sh`] for rows with a nonzero entry in `wanted`; other rows are 0.
-///
 /// # Errors
 /// [`crate::Error::NonFinite`] for a NaN or an infinity in `sh`, wanted or not.
+///
+/// # Panics
+/// If the lengths disagree, or a degree is above 3.
 pub(in crate::raster) fn visible_colours<E: Real>(
     means: &[E],
     sh: &[E],
@@ -130,11 +112,11 @@ impl<'a, E: Real> Coefficients<'a, E> {
         center: Vec3,
     ) -> Self {
         let width = 3 * (sh_degree + 1).pow(2);
-        assert!(sh_degree <= 3, "eval_sh: degree {sh_degree} above 3");
+        assert!(sh_degree <= 3, "colours: degree {sh_degree} above 3");
         assert_eq!(
             means.len() * width,
             sh.len() * 3,
-            "eval_sh: means against SH coefficients"
+            "colours: means against SH coefficients"
         );
         Self {
             means,
@@ -195,7 +177,7 @@ pub(in crate::raster) struct ShBackward<'a, E> {
     pub sh_degree: usize,
     pub active_degree: usize,
     pub center: Vec3,
-    /// Colours as [`eval_sh`] gave them, rows of `stride` values.
+    /// Colours as [`visible_colours`] gave them, rows of `stride` values.
     pub colours: &'a [E],
     /// Their gradient, rows of `stride` values.
     pub gradient: &'a [E],
