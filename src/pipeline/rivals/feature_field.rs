@@ -3,11 +3,10 @@
 use super::super::encode::Inputs;
 use super::super::evaluate::FieldScores;
 use super::super::train_decoder::{
-    Adam, DecodedScores, IdentityModel, TrainingViews, ViewSample, finite_loss,
+    Adam, DecodedScores, IdentityModel, TrainingViews, ViewSample, finite_loss, identities,
     parameter_gradients, view_at,
 };
 use super::{first_parameters, linear};
-use crate::backend::device::read;
 use crate::data::{Split, View};
 use crate::error::Result;
 use crate::features::{Reduction, SCALES, ViewFeatures};
@@ -218,18 +217,10 @@ impl IdentityModel for LinearHead {
     ) -> Result<DecodedScores> {
         let features = select(&self.features, visible);
         let features = constant(features, &self.module.weight.device());
-        Ok(DecodedScores {
-            scores: vec![self.module.forward(features)],
-            regularisation: None,
-            parts: None,
-        })
+        Ok(self.module.forward(features).into())
     }
 
     fn identities(&self, module: Linear) -> Result<Identities> {
-        let logits = module.valid().forward(self.features.clone());
-        Ok(Identities {
-            classes: logits.dims()[1],
-            scores: read("identities", logits)?,
-        })
+        identities(module.valid().forward(self.features.clone()))
     }
 }

@@ -1,9 +1,8 @@
 //! Gaussian Grouping (Ye et al. 2024): a short identity code for each Gaussian, classified after blending.
 
 use super::super::encode::Inputs;
-use super::super::train_decoder::{DecodedScores, IdentityModel};
+use super::super::train_decoder::{DecodedScores, IdentityModel, identities};
 use super::{first_parameters, linear};
-use crate::backend::device::read;
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::select;
@@ -106,18 +105,13 @@ impl IdentityModel for Grouping {
 
     fn decode(&mut self, _view: usize, visible: &[u32], iteration: usize) -> Result<DecodedScores> {
         Ok(DecodedScores {
-            scores: vec![self.logits(visible)],
             regularisation: self.divergence(iteration),
-            parts: None,
+            ..self.logits(visible).into()
         })
     }
 
     fn identities(&self, module: Codes) -> Result<Identities> {
         let module = module.valid();
-        let logits = module.classifier.forward(module.codes.val());
-        Ok(Identities {
-            classes: logits.dims()[1],
-            scores: read("identities", logits)?,
-        })
+        identities(module.classifier.forward(module.codes.val()))
     }
 }

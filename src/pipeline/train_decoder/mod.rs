@@ -26,6 +26,7 @@ pub(super) use self::view_cache::ViewCache;
 pub use self::view_input::{DecoderInput, Encoded};
 pub use self::views::{TrainingViews, ViewSample};
 
+use crate::backend::device::read;
 use crate::error::{Error, Result};
 use crate::objects::Identities;
 use crate::progress::{CurvePoint, Event, Progress};
@@ -45,6 +46,25 @@ pub struct DecodedScores {
     pub regularisation: Option<Tensor<1>>,
     /// Present where the scores were decoded in parts, without autodiff: they are leaves.
     pub parts: Option<DecodedParts>,
+}
+
+impl From<Tensor<2>> for DecodedScores {
+    /// One prediction, decoded at once.
+    fn from(scores: Tensor<2>) -> Self {
+        Self {
+            scores: vec![scores],
+            regularisation: None,
+            parts: None,
+        }
+    }
+}
+
+/// Scores `[N, C]` read back from their device.
+pub(super) fn identities(scores: Tensor<2>) -> Result<Identities> {
+    Ok(Identities {
+        classes: scores.dims()[1],
+        scores: read("identities", scores)?,
+    })
 }
 
 /// The scores of an iteration in the pixels of a view.

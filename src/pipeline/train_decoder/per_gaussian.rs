@@ -1,8 +1,7 @@
 //! Identities learned for each Gaussian (ablation row 1 of the paper): `N x C` free logits under cross-entropy.
 
 use super::decoder_model::stored_scores;
-use super::{DecodedScores, IdentityModel};
-use crate::backend::device::read;
+use super::{DecodedScores, IdentityModel, identities};
 use crate::config::Blend;
 use crate::error::Result;
 use crate::objects::Identities;
@@ -63,19 +62,11 @@ impl IdentityModel for PerGaussian {
         visible: &[u32],
         _iteration: usize,
     ) -> Result<DecodedScores> {
-        Ok(DecodedScores {
-            scores: vec![select(&self.logits.scores.val(), visible)],
-            regularisation: None,
-            parts: None,
-        })
+        Ok(select(&self.logits.scores.val(), visible).into())
     }
 
     fn identities(&self, logits: Logits) -> Result<Identities> {
-        let scores = logits.scores.val().inner();
-        Ok(Identities {
-            classes: scores.dims()[1],
-            scores: read("identities", stored_scores(scores, self.blend))?,
-        })
+        identities(stored_scores(logits.scores.val().inner(), self.blend))
     }
 }
 
