@@ -4,7 +4,7 @@ use super::densify::{Densification, reset_opacity};
 use crate::backend::device::{read, upload};
 use crate::error::{Error, Result};
 use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step};
-use crate::raster::SplatTensors;
+use crate::raster::{RasterInput, SplatTensors};
 use crate::splat::Gaussians;
 use burn::tensor::{Bool, Device, Gradients, Int, Tensor, TensorData};
 use std::sync::Arc;
@@ -68,29 +68,38 @@ pub struct Parameters {
     state: [AdamTensors<2>; 5],
 }
 
-/// Tracked handles on the parameters, for one pass.
+/// Handles on the parameters, for one pass.
 #[derive(Clone, Debug)]
 pub struct Leaves {
-    /// `[N, 3]`.
-    pub means: Tensor<2>,
-    /// `[N, 3]`.
-    pub log_scales: Tensor<2>,
-    /// `[N, 4]`.
-    pub rotations: Tensor<2>,
-    /// `[N]`.
-    pub opacity_logits: Tensor<1>,
+    /// The geometry.
+    pub splats: SplatTensors,
     /// `[N, K, 3]`.
     pub sh: Tensor<3>,
 }
 
 impl Leaves {
+    /// What renders them in colour.
+    pub fn input(&self, active_sh_degree: usize) -> RasterInput {
+        let splats = self.splats.clone();
+        RasterInput {
+            means: splats.means,
+            log_scales: splats.log_scales,
+            rotations: splats.rotations,
+            opacity_logits: splats.opacity_logits,
+            sh: Some(self.sh.clone()),
+            active_sh_degree,
+            features: None,
+            screen: None,
+        }
+    }
+
     /// The gradients of these leaves, which are dropped: they share the buffers of the parameters.
     pub fn gradients(self, gradients: &mut Gradients) -> ParameterGradients {
         ParameterGradients([
-            gradient(self.means, gradients),
-            gradient(self.log_scales, gradients),
-            gradient(self.rotations, gradients),
-            gradient(self.opacity_logits, gradients),
+            gradient(self.splats.means, gradients),
+            gradient(self.splats.log_scales, gradients),
+            gradient(self.splats.rotations, gradients),
+            gradient(self.splats.opacity_logits, gradients),
             gradient(self.sh, gradients),
         ])
     }
@@ -181,20 +190,30 @@ impl Parameters {
         }
     }
 
+    /// Handles on the present values, without autodiff.
+    pub fn values(&self) -> Leaves {
+        let coefficients = (self.sh_degree + 1).pow(2);
+        let sh = self.state[4].param.clone();
+        Leaves {
+            splats: self.splats(),
+            sh: sh.reshape([self.len(), coefficients, 3]),
+        }
+    }
+
     /// Tracked handles on the present values.
     pub fn leaves(&self) -> Leaves {
         fn tracked<const D: usize>(tensor: Tensor<D>) -> Tensor<D> {
             Tensor::from_inner(tensor).require_grad()
         }
-        let splats = self.splats();
-        let coefficients = (self.sh_degree + 1).pow(2);
-        let sh = self.state[4].param.clone();
+        let Leaves { splats, sh } = self.values();
         Leaves {
-            means: tracked(splats.means),
-            log_scales: tracked(splats.log_scales),
-            rotations: tracked(splats.rotations),
-            opacity_logits: tracked(splats.opacity_logits),
-            sh: tracked(sh.reshape([self.len(), coefficients, 3])),
+            splats: SplatTensors {
+                means: tracked(splats.means),
+                log_scales: tracked(splats.log_scales),
+                rotations: tracked(splats.rotations),
+                opacity_logits: tracked(splats.opacity_logits),
+            },
+            sh: tracked(sh),
         }
     }
 

@@ -54,7 +54,7 @@ impl PrunedScene {
     /// # Errors
     /// [`crate::Error::Device`] when the device does not return the gradients.
     pub fn costs(&self, views: &[&View], rng: &mut ChaCha8Rng) -> Result<Vec<f64>> {
-        let mut costs = vec![0.0; self.leaves.opacity_logits.dims()[0]];
+        let mut costs = vec![0.0; self.leaves.splats.opacity_logits.dims()[0]];
         for view in views {
             let changes = self.changes(view, random_signs(view, rng))?;
             for (cost, change) in costs.iter_mut().zip(changes) {
@@ -71,7 +71,7 @@ impl PrunedScene {
             alpha_max: 1.0,
             ..self.settings
         };
-        let logits = self.leaves.opacity_logits.clone().inner();
+        let logits = self.leaves.splats.opacity_logits.clone().inner();
         let logits = logits.clamp_max(MAX_LOGIT);
         let tracked = Tensor::from_inner(logits.clone()).require_grad();
         let image = self.image(view, tracked.clone(), &settings)?;
@@ -112,7 +112,7 @@ impl PrunedScene {
     /// # Errors
     /// As [`Self::prune`].
     pub fn psnr(&self, views: &[&View], left_out: &[u32]) -> Result<f64> {
-        let logits = self.leaves.opacity_logits.clone().inner();
+        let logits = self.leaves.splats.opacity_logits.clone().inner();
         let mut values = read("opacity logits", logits.clone())?;
         left_out.iter().for_each(|&i| values[i as usize] = LEFT_OUT);
         let logits = upload(values, logits.dims(), &logits.device());
@@ -131,16 +131,9 @@ impl PrunedScene {
     }
 
     fn image(&self, view: &View, logits: Tensor<1>, settings: &Settings) -> Result<Tensor<3>> {
-        let leaves = &self.leaves;
         let input = RasterInput {
-            means: leaves.means.clone(),
-            log_scales: leaves.log_scales.clone(),
-            rotations: leaves.rotations.clone(),
             opacity_logits: logits,
-            sh: Some(leaves.sh.clone()),
-            active_sh_degree: self.sh_degree,
-            features: None,
-            screen: None,
+            ..self.leaves.input(self.sh_degree)
         };
         Ok(rasterize(input, &view.camera, settings, self.background)?.image)
     }
@@ -220,7 +213,7 @@ mod tests {
 
     /// The picture of `view` without Gaussian `i`.
     fn without(scene: &PrunedScene, view: &View, i: Option<usize>) -> Vec<f64> {
-        let logits = scene.leaves.opacity_logits.clone().inner();
+        let logits = scene.leaves.splats.opacity_logits.clone().inner();
         let device = logits.device();
         let mut values: Vec<f32> = read("logits", logits.clamp_max(MAX_LOGIT)).expect("readable");
         if let Some(i) = i {
@@ -270,7 +263,7 @@ mod tests {
         let scene = gaussians(&photos, &Device::ndarray());
         let views = train(&photos);
         let all = without(&scene, views[0], None);
-        let n = scene.leaves.opacity_logits.dims()[0];
+        let n = scene.leaves.splats.opacity_logits.dims()[0];
         let mut mean = vec![0.0; n];
         for draw in 0..DRAWS {
             let mut rng = stream(1, Purpose::Pruning, draw);

@@ -42,14 +42,8 @@ impl Trainer<'_> {
         let leaves = self.parameters.leaves();
         let screen = self.screen();
         let input = RasterInput {
-            means: leaves.means.clone(),
-            log_scales: leaves.log_scales.clone(),
-            rotations: leaves.rotations.clone(),
-            opacity_logits: leaves.opacity_logits.clone(),
-            sh: Some(leaves.sh.clone()),
-            active_sh_degree: self.schedule.sh_degree(iteration),
-            features: None,
             screen: Some(screen.clone()),
+            ..leaves.input(self.schedule.sh_degree(iteration))
         };
         let background = self.background(view, iteration);
         let RasterOutput { image, radii, .. } =

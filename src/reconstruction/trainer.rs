@@ -13,7 +13,7 @@ use crate::error::{Error, Result, bail, ensure};
 use crate::metrics::ImageScores;
 use crate::progress::{CurvePoint, Event, Progress, Review};
 use crate::provenance::Provenance;
-use crate::raster::{RasterInput, Settings, rasterize};
+use crate::raster::{Settings, rasterize};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 use glam::DVec3;
@@ -302,19 +302,9 @@ impl<'a> Trainer<'a> {
     }
 
     fn score(&self, view: &View) -> Result<ImageScores> {
-        let leaves = self.parameters.leaves();
-        let input = RasterInput {
-            means: leaves.means.inner(),
-            log_scales: leaves.log_scales.inner(),
-            rotations: leaves.rotations.inner(),
-            opacity_logits: leaves.opacity_logits.inner(),
-            sh: Some(leaves.sh.inner()),
-            active_sh_degree: self.schedule.sh_degree(self.iteration.max(1)),
-            features: None,
-            screen: None,
-        };
+        let degree = self.schedule.sh_degree(self.iteration.max(1));
         let output = rasterize(
-            input,
+            self.parameters.values().input(degree),
             &view.camera,
             &self.settings,
             self.config.raster.background,
