@@ -16,15 +16,27 @@ const WIDE: usize = 32;
 /// Most registers of a block: they hold four numbers or more.
 const REGISTERS: usize = WIDE / 4;
 
-/// Runs `$body` with the constant `$k` bound to the widest block that fits `$left` channels.
-macro_rules! block {
-    ($left:expr, $k:ident => $body:expr) => {
-        if $left >= WIDE {
-            const $k: usize = WIDE;
-            $body
-        } else {
-            const $k: usize = NARROW;
-            $body
+/// Runs `$body` for each [`Block`] of the channels, the widest that fits, with the constant `$k` for its number of channels.
+macro_rules! for_each_block {
+    ($pairs:expr, $ranks:expr, $values:expr, $width:expr; |$block:ident, $k:ident| $body:expr) => {
+        let mut channel = 0;
+        while channel < $width {
+            let $block = Block {
+                pairs: $pairs,
+                ranks: $ranks,
+                values: $values,
+                width: $width,
+                channel,
+            };
+            channel += if $width - channel >= WIDE {
+                const $k: usize = WIDE;
+                $body;
+                $k
+            } else {
+                const $k: usize = NARROW;
+                $body;
+                $k
+            };
         }
     };
 }
@@ -140,28 +152,18 @@ pub(super) fn blend<E: Real>(p: &Projected<E>, values: &[E], channels: usize) ->
                 transmittance[to - first + x] = pairs.t.0[from + x].abs();
             }
         }
-        let mut channel = 0;
-        while channel < width {
-            let block = Block {
-                pairs: &pairs,
-                ranks: tile.ranks,
-                values: &values,
-                width,
-                channel,
-            };
-            channel += block!(width - channel, K => {
-                let mut out = vec![E::zero(); PIXELS * K];
-                E::dispatch(BlendBlock::<E, K> { block, out: &mut out });
-                let used = K.min(channels - channel);
-                for (from, to, len) in tile.rows(size) {
-                        for x in 0..len {
-                        image[(to - first + x) * channels + channel..][..used]
-                            .copy_from_slice(&out[(from + x) * K..][..used]);
-                    }
+        for_each_block!(&pairs, tile.ranks, &values, width; |block, K| {
+            let channel = block.channel;
+            let mut out = vec![E::zero(); PIXELS * K];
+            E::dispatch(BlendBlock::<E, K> { block, out: &mut out });
+            let used = K.min(channels - channel);
+            for (from, to, len) in tile.rows(size) {
+                for x in 0..len {
+                    image[(to - first + x) * channels + channel..][..used]
+                        .copy_from_slice(&out[(from + x) * K..][..used]);
                 }
-                K
-            });
-        }
+            }
+        });
     })
 }
 
@@ -191,24 +193,14 @@ pub(super) fn adjoint<E: Real>(p: &Projected<E>, image: &[E], channels: usize) -
     let width = channels.next_multiple_of(NARROW);
     sum_over_tiles(p, channels, |tile, sums| {
         let pairs = Pairs::<E, false>::gather(p, tile, fresh_transmittance(tile, size));
-        let mut channel = 0;
-        while channel < width {
-            let block = Block {
-                pairs: &pairs,
-                ranks: tile.ranks,
-                values: &[],
-                width,
-                channel,
-            };
-            channel += block!(width - channel, K => {
-                let image = tile_channels(image, tile, size, channels, channel, K);
-                let used = K.min(channels - channel);
-                E::dispatch(AdjointBlock::<E, K, false> {
-                    block, image: &image, sums, stride: channels, at: channel, used, projections: &mut [],
-                });
-                K
+        for_each_block!(&pairs, tile.ranks, &[], width; |block, K| {
+            let at = block.channel;
+            let image = tile_channels(image, tile, size, channels, at, K);
+            let used = K.min(channels - at);
+            E::dispatch(AdjointBlock::<E, K, false> {
+                block, image: &image, sums, stride: channels, at, used, projections: &mut [],
             });
-        }
+        });
     })
 }
 
@@ -227,25 +219,15 @@ pub(super) fn backward<E: Real, const ABSOLUTE: bool>(
     sum_over_tiles(p, stride, |tile, sums| {
         let pairs = Pairs::<E, true>::gather(p, tile, fresh_transmittance(tile, size));
         let mut projections = vec![E::zero(); pairs.pixels.len()];
-        let mut channel = 0;
-        while channel < width {
-            let block = Block {
-                pairs: &pairs,
-                ranks: tile.ranks,
-                values: &values,
-                width,
-                channel,
-            };
-            channel += block!(width - channel, K => {
-                let image = tile_channels(pixels.d_image, tile, size, channels, channel, K);
-                let used = K.min(channels - channel);
-                let at = 6 + channel;
-                E::dispatch(AdjointBlock::<E, K, true> {
-                    block, image: &image, sums, stride, at, used, projections: &mut projections,
-                });
-                K
+        for_each_block!(&pairs, tile.ranks, &values, width; |block, K| {
+            let channel = block.channel;
+            let image = tile_channels(pixels.d_image, tile, size, channels, channel, K);
+            let used = K.min(channels - channel);
+            let at = 6 + channel;
+            E::dispatch(AdjointBlock::<E, K, true> {
+                block, image: &image, sums, stride, at, used, projections: &mut projections,
             });
-        }
+        });
         let alpha_max = E::of(p.settings.alpha_max);
         let mut budget = [E::zero(); PIXELS];
         for (to, from, len) in tile.rows(size) {
