@@ -8,13 +8,14 @@ use super::tile_loop::{
 use crate::backend::Real;
 use crate::backend::simd::{Kernel, Lanes};
 
-/// Blends the first `used` of `values`, `[visible, C]` front to back: `S(p) = sum_i s_i alpha'_i T_i` and
+/// Blends `values`, `[N, used]`, at most C channels: `S(p) = sum_i s_i alpha'_i T_i` and
 /// `T_(i+1) = T_i (1 - alpha'_i)` (Eq. 3).
 pub(super) fn blend<E: Real, const C: usize>(
     p: &Projected<E>,
     values: &[E],
     used: usize,
 ) -> Blended<E> {
+    let values = &p.in_depth_order(values, used, C);
     for_each_tile_row(p, used, |tile, image, transmittance| {
         E::dispatch(BlendTile::<E, C> {
             p,

@@ -21,20 +21,12 @@ impl<E: Real> Projected<E> {
             "blend: values against Gaussians times channels"
         );
         match channels {
-            0 => blend::blend::<E, 0>(self, &[], 0),
-            1 => blend::blend::<E, 1>(self, &self.in_depth_order(values, 1, 1), 1),
-            2 | 3 => {
-                blend::blend::<E, 3>(self, &self.in_depth_order(values, channels, 3), channels)
-            }
-            4..=8 => {
-                blend::blend::<E, 8>(self, &self.in_depth_order(values, channels, 8), channels)
-            }
-            9..=16 => {
-                blend::blend::<E, 16>(self, &self.in_depth_order(values, channels, 16), channels)
-            }
-            17..=24 => {
-                blend::blend::<E, 24>(self, &self.in_depth_order(values, channels, 24), channels)
-            }
+            0 => blend::blend::<E, 0>(self, values, channels),
+            1 => blend::blend::<E, 1>(self, values, channels),
+            2 | 3 => blend::blend::<E, 3>(self, values, channels),
+            4..=8 => blend::blend::<E, 8>(self, values, channels),
+            9..=16 => blend::blend::<E, 16>(self, values, channels),
+            17..=24 => blend::blend::<E, 24>(self, values, channels),
             _ => channel_blocks::blend(self, values, channels),
         }
     }
