@@ -12,7 +12,9 @@ mod gpu;
 mod op;
 mod settings;
 
-pub use self::cpu::{Blended, Positions, Projected, Rendered, SplatGradients, TilePairs, render};
+pub use self::cpu::{
+    Blended, PixelGradients, Positions, Projected, Rendered, SplatGradients, TilePairs, render,
+};
 pub(crate) use self::op::{GaussianLabels, Largest};
 pub use self::op::{Lifted, RasterInput, RasterOutput, SplatTensors, SplatView, rasterize};
 pub use self::settings::{Settings, Splats};

@@ -12,7 +12,7 @@ use super::channel_blocks;
 use super::footprint::{Buffer, Footprint, Rule, Splat2, Tile, fresh_transmittance};
 use super::parameter_gradients::SplatGradients;
 use super::pixel_gradients::{PixelGradients, drift, geometry_sums};
-use super::projected::{Blended, Projected};
+use super::projected::Projected;
 use super::tile_loop::{LIVE_CHECK_INTERVAL, Pass, gather_rows, sum_over_tiles, walk};
 use crate::backend::Real;
 use crate::backend::simd::{Kernel, Lanes};
@@ -206,34 +206,12 @@ fn pixel_sums<E: Real, const ABSOLUTE: bool>(
 }
 
 impl<E: Real> Projected<E> {
-    /// Gradients of a loss `L` through [`Projected::blend`] and the projection.
-    ///
-    /// `splats` and `values` (`[N, channels]`) are the inputs of the forward pass, `forward` is its output. Its image may include
-    /// a background, `image + T b`; then `d_image` reaches `T` through it. `d_image` `[H, W, channels]` and `d_transmittance`
-    /// `[H, W]` are the gradients of the output.
+    /// Gradients of a loss through [`Projected::blend`] and the projection, with [`SplatGradients::screen_absolute`] when
+    /// `absolute`. `splats` and `values` (`[N, channels]`) are the inputs of the forward pass.
     ///
     /// # Panics
     /// If the lengths disagree.
     pub fn backward(
-        &self,
-        splats: &Splats<'_, E>,
-        values: &[E],
-        channels: usize,
-        forward: &Blended<E>,
-        d_image: &[E],
-        d_transmittance: Option<&[E]>,
-    ) -> SplatGradients<E> {
-        let pixels = PixelGradients {
-            image: &forward.image,
-            transmittance: &forward.transmittance,
-            d_image,
-            d_transmittance,
-        };
-        self.backward_slices(splats, values, channels, pixels, false)
-    }
-
-    /// [`Projected::backward`], with [`SplatGradients::screen_absolute`] when `absolute`.
-    pub(in crate::raster) fn backward_slices(
         &self,
         splats: &Splats<'_, E>,
         values: &[E],
@@ -262,7 +240,7 @@ impl<E: Real> Projected<E> {
                 d_image: &zeros[..pixel_count],
                 ..pixels
             };
-            let mut out = self.backward_slices(splats, &zeros[..n], 1, pixels, absolute);
+            let mut out = self.backward(splats, &zeros[..n], 1, pixels, absolute);
             out.values.clear();
             return out;
         }

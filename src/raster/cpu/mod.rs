@@ -15,7 +15,7 @@ mod linear_map;
 mod outline;
 mod pairs;
 mod parameter_gradients;
-pub(super) mod pixel_gradients;
+mod pixel_gradients;
 pub(super) mod projected;
 mod projection;
 mod render;
@@ -26,6 +26,7 @@ mod tiles;
 mod weights;
 
 pub use self::parameter_gradients::SplatGradients;
+pub use self::pixel_gradients::PixelGradients;
 pub use self::projected::{Blended, Projected};
 pub use self::render::{Rendered, render};
 pub use self::tile_map::{Positions, TilePairs};

@@ -14,20 +14,23 @@ pub(in crate::raster) fn drift<E: Real>(s: &Splat2) -> [E; 3] {
     [UNIT * s.du, -UNIT * s.du * s.slope, UNIT * s.dv].map(E::of)
 }
 
-/// What the backward pass over a tile reads besides the projection.
+/// The output of a forward pass and the gradients of a loss by it.
 #[derive(Clone, Copy)]
-pub(in crate::raster) struct PixelGradients<'a, E> {
-    /// The rendered image, `[H, W, C]`, background included.
+pub struct PixelGradients<'a, E> {
+    /// The rendered image, `[H, W, C]`. It may include a background, `image + T b`: `d_image` then reaches `T` through it.
     pub image: &'a [E],
+    /// What shows of the background, `T`, `[H, W]`.
     pub transmittance: &'a [E],
+    /// Gradient of the image, `[H, W, C]`.
     pub d_image: &'a [E],
+    /// Gradient of the transmittance, `[H, W]`, where there is one.
     pub d_transmittance: Option<&'a [E]>,
 }
 
 impl<E: Real> PixelGradients<'_, E> {
     /// `d_image . image + d_transmittance transmittance` of a pixel: `R` before the first Gaussian.
     #[inline(always)]
-    pub fn budget(&self, pixel: usize, channels: usize) -> E {
+    pub(super) fn budget(&self, pixel: usize, channels: usize) -> E {
         let at = pixel * channels;
         let mut sum = self
             .d_transmittance

@@ -6,7 +6,7 @@ use super::tensors::{
 };
 use crate::backend::{HostBackend, HostValues, Real, device_of, real_kernel};
 use crate::error::{Error, Result, invalid};
-use crate::raster::cpu::pixel_gradients::PixelGradients;
+use crate::raster::PixelGradients;
 use crate::raster::cpu::projected::{Blended, Projected};
 use crate::raster::cpu::sh::{ShBackward, visible_colours};
 use crate::raster::settings::{Splats, check_finite};
@@ -246,7 +246,7 @@ impl<E: Real> Inputs<E> {
         let colours = call.colours();
         let channels = colours + self.features_per_row();
         let values = forward.values.as_deref().unwrap_or(&self.features);
-        let mut d = projected.backward_slices(
+        let mut d = projected.backward(
             &self.splats(),
             values,
             channels,

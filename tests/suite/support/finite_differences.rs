@@ -4,7 +4,7 @@
 //! 1 % off must be caught.
 
 use crate::support::raster_reference::{Cloud, numbers};
-use coseg::raster::{Projected, Settings, SplatGradients};
+use coseg::raster::{PixelGradients, Projected, Settings, SplatGradients};
 use coseg::splat::camera::Camera;
 
 /// `Err` names the first entry that breaks the contract.
@@ -113,12 +113,11 @@ pub fn gradients(
 ) -> SplatGradients<f64> {
     let projected = Projected::new(&c.splats(), camera, s).expect("valid");
     let forward = projected.blend(values, channels);
-    projected.backward(
-        &c.splats(),
-        values,
-        channels,
-        &forward,
-        &l.image,
-        Some(&l.transmittance),
-    )
+    let pixels = PixelGradients {
+        image: &forward.image,
+        transmittance: &forward.transmittance,
+        d_image: &l.image,
+        d_transmittance: Some(&l.transmittance),
+    };
+    projected.backward(&c.splats(), values, channels, pixels, false)
 }
