@@ -14,26 +14,7 @@ pub(super) fn weights<E: Real>(p: &Projected<E>, pixels: &[u32]) -> SparseMatrix
     for &pixel in pixels {
         wanted[pixel as usize] = true;
     }
-    let all = every_row(p, |pixel| wanted[pixel]);
-    let mut offsets = vec![0];
-    let mut indices = Vec::new();
-    let mut values = Vec::new();
-    for &pixel in pixels {
-        let (columns, weights) = all.row(pixel as usize);
-        indices.extend_from_slice(columns);
-        values.extend_from_slice(weights);
-        offsets.push(offset(indices.len()));
-    }
-    SparseMatrix::unchecked(all.columns, offsets, indices, values)
-}
-
-/// An entry count as the matrix stores it.
-fn offset(count: usize) -> u32 {
-    assert!(
-        count <= u32::MAX as usize,
-        "weights: {count} entries exceed 2^32 - 1; ask for fewer pixels"
-    );
-    count as u32
+    every_row(p, |pixel| wanted[pixel]).select_rows(pixels)
 }
 
 /// `W` with a row for every pixel; rows of pixels that are not `wanted` are empty.
@@ -54,7 +35,10 @@ fn every_row<E: Real>(p: &Projected<E>, wanted: impl Fn(usize) -> bool + Sync) -
     };
     let mut offsets = vec![0_u32; w * h + 1];
     let total: usize = tiles.iter().map(|(_, pairs)| pairs.pixels.len()).sum();
-    offset(total);
+    assert!(
+        u32::try_from(total).is_ok(),
+        "weights: {total} entries exceed 2^32 - 1; ask for fewer pixels"
+    );
     for (tile, pairs) in &tiles {
         for &pixel in &pairs.pixels {
             offsets[in_image(tile, pixel) + 1] += 1;
