@@ -146,6 +146,7 @@ fn sift<E: Real>(splats: &Splats<'_, E>, first: usize, len: usize, view: &View) 
 }
 
 /// Projected Gaussians, a column for each value; [`Splat2`] says what they are.
+#[derive(Default)]
 struct Block {
     center: [Column; 2],
     slope: Column,
@@ -186,18 +187,7 @@ impl Block {
             ln_alpha_min,
             ..
         } = *view;
-        let mut out = Self {
-            center: [none; 2],
-            slope: none,
-            du: none,
-            dv: none,
-            log_opacity: none,
-            tau: none,
-            reach: [none; 2],
-            xx: none,
-            lambda: none,
-            depth: none,
-        };
+        let mut out = Self::default();
         for l in 0..BLOCK {
             let p = v.to_camera([mean[0][l], mean[1][l], mean[2][l]]);
             let scale = [
