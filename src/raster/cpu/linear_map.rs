@@ -1,6 +1,6 @@
 //! Blending with frozen geometry is a linear map `W`: it, its adjoint, and its pixels.
 
-use super::disc_pixels::{count, count_used};
+use super::disc_pixels::count;
 use super::footprint::Splat2;
 use super::projected::{Blended, CHUNK, Projected};
 use super::{blend, channel_blocks, labels, weights};
@@ -88,21 +88,13 @@ impl<E: Real> Projected<E> {
 
     /// [`Projected::counts`] of the pixels that `mask`, of the camera's size, uses.
     pub fn used_counts(&self, mask: Option<&Mask>) -> Vec<u32> {
-        let disc = |(splat, &id): (&Splat2, &u32)| (splat.center, self.radii()[id as usize]);
-        let discs: Vec<_> = self
-            .splats
-            .par_iter()
-            .zip(&self.ids)
-            .with_min_len(CHUNK)
-            .map(disc)
-            .collect();
-        let mut visible = vec![0; discs.len()];
         let before = mask.map(|mask| used_before(mask, self.size()));
-        let chunks = visible.par_chunks_mut(CHUNK).zip(discs.par_chunks(CHUNK));
-        chunks.for_each(|(counts, discs)| match &before {
-            Some(before) => count_used(discs, self.size(), before, counts),
-            None => count(discs, self.size(), counts),
-        });
+        let count = |(splat, &id): (&Splat2, &u32)| {
+            let radius = self.radii()[id as usize];
+            count(splat.center, radius, self.size(), before.as_deref())
+        };
+        let visible = self.splats.par_iter().zip(&self.ids);
+        let visible: Vec<u32> = visible.with_min_len(CHUNK).map(count).collect();
         let mut counts = vec![0; self.len()];
         for (count, &id) in visible.into_iter().zip(&self.ids) {
             counts[id as usize] = count;
