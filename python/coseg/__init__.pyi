@@ -203,7 +203,7 @@ def train(
     """Trains into a run folder as ``coseg train`` does, on the built-in room unless ``data`` or ``config`` names a scene folder.
 
     The run stops after the step or view, with a checkpoint, where ``callback`` returns False, where it raises, and after Ctrl-C.
-    Exceptions pass on; after False the result is None. ``train(resume=out)`` continues."""
+    Exceptions pass on; the result of a run that was stopped is None. ``train(resume=out)`` continues."""
 
 @overload
 def train(

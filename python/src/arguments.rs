@@ -24,6 +24,16 @@ pub fn sets(settings: Option<&Bound<'_, PyDict>>) -> PyResult<Vec<String>> {
     Ok(sets)
 }
 
+/// A basic string of TOML.
+fn quoted(text: &str) -> String {
+    let escaped = |c: char| match c {
+        '"' | '\\' => format!("\\{c}"),
+        c if c.is_control() => format!("\\u{:04X}", u32::from(c)),
+        c => c.to_string(),
+    };
+    format!("\"{}\"", text.chars().map(escaped).collect::<String>())
+}
+
 /// A value as TOML.
 fn toml(key: &str, value: &Bound<'_, PyAny>) -> PyResult<String> {
     if let Ok(value) = value.cast::<PyBool>() {
@@ -33,8 +43,7 @@ fn toml(key: &str, value: &Bound<'_, PyAny>) -> PyResult<String> {
         return Ok(value.str()?.to_string());
     }
     if let Ok(text) = value.cast::<PyString>() {
-        // Of strings without control characters, Rust's form is that of TOML.
-        return Ok(format!("{:?}", text.to_string()));
+        return Ok(quoted(&text.to_string()));
     }
     if value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>() {
         let items = value.try_iter()?.map(|item| toml(key, &item?));

@@ -8,12 +8,13 @@ use crate::raised;
 use crate::view::View;
 use coseg::backend::device::{self, BackendName};
 use coseg::config::Config;
+use coseg::data::formats::transforms;
 use coseg::data::{Classes, NamedCamera, read_cameras};
-use coseg::error::{Error, Result, ensure};
+use coseg::error::{Error, Result, ensure, invalid};
 use coseg::features::FeatureColors;
 use coseg::files::own;
 use coseg::objects::{Edited, Editing, Edits, Identities, RenderOptions, Renderer};
-use coseg::runs::{self, FEATURE_COLORS, ObjectEdits, ObjectScene};
+use coseg::runs::{self, CAMERAS, FEATURE_COLORS, ObjectEdits, ObjectScene};
 use coseg::splat::ply::PlyScene;
 use ndarray::{ArrayView2, ArrayView3, arr1, aview1, aview2};
 use numpy::{PyArray1, PyArray2, PyArray3};
@@ -132,10 +133,13 @@ impl Scene {
             argument "edits"; found "keep, remove, turn or move beside it"; expected "edits alone";
             help "edit twice");
         let mut ply = self.ply.clone();
-        let Some(labels) = ply.labels.take() else {
-            return Err(runs::without_labels(&self.source));
-        };
         let classes = self.classes.clone();
+        let labels = match ply.labels.take() {
+            Some(labels) => labels,
+            // Edits may be the first labels of a scene.
+            None if edits.is_some() => vec![classes.ignore; ply.gaussians.len()],
+            None => return Err(runs::without_labels(&self.source)),
+        };
         let editing = Editing::new(ply.gaussians.clone(), labels.clone(), classes.clone());
         let scene = ObjectScene::with_labels(self.source.clone(), ply, labels, classes);
         let Edited {
@@ -177,6 +181,10 @@ impl Scene {
             labels.as_deref(),
             &self.classes,
         )?;
+        // Those of a vote are of the photos, not of the file.
+        if let Some(cameras) = self.cameras.get() {
+            transforms::write_cameras(&out.with_file_name(CAMERAS), cameras)?;
+        }
         Ok(out)
     }
 }
@@ -327,8 +335,13 @@ impl Scene {
         r#move: Option<&Bound<'_, PyDict>>,
         edits: Option<PathBuf>,
     ) -> PyResult<Self> {
+        let keep = keep.map(Objects::words);
+        if keep.as_ref().is_some_and(Vec::is_empty) {
+            return Err(raised(invalid!(argument "--keep"; found "no object";
+                expected "one or more"; help "leave it out to keep all")));
+        }
         let objects = ObjectEdits {
-            keep: keep.map(Objects::words).unwrap_or_default(),
+            keep: keep.unwrap_or_default(),
             remove: remove.map(Objects::words).unwrap_or_default(),
             turns: turn.map(turns).transpose()?.unwrap_or_default(),
             moves: r#move.map(moves).transpose()?.unwrap_or_default(),

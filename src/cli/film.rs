@@ -1,10 +1,10 @@
 //! A film of rendered frames, by ffmpeg.
 
-use coseg::error::{Error, Result, ensure};
+use coseg::error::{Error, Result};
 use coseg::files::{atomic, own};
 use std::io;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Command;
 
 const FILM: &str = "film.mp4";
 const HELP: &str = "install ffmpeg (apt-get install ffmpeg, brew install ffmpeg), or leave --film out: the frames are pictures too";
@@ -12,7 +12,7 @@ const HELP: &str = "install ffmpeg (apt-get install ffmpeg, brew install ffmpeg)
 /// Refuses to begin without ffmpeg, or over a film of something else in the folder `out`.
 pub fn check(out: &Path) -> Result<()> {
     own::check(out.join(FILM))?;
-    ffmpeg(Command::new("ffmpeg").arg("-version")).map(drop)
+    ffmpeg(Command::new("ffmpeg").arg("-version"))
 }
 
 /// Writes a film of the pictures in the folder `out` whose names follow `pattern`, as of printf. Returns its name.
@@ -33,17 +33,25 @@ pub fn write(out: &Path, pattern: &str) -> Result<PathBuf> {
         "-movflags",
         "+faststart",
     ]);
-    let done = ffmpeg(command.arg(&made))?;
-    let said = String::from_utf8_lossy(&done.stderr);
-    ensure!(done.status.success(), argument "--film"; found "an error of ffmpeg: {}", said.trim();
-        expected "a film"; help "the frames are there: make a film of them by another program");
+    ffmpeg(command.arg(&made))?;
     atomic::write_bytes(&film, &std::fs::read(&made).map_err(failed)?)?;
     Ok(film)
 }
 
-fn ffmpeg(command: &mut Command) -> Result<Output> {
-    command.output().map_err(|e| match e.kind() {
+/// Runs ffmpeg to its end.
+fn ffmpeg(command: &mut Command) -> Result<()> {
+    let done = command.output().map_err(|e| match e.kind() {
         io::ErrorKind::NotFound => Error::missing("program", "ffmpeg", HELP),
         _ => Error::io("ffmpeg", "start", e),
+    })?;
+    if done.status.success() {
+        return Ok(());
+    }
+    let said = String::from_utf8_lossy(&done.stderr);
+    Err(Error::Program {
+        program: "ffmpeg".to_owned(),
+        status: done.status.to_string(),
+        output: said.lines().next_back().unwrap_or("none").to_owned(),
+        help: HELP.to_owned(),
     })
 }

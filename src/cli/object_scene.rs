@@ -3,7 +3,7 @@
 use clap::Args;
 use coseg::data::Classes;
 use coseg::error::Result;
-use coseg::runs::{ObjectScene, classes_beside, read_scene, scene_output, scene_path};
+use coseg::runs::{ObjectScene, read_scene, scene_output, scene_path};
 use std::path::PathBuf;
 
 /// Arguments that name the scene and its classes.
@@ -28,11 +28,8 @@ impl ObjectSceneArgs {
     /// Reads both. Gaussians of a scene without labels are unlabelled.
     pub fn read_or_unlabelled(&self) -> Result<ObjectScene> {
         let path = scene_path(&self.scene)?;
-        let mut ply = read_scene(&path)?;
-        let ignore = classes_beside(&path, self.classes.as_deref())?.ignore;
-        let unlabelled = vec![ignore; ply.gaussians.len()];
-        ply.labels.get_or_insert(unlabelled);
-        ObjectScene::new(path, ply, self.classes.as_ref())
+        let ply = read_scene(&path)?;
+        ObjectScene::or_unlabelled(path, ply, self.classes.as_ref())
     }
 }
 

@@ -187,6 +187,8 @@ impl Merging {
         self.regions.push(region);
         self.queue(merged);
     }
+
+    /// See [`Regions::prominences`]; `most` is half of the scene's Gaussians.
     fn prominence(&self, region: &Region, most: f64) -> f32 {
         if region.size > most {
             return 0.0;

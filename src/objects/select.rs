@@ -19,8 +19,8 @@ pub struct Growth {
 
 impl Growth {
     /// Grows a selection from the Gaussians `seeds`, at least one. It proposes the height of the region that stands out most of
-    /// those that hold all seeds and at most half of the scene, or, of seeds that nothing connects, the largest height that one
-    /// proposes alone.
+    /// those that hold all seeds and at most half of the scene, or else of the smallest that holds them all. Of seeds that
+    /// nothing connects it is the largest height that one proposes alone.
     ///
     /// # Panics
     /// If there is no seed, or one is not below N.

@@ -141,6 +141,21 @@ impl ObjectScene {
         Ok(Self::with_labels(path, ply, labels, classes))
     }
 
+    /// As [`Self::new`], but Gaussians of a scene without labels are unlabelled.
+    ///
+    /// # Errors
+    /// As [`Classes::read`].
+    pub fn or_unlabelled(
+        path: PathBuf,
+        mut ply: PlyScene,
+        classes: Option<&PathBuf>,
+    ) -> Result<Self> {
+        let classes = classes_beside(&path, classes.map(PathBuf::as_path))?;
+        let unlabelled = || vec![classes.ignore; ply.gaussians.len()];
+        let labels = ply.labels.take().unwrap_or_else(unlabelled);
+        Ok(Self::with_labels(path, ply, labels, classes))
+    }
+
     /// The scene `ply` of the file `path` with these labels.
     ///
     /// # Panics

@@ -12,7 +12,7 @@ use crate::data::labels::palette::UNLABELLED;
 use crate::data::{Class, Classes, NamedCamera, Split};
 use crate::error::{Error, Result, bail, ensure};
 use crate::files::atomic;
-use crate::objects::{Object, Operation, Regions, inventory};
+use crate::objects::{Object, Regions, inventory};
 use crate::splat::Gaussians;
 use crate::splat::camera::{Camera, level_up};
 use base64::Engine;
@@ -100,8 +100,6 @@ struct Header<'a> {
     bytes: usize,
     /// How many blocks of columns a server has instead, 0 without one.
     blocks: usize,
-    /// What the server's file of edits has.
-    saved: &'a [Operation],
     /// The value of `--edits` in the commands that the page writes.
     edits: &'a str,
     degree: usize,
@@ -182,13 +180,22 @@ impl Viewer<'_> {
     /// [`Error::Argument`] for no Gaussian, fields or labels of another length, or an `alpha_max` or `up` out of range;
     /// [`Error::NonFinite`].
     pub fn page(&self) -> Result<String> {
+        let regions = self.labels.map(|_| Regions::new(self.gaussians));
+        self.page_with(&regions.transpose()?.unwrap_or_default())
+    }
+
+    /// A page on which nothing is selected, as it has no tree.
+    ///
+    /// # Errors
+    /// As [`Viewer::page`].
+    #[cfg(feature = "serve")]
+    pub(crate) fn picture(&self) -> Result<String> {
+        self.page_with(&Regions::default())
+    }
+
+    fn page_with(&self, regions: &Regions) -> Result<String> {
         let listed = self.listed()?;
-        let regions = self
-            .labels
-            .map(|_| Regions::new(self.gaussians))
-            .transpose()?
-            .unwrap_or_default();
-        let mut columns = packing::tree(&regions);
+        let mut columns = packing::tree(regions);
         columns.extend(packing::places(self.gaussians, &listed.places));
         columns.extend(packing::looks(self.gaussians, 0..self.gaussians.len()));
         let header = Header {
@@ -269,7 +276,6 @@ impl Viewer<'_> {
             regions: 0,
             bytes: 0,
             blocks: 0,
-            saved: &[],
             edits: "edits.json",
             degree: self.gaussians.sh_degree,
             alpha_max: self.alpha_max,

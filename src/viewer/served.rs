@@ -4,19 +4,19 @@
 //! so on, so each one is spread over the scene, and a few show all of it.
 
 use super::{Header, Viewer, packing, shell};
-use crate::error::{Result, ensure};
+use crate::error::{Error, Result, ensure};
 use crate::files::{atomic, own};
-use crate::objects::{Edits, Operation, Regions};
+use crate::objects::{Editing, Edits, Operation, Regions};
 use crate::server::{Server, failed, html, typed};
 use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::extract::{DefaultBodyLimit, Path, State};
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post};
+use axum::routing::get;
 use rayon::prelude::*;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -45,6 +45,14 @@ struct Content {
     tree: watch::Receiver<Option<Bytes>>,
     sha256: String,
     edits: PathBuf,
+    /// What the file of edits has.
+    saved: Mutex<Vec<Operation>>,
+}
+
+impl Content {
+    fn saved(&self) -> MutexGuard<'_, Vec<Operation>> {
+        self.saved.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl Served<'_> {
@@ -55,8 +63,8 @@ impl Served<'_> {
     /// and save edits.
     ///
     /// # Errors
-    /// As [`Viewer::page`]; as [`Edits::read`]; [`crate::Error::Input`] where the file of edits belongs to another scene;
-    /// [`crate::Error::Io`] when no port can be opened.
+    /// As [`Viewer::page`]; as [`Edits::read`] and [`Edits::apply`] of the file of edits; [`crate::Error::Io`] when no port can be
+    /// opened.
     pub fn run(&self, started: impl FnOnce(&str), is_over: impl Fn() -> bool) -> Result<()> {
         let listed = self.viewer.listed()?;
         let gaussians = self.viewer.gaussians;
@@ -65,7 +73,6 @@ impl Served<'_> {
         let edits = self.edits.display().to_string();
         let header = Header {
             blocks,
-            saved: &saved,
             edits: &edits,
             ..self.viewer.header(&listed)
         };
@@ -81,6 +88,7 @@ impl Served<'_> {
             tree: computed,
             sha256: self.viewer.sha256.to_owned(),
             edits: self.edits.clone(),
+            saved: Mutex::new(saved),
         });
         let server = Server::start(|token| routes(token, content))?;
         started(server.address());
@@ -104,10 +112,21 @@ impl Served<'_> {
             return Ok(Vec::new());
         }
         let edits = Edits::read(&self.edits)?;
-        ensure!(edits.scene == self.viewer.sha256, &self.edits, "scene"; found "edits of another scene";
+        let Viewer {
+            gaussians,
+            labels,
+            classes,
+            origin,
+            sha256,
+            ..
+        } = self.viewer;
+        ensure!(edits.scene == sha256, &self.edits, "scene"; found "edits of another scene";
             expected "edits of this one, or no file"; help "name another file by --edits, or move this one");
-        // The page holds all that it writes over.
-        own::allow(&self.edits);
+        let labels = labels.map_or_else(|| vec![classes.ignore; gaussians.len()], <[u16]>::to_vec);
+        let mut editing = Editing::new(gaussians.clone(), labels, classes.clone());
+        edits.apply(&mut editing, sha256, origin)?;
+        // The page holds all that it writes over, as long as nobody else writes there.
+        own::stamp(&self.edits);
         Ok(edits.operations)
     }
 }
@@ -118,7 +137,7 @@ fn routes(token: &str, content: Arc<Content>) -> Router {
         .route(&format!("/{token}/places"), get(places))
         .route(&format!("/{token}/looks/{{block}}"), get(looks))
         .route(&format!("/{token}/tree"), get(tree))
-        .route(&format!("/{token}/edits"), post(save))
+        .route(&format!("/{token}/edits"), get(saved).post(save))
         .layer(DefaultBodyLimit::max(MAX_EDITS))
         .with_state(content)
 }
@@ -147,13 +166,24 @@ async fn tree(State(content): State<Arc<Content>>) -> Response {
     }
 }
 
+/// The operations of the file of edits.
+async fn saved(State(content): State<Arc<Content>>) -> Response {
+    match serde_json::to_string(&*content.saved()) {
+        Ok(text) => typed("application/json", Body::from(text)),
+        Err(error) => failed(error),
+    }
+}
+
 /// Writes the file of edits, if it is one of this scene.
 async fn save(State(content): State<Arc<Content>>, body: String) -> Response {
     let written = || {
         let edits = Edits::parse(&content.edits, &body)?;
         ensure!(edits.scene == content.sha256, &content.edits, "scene"; found "edits of another scene";
             expected "edits of the scene that is served"; help "load the page again");
-        atomic::write_bytes(&content.edits, body.as_bytes())
+        let mut saved = content.saved();
+        atomic::write_bytes(&content.edits, body.as_bytes())?;
+        *saved = edits.operations;
+        Ok::<_, Error>(())
     };
     match written() {
         Ok(()) => StatusCode::NO_CONTENT.into_response(),

@@ -248,7 +248,7 @@ impl RunState {
                 up: scene.up,
                 alpha_max,
             };
-            viewer.page()
+            viewer.picture()
         })
     }
 

@@ -39,7 +39,7 @@ class Editor {
   /** Esc: the selection goes first, then the tool, then what is chosen. */
   back() {
     if (this.tools.shape) this.tools.cancel();
-    else if (this.selection.count) this.selection.clear();
+    else if (this.selection.count || this.selection.growth) this.selection.clear();
     else if (this.tools.tool !== "objects") this.tools.choose("objects");
     else this.choose(null);
     this.refresh();
@@ -152,6 +152,7 @@ class Editor {
     const { superpoints } = this.scene;
     if (!superpoints || !this.selection.count) return;
     const touched = new Set(this.selection.rows().map((row) => superpoints[row]));
+    this.selection.endGrowth();
     superpoints.forEach((superpoint, row) => {
       if (touched.has(superpoint) && this.isFree(row)) this.selection.set(row, 1);
     });

@@ -12,6 +12,8 @@ class Edits {
     this.undone = [];
     /** What the last saved file holds. */
     this.saved = [];
+    /** Whether a file is being saved. */
+    this.saving = false;
     /** Why edits are not kept, if they are not. */
     this.trouble = "";
     this.state = new State(scene);
@@ -81,13 +83,26 @@ class Edits {
   /** Saves edits.json: its server writes it, or the browser downloads it. */
   async save() {
     const { operations } = this;
-    const trouble = this.scene.blocks ? await notSaved(this.text()) : this.download();
+    this.saving = true;
+    this.changed();
+    const trouble = this.scene.blocks ? await this.send() : this.download();
+    this.saving = false;
     if (!trouble) {
       this.saved = operations;
       this.keep();
     }
     this.trouble = trouble || this.trouble;
     this.changed();
+  }
+
+  /** Why the server has not written them, if so. */
+  async send() {
+    try {
+      return await saveEdits(this.text());
+    } catch {
+      this.download();
+      return "The server has ended: the browser downloads edits.json instead.";
+    }
   }
 
   download() {
@@ -101,7 +116,9 @@ class Edits {
     if (!this.key) return;
     try {
       const saved = this.isSaved;
-      if (this.done.length) localStorage.setItem(this.key, JSON.stringify({ done: this.done, saved }));
+      // Without edits a page differs from its server, too.
+      const isKept = this.done.length || (this.scene.blocks && !saved);
+      if (isKept) localStorage.setItem(this.key, JSON.stringify({ done: this.done, saved }));
       else localStorage.removeItem(this.key);
       this.trouble = "";
     } catch {
@@ -110,11 +127,13 @@ class Edits {
     }
   }
 
-  /** Takes up what was kept, or else what the server has. What does not fit the scene is dropped. */
+  /** Takes up what was kept, or what the server has saved since. What does not fit the scene is dropped. */
   restore() {
     if (!this.key) return;
     try {
-      const { done, saved } = JSON.parse(localStorage.getItem(this.key) ?? "null") ?? { done: this.scene.saved, saved: true };
+      const kept = JSON.parse(localStorage.getItem(this.key) ?? '{"done": [], "saved": true}');
+      const isServers = kept.saved && this.scene.blocks > 0;
+      const { done, saved } = isServers ? { done: this.scene.saved, saved: true } : kept;
       this.state = State.after(this.scene, done);
       this.done = done;
       this.saved = saved ? this.operations : [null];

@@ -56,6 +56,16 @@ class Page extends Editor {
 
   /** Takes what Gaussians look like from the server, and draws whenever twice as much is there. */
   async receive() {
+    try {
+      await this.receiveAll();
+    } catch (error) {
+      const lead = document.getElementById("lead").textContent;
+      document.getElementById("trouble").textContent = `Not all has come (${lead}): ${error.message}. Load the page again.`;
+      throw error;
+    }
+  }
+
+  async receiveAll() {
     const { blocks, gaussians, labelled } = this.scene;
     for (let block = 0, drawn = 0; block < blocks; block++) {
       this.scene.setLooks(await fetched(`looks/${block}`), block, blocks);
@@ -216,7 +226,7 @@ class Page extends Editor {
     if (!this.scene.labelled || this.watched) return;
     const picked = this.pickAt(x, y);
     if (this.tools.tool === "points") {
-      if (this.scene.superpoints && picked?.coverage >= COVERED) this.point(picked.row);
+      if (this.scene.superpoints && picked?.coverage >= COVERED && this.isFree(picked.row)) this.point(picked.row);
       return;
     }
     const found = picked?.object ?? null;
@@ -294,16 +304,18 @@ class Page extends Editor {
 /** Shows the scene that the page carries, or that its server has. */
 async function start() {
   const scene = new Scene(JSON.parse(document.getElementById("header").textContent));
-  if (scene.blocks) scene.setPlaces(await fetched("places"));
-  else scene.setEmbedded();
+  if (scene.blocks) {
+    scene.setPlaces(await fetched("places"));
+    scene.saved = await savedEdits();
+  } else scene.setEmbedded();
   window.page = new Page(scene);
-  if (scene.blocks) await window.page.receive();
 }
 
 try {
   await start();
-  document.body.dataset.ready = "yes";
 } catch (error) {
   document.getElementById("trouble").textContent = `This scene cannot be shown: ${error.message}`;
   throw error;
 }
+if (window.page.scene.blocks) await window.page.receive();
+document.body.dataset.ready = "yes";

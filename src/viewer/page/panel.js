@@ -85,11 +85,13 @@ class Panel {
   showEdits() {
     const { edits, scene } = this.page;
     const { length } = edits.operations;
-    this.box.hidden = !edits.done.length && !edits.trouble;
+    // The file of a server changes also where all edits were undone.
+    const isBehind = scene.blocks > 0 && !edits.isSaved;
+    this.box.hidden = !edits.done.length && !edits.trouble && !isBehind;
     const count = `${length} edit${length === 1 ? "" : "s"}`;
     const summary = edits.isSaved ? `${count}, saved` : `${count}, not saved`;
-    this.summary.textContent = edits.trouble || (length ? summary : "Only hidden: nothing to save");
-    this.saves.disabled = !length;
+    this.summary.textContent = edits.trouble || (length || isBehind ? summary : "Only hidden: nothing to save");
+    this.saves.disabled = edits.saving || !(length || isBehind);
     this.drops.disabled = !edits.done.length;
     const line = editCommand(scene, edits);
     this.command.parentElement.hidden = !line;

@@ -106,7 +106,7 @@ class Scene {
     }
     if (at !== bytes.length) throw new Error("the page is cut off");
     const columns = new Columns(bytes.buffer);
-    if (this.labelled) this.setTree(columns, this.regions);
+    if (this.regions) this.setTree(columns, this.regions);
     this.setPlaces(columns);
     this.setLooks(columns, 0, 1);
   }

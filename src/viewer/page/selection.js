@@ -18,17 +18,25 @@ class Selection {
   clear() {
     this.flags.fill(0);
     this.count = 0;
+    this.endGrowth();
+  }
+
+  /** What is selected stays; the next point begins anew. */
+  endGrowth() {
     this.seeds = [];
     this.growth = null;
   }
 
   /** Drops Gaussians that are deleted. */
   restrict(state) {
-    if (this.count) for (const row of this.rows()) if (state.objectOf(row) === null) this.set(row, 0);
+    const gone = this.rows().filter((row) => state.objectOf(row) === null);
+    for (const row of gone) this.set(row, 0);
+    if (gone.length) this.endGrowth();
   }
 
   /** Ascending. */
   rows() {
+    if (!this.count) return [];
     const rows = [];
     for (let i = 0; i < this.flags.length && rows.length < this.count; i++) if (this.flags[i]) rows.push(i);
     return rows;

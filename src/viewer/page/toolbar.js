@@ -41,7 +41,7 @@ class Toolbar {
     this.options.hidden = tools.tool === "objects";
     const { growth, level } = selection;
     this.ask.hidden = tools.isDrawing || growth !== null;
-    this.ask.textContent = this.page.scene.superpoints ? "Click a thing, once or from several sides" : "Things are being looked for";
+    this.ask.textContent = this.page.scene.superpoints ? "Click a thing, once or from several sides" : "The scene is still loading";
     this.reach.parentElement.hidden = tools.isDrawing || growth === null;
     if (growth) {
       this.reach.max = growth.levels.length - 1;

@@ -53,6 +53,7 @@ class Tools {
     const how = altKey ? "subtract" : shiftKey ? "add" : this.how;
     const { selection } = this.page;
     if (how === "new") selection.clear();
+    selection.endGrowth();
     this.flag = how === "subtract" ? 0 : 1;
     this.found = this.page.candidates(this.limit);
     this.shape = [at];

@@ -4,7 +4,7 @@ use crate::support::browser::inside;
 #[cfg(feature = "serve")]
 use crate::support::client::Client;
 use crate::support::plates::scene as plates_scene;
-use crate::support::program::{fails, listed, succeeds, utf8};
+use crate::support::program::{fails, listed, succeeds, text, utf8};
 use coseg::data::formats::transforms::write_cameras;
 use coseg::data::read_cameras;
 #[cfg(feature = "serve")]
@@ -27,8 +27,8 @@ fn the_command_writes_a_page_beside_the_scene() {
     ]);
     let page = scene.with_file_name("viewer.html");
     assert!(said.contains("viewer.html"), "{said}");
-    let text = std::fs::read_to_string(&page).unwrap();
-    let header: serde_json::Value = serde_json::from_str(inside(&text, "header")).unwrap();
+    let html = std::fs::read_to_string(&page).unwrap();
+    let header: serde_json::Value = serde_json::from_str(inside(&html, "header")).unwrap();
     assert_eq!(header["cameras"].as_array().unwrap().len(), 6);
     assert_eq!(header["path"], utf8(&scene));
     let other = dir.path().join("page.htm");
@@ -91,10 +91,20 @@ fn a_served_page_saves_edits_beside_the_scene() {
         header["sha256"]
     );
     assert_eq!(client.post("edits", &edits, "").0, 204);
+    assert_eq!(client.post("edits", &edits, "").0, 204, "over its own file");
+    let saved = scene.with_file_name("edits.json");
+    std::fs::write(&saved, "somebody else's").unwrap();
+    let (status, said) = client.post("edits", &edits, "");
+    assert_eq!(
+        (status, text(&said).contains("was changed since")),
+        (400, true)
+    );
+    assert_eq!(std::fs::read_to_string(&saved).unwrap(), "somebody else's");
+    std::fs::remove_file(&saved).unwrap();
+    assert_eq!(client.post("edits", &edits, "").0, 204);
     program.kill().unwrap();
     program.wait().unwrap();
 
-    let saved = scene.with_file_name("edits.json");
     let edit = ["edit", "--scene", utf8(&scene), "--edits", utf8(&saved)];
     succeeds(&[&edit[..], &["--out", utf8(&dir.path().join("mended"))]].concat());
     let classes = Classes::read(&dir.path().join("mended/classes.json")).unwrap();

@@ -101,7 +101,9 @@ impl Tab {
         );
     }
 
+    /// Waits until all of the scene is there.
     fn expect_ready(&mut self) {
+        self.until("document.body.dataset.ready === 'yes' || document.getElementById('trouble').textContent !== ''");
         assert_eq!(
             self.value("document.body.dataset.ready"),
             "yes",

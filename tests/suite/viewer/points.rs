@@ -9,7 +9,7 @@ use coseg::data::Limits;
 use coseg::objects::{Growth, Regions};
 use coseg::splat::{Gaussians, ply};
 use glam::DVec3;
-use serde_json::json;
+use serde_json::{Value, json};
 use tempfile::TempDir;
 
 /// The middles of the red and the blue plate.
@@ -95,6 +95,38 @@ fn clicks_give_a_scene_its_first_labels() {
     assert_eq!(scene.labels, Some(labels));
     tab.value("page.edits.undo(); page.edits.undo(); page.edits.undo()");
     assert_eq!(state(&mut tab), start);
+}
+
+#[test]
+fn a_thing_that_is_gone_is_forgotten() {
+    let Some((_dir, mut tab)) = opened(&plates().0) else {
+        return;
+    };
+    let [red, blue] = [RED, BLUE].map(|point| spot(&mut tab, point));
+    tab.key("KeyC", 0);
+    tab.drag(&[red], 0);
+    tab.key("Delete", 0);
+    tab.drag(&[blue], 0);
+    assert_eq!(selected(&mut tab), json!([25, "unlabelled"]));
+    assert_eq!(tab.value("page.selection.seeds.length"), 1);
+    tab.key("KeyN", 0);
+    tab.key("Enter", 0);
+
+    // What is chosen bounds the wand: a click beside it selects nothing.
+    let green = spot(&mut tab, [0.0, 0.3, 0.0]);
+    assert_eq!(tab.value("[...page.chosen]"), json!([1]));
+    tab.key("KeyC", 0);
+    tab.drag(&[green], 0);
+    assert_eq!(
+        tab.value("[page.selection.count, page.selection.seeds.length]"),
+        json!([0, 0])
+    );
+    tab.drag(&[blue], 0);
+    assert_eq!(tab.value("page.selection.count"), 25);
+    // After another tool the slider would undo what that did.
+    tab.key("KeyG", 0);
+    assert_eq!(tab.value("page.selection.growth"), Value::Null);
+    assert_eq!(tab.value("page.selection.count"), 25);
 }
 
 #[test]

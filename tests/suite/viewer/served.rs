@@ -139,7 +139,7 @@ fn edits_are_saved_and_the_page_starts_from_them() {
     );
 
     // Another port is another origin: the browser has kept nothing for it.
-    plates.served(&edits, |address| {
+    let mut tab = plates.served(&edits, |address| {
         let mut tab = Tab::visit(&browser, address, [1000, 700]);
         tab.until("document.body.dataset.ready === 'yes'");
         assert_eq!(tab.text("page.state.object(5).name"), "rug");
@@ -147,9 +147,32 @@ fn edits_are_saved_and_the_page_starts_from_them() {
             tab.value("[page.edits.isSaved, page.edits.done.length]"),
             json!([true, 2])
         );
-        tab.value("page.edits.undo()");
-        assert_eq!(tab.value("page.edits.isSaved"), false);
+        // What is discarded is discarded in the file too, once it is saved.
+        tab.value("page.edits.discard()");
+        let summary = "document.getElementById('summary').textContent";
+        assert_eq!(tab.text(summary), "0 edits, not saved");
+        tab.reload();
+        tab.until("document.body.dataset.ready === 'yes'");
+        assert_eq!(tab.text(summary), "0 edits, not saved");
+        tab.value("document.getElementById('save').click()");
+        tab.until("page.edits.isSaved");
+        assert!(Edits::read(&edits).unwrap().operations.is_empty());
+
+        // Another window of the same browser starts from what was saved last.
+        tab.value("page.rename(1, 'mat')");
+        tab.value("document.getElementById('save').click()");
+        tab.until("page.edits.isSaved");
+        let mut other = Tab::visit(&browser, address, [600, 400]);
+        other.until("document.body.dataset.ready === 'yes'");
+        assert_eq!(other.text("page.state.object(1).name"), "mat");
+        tab
     });
+    // The server has ended: the browser downloads the file instead.
+    tab.value("page.edits.download = () => { page.downloads = 1; return ''; }");
+    tab.value("page.rename(1, 'cat')");
+    tab.value("document.getElementById('save').click()");
+    tab.until("page.downloads === 1");
+    tab.until("document.getElementById('summary').textContent.startsWith('The server has ended')");
 }
 
 #[test]
@@ -182,20 +205,24 @@ fn only_edits_of_the_scene_are_saved() {
         assert_eq!(std::fs::read_to_string(&edits).unwrap(), own);
     });
 
-    std::fs::write(&edits, text("0000")).unwrap();
-    let served = Served {
-        viewer: plates.viewer(),
-        edits: edits.clone(),
-        block: 20,
-    };
-    let refused = served
-        .run(|_| panic!("it has started"), || true)
-        .unwrap_err();
-    assert!(matches!(refused, Error::Input { .. }));
-    assert!(
-        refused.to_string().contains("edits of another scene"),
-        "{refused}"
-    );
+    let unknown = r#"[{"op": "rename", "object": 999, "name": "rug"}]"#;
+    let own = text(plates.viewer().sha256);
+    for (wrong, why) in [
+        (text("0000"), "edits of another scene"),
+        (own.replace("[]", unknown), "operations[0].object"),
+    ] {
+        std::fs::write(&edits, wrong).unwrap();
+        let served = Served {
+            viewer: plates.viewer(),
+            edits: edits.clone(),
+            block: 20,
+        };
+        let refused = served
+            .run(|_| panic!("it has started"), || true)
+            .unwrap_err();
+        assert!(matches!(refused, Error::Input { .. }));
+        assert!(refused.to_string().contains(why), "{refused}");
+    }
 }
 
 #[test]
