@@ -39,6 +39,8 @@ For each frame, with STEM its file name without extension, the output folder get
   --depth        STEM.depth.png  16-bit grey, thousandths of a world unit along the viewing direction; npy: [H, W] float32,
                  world units. The mean of the Gaussians that a pixel shows; 0 where alpha is below the run's
                  segmentation.min_coverage, or 0.5
+  --normals      STEM.normal.png  8 bits a channel, 127.5 (n + 1) of the world direction n; npy: [H, W, 3] float32. The
+                 shortest axes of the Gaussians that a pixel shows, turned towards the camera; 0 where alpha is too low
   --annotations coco   instances.json: COCO instances with run lengths, one a label and frame, whose key `label` is its id
                 yolo   STEM.txt, data.yaml: YOLO segmentation, a line a connected region
                        instances.json calls a frame STEM.png, also where its photo is STEM.jpg. An object has the
@@ -112,6 +114,9 @@ pub struct RenderArgs {
     /// Render the depth too
     #[arg(long)]
     depth: bool,
+    /// Render the normals too
+    #[arg(long)]
+    normals: bool,
     /// Render the image features of a run too, in colours
     #[arg(long, value_enum, value_name = "KIND")]
     features: Option<FeatureKind>,
@@ -234,6 +239,9 @@ impl RenderArgs {
             if self.depth {
                 self.write_depth(name, &renderer.depth(&camera)?, &frame)?;
             }
+            if self.normals {
+                self.write_normals(name, &renderer.normals(&camera)?, &frame)?;
+            }
             if let Some(labels) = &frame.labels {
                 for format in &self.annotations {
                     match format {
@@ -321,6 +329,25 @@ impl RenderArgs {
                 // Casts end at 65,535.
                 let ids = depth.iter().map(|v| (1000.0 * v).round() as u16).collect();
                 LabelMap { width, height, ids }.write_wide(&file("png"))
+            }
+        }
+    }
+
+    fn write_normals(
+        &self,
+        name: &str,
+        normals: &[f32],
+        &Frame { width, height, .. }: &Frame,
+    ) -> Result<()> {
+        let file = |extension| self.out.join(format!("{name}.normal.{extension}"));
+        match self.format {
+            Format::Npy => write_npy(&file("npy"), &[height, width, 3], normals),
+            Format::Png => {
+                let colors: Vec<f32> = normals.iter().map(|n| 0.5 * (n + 1.0)).collect();
+                pictures::write(
+                    &file("png"),
+                    &pictures::from_floats(&colors, width, height)?,
+                )
             }
         }
     }

@@ -8,6 +8,7 @@ use crate::raster::{GaussianLabels, Settings, SplatTensors, SplatView};
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
 use burn::tensor::{Device, Tensor};
+use glam::Vec3;
 
 /// What a view shows. Rows are row-major, from the top left.
 #[derive(Clone, Debug, PartialEq)]
@@ -170,6 +171,30 @@ impl Renderer {
             *depth = if is_seen { *depth / alpha } else { 0.0 };
         }
         Ok(depth)
+    }
+
+    /// Normals of what each pixel of `camera` shows, `[H, W, 3]`, world directions of length 1: the shortest axes of the Gaussians,
+    /// turned towards the camera, blended by alpha' T. 0 where alpha is too low.
+    ///
+    /// # Errors
+    /// As [`SplatView::blend`].
+    pub fn normals(&self, camera: &Camera) -> Result<Vec<f32>> {
+        camera.check()?;
+        let view = self.view(camera);
+        let center = camera.center.to_array().map(|v| v as f32).to_vec();
+        let center = upload(center, [1, 3], &self.splats.device());
+        let axes = self.splats.shortest_axes();
+        let side = ((center - self.splats.means.clone()) * axes.clone()).sum_dim(1);
+        let (image, transmittance) = view.blend(axes * side.sign())?;
+        let mut normals = read("a rendered view", image)?;
+        let transmittance = read("a transmittance", transmittance)?;
+        for (normal, t) in normals.chunks_exact_mut(3).zip(transmittance) {
+            let is_seen = 1.0 - t >= self.options.min_coverage;
+            let direction = Vec3::from_slice(normal).normalize_or_zero();
+            let direction = if is_seen { direction } else { Vec3::ZERO };
+            normal.copy_from_slice(&direction.to_array());
+        }
+        Ok(normals)
     }
 
     /// The Gaussians as `camera` sees them.

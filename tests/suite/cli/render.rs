@@ -174,7 +174,13 @@ fn annotations_and_depth_are_those_of_the_views() {
         succeeds(
             &[
                 &arguments[..],
-                &["--labels", "--depth", "--backend", &cpu_backend()],
+                &[
+                    "--labels",
+                    "--depth",
+                    "--normals",
+                    "--backend",
+                    &cpu_backend(),
+                ],
                 more,
             ]
             .concat(),
@@ -190,6 +196,7 @@ fn annotations_and_depth_are_those_of_the_views() {
         "v5.txt",
         "v5.index.png",
         "v5.depth.png",
+        "v5.normal.png",
     ] {
         assert!(names.iter().any(|file| file == name), "{name}: {names:?}");
     }
@@ -223,6 +230,12 @@ fn annotations_and_depth_are_those_of_the_views() {
     let arrays = render("arrays", &["--format", "npy"]);
     let (shape, depth) = read_npy(&arrays.join("v5.depth.npy"));
     assert_eq!(shape, [HEIGHT as u64, WIDTH as u64]);
+    let (shape, normals) = read_npy(&arrays.join("v5.normal.npy"));
+    assert_eq!(shape, [HEIGHT as u64, WIDTH as u64, 3]);
+    let colors = image::open(out.join("v5.normal.png")).unwrap().into_rgb8();
+    for (color, n) in colors.iter().zip(&normals) {
+        assert!((f32::from(*color) - 127.5 * (n + 1.0)).abs() < 0.51);
+    }
     let millimetres = image::open(out.join("v5.depth.png")).unwrap().into_luma16();
     let (gaussians, camera) = (plates().0, camera(5));
     let of_center = |mean: &[f32; 3]| {

@@ -5,6 +5,7 @@ pub mod association;
 pub mod device_labels;
 pub mod edit;
 pub mod edits;
+pub mod normals;
 pub mod object_classes;
 pub mod renderer;
 pub mod segments;
