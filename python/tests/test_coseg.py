@@ -237,8 +237,8 @@ class Voting(WithScene):
         bare.mkdir()
         (bare / "scene.ply").write_bytes((self.run_folder / "scene.ply").read_bytes())
         voted = vote(bare, self.data)
-        voted.save(self.folder / "voted")
-        again = coseg.load(self.folder / "voted")
+        voted.save(self.folder / "saved_vote")
+        again = coseg.load(self.folder / "saved_vote")
         np.testing.assert_array_equal(again.render("v2").rgb, voted.render("v2").rgb)
 
     def test_labels_are_those_of_the_program(self):
