@@ -136,7 +136,7 @@ class Scene:
         edits: Optional[_Path] = None,
     ) -> Scene:
         """A new scene, edited as by ``coseg edit``: objects, by id or name, that are kept, removed, turned about an axis by
-        degrees, and moved; or the edits that the viewer saved. It has neither identities nor feature colours."""
+        degrees, and moved; or the edits that the viewer saved, which may be the first labels of a scene. It has neither identities nor feature colours."""
     def save(self, path: _Path, *, force: bool = False) -> Path:
         """Writes a PLY with labels, or scene.ply into a folder, with the class table and cameras beside it; returns its path.
         Writes over nothing that ``edit`` did not write, unless forced."""

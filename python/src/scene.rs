@@ -181,9 +181,11 @@ impl Scene {
             labels.as_deref(),
             &self.classes,
         )?;
-        // Those of a vote are of the photos, not of the file.
-        if let Some(cameras) = self.cameras.get() {
-            transforms::write_cameras(&out.with_file_name(CAMERAS), cameras)?;
+        // Those of a vote are of the photos, not of the file. Cameras that this program did not write stay.
+        let beside = out.with_file_name(CAMERAS);
+        let made = self.cameras.get().filter(|_| !self.is_file);
+        if let Some(cameras) = made.filter(|_| own::check(&beside).is_ok()) {
+            transforms::write_cameras(&beside, cameras)?;
         }
         Ok(out)
     }

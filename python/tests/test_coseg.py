@@ -231,7 +231,6 @@ class Voting(WithScene):
             self.assertEqual(voted.edit(keep="red").cameras, voted.cameras)
             self.assertGreater((seen == true)[true > 0].mean(), 0.7)
 
-    @unittest.skipUnless(PROGRAM, "COSEG_PROGRAM names no program to compare with")
     def test_a_vote_is_saved_with_the_cameras_of_the_photos(self):
         bare = self.folder / "bare"
         bare.mkdir()
@@ -241,6 +240,7 @@ class Voting(WithScene):
         again = coseg.load(self.folder / "saved_vote")
         np.testing.assert_array_equal(again.render("v2").rgb, voted.render("v2").rgb)
 
+    @unittest.skipUnless(PROGRAM, "COSEG_PROGRAM names no program to compare with")
     def test_labels_are_those_of_the_program(self):
         out = self.folder / "voted"
         done = program("vote", "--scene", self.run_folder, "--data", self.data, "--out", out, "--backend", "ndarray")

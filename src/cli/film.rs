@@ -7,12 +7,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 const FILM: &str = "film.mp4";
-const HELP: &str = "install ffmpeg (apt-get install ffmpeg, brew install ffmpeg), or leave --film out: the frames are pictures too";
+/// Last lines of what ffmpeg says that an error quotes.
+const QUOTED: usize = 5;
+const MISSING: &str = "install ffmpeg (apt-get install ffmpeg, brew install ffmpeg), or leave --film out: the frames are pictures too";
 
 /// Refuses to begin without ffmpeg, or over a film of something else in the folder `out`.
 pub fn check(out: &Path) -> Result<()> {
     own::check(out.join(FILM))?;
-    ffmpeg(Command::new("ffmpeg").arg("-version"))
+    ffmpeg(Command::new("ffmpeg").arg("-version"), MISSING)
 }
 
 /// Writes a film of the pictures in the folder `out` whose names follow `pattern`, as of printf. Returns its name.
@@ -33,25 +35,30 @@ pub fn write(out: &Path, pattern: &str) -> Result<PathBuf> {
         "-movflags",
         "+faststart",
     ]);
-    ffmpeg(command.arg(&made))?;
+    ffmpeg(
+        command.arg(&made),
+        "the frames are there: make a film of them by another program",
+    )?;
     atomic::write_bytes(&film, &std::fs::read(&made).map_err(failed)?)?;
     Ok(film)
 }
 
-/// Runs ffmpeg to its end.
-fn ffmpeg(command: &mut Command) -> Result<()> {
+/// Runs ffmpeg to its end; `help` says what to do where it fails.
+fn ffmpeg(command: &mut Command, help: &str) -> Result<()> {
     let done = command.output().map_err(|e| match e.kind() {
-        io::ErrorKind::NotFound => Error::missing("program", "ffmpeg", HELP),
+        io::ErrorKind::NotFound => Error::missing("program", "ffmpeg", MISSING),
         _ => Error::io("ffmpeg", "start", e),
     })?;
     if done.status.success() {
         return Ok(());
     }
     let said = String::from_utf8_lossy(&done.stderr);
+    let lines: Vec<&str> = said.lines().collect();
+    let last = &lines[lines.len().saturating_sub(QUOTED)..];
     Err(Error::Program {
         program: "ffmpeg".to_owned(),
         status: done.status.to_string(),
-        output: said.lines().next_back().unwrap_or("none").to_owned(),
-        help: HELP.to_owned(),
+        output: last.join(" | "),
+        help: help.to_owned(),
     })
 }

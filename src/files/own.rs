@@ -181,8 +181,8 @@ fn note_in(known: &mut Known, path: &Path, digest: &[u8]) -> Result<()> {
     append(&record).map_err(|e| Error::io(&record, "write", e))
 }
 
-/// Lets this process write over the file at `path` as it is now.
-pub(crate) fn stamp(path: &Path) {
+/// Notes when the file at `path` was written.
+pub(super) fn stamp(path: &Path) {
     let written = fs::symlink_metadata(path).and_then(|at| Ok((at.modified()?, at.len())));
     if let Ok(stamp) = written {
         with_known(|known| known.stamps.insert(path.to_owned(), stamp));

@@ -94,7 +94,7 @@ struct Header<'a> {
     sha256: &'a str,
     origin: DVec3,
     gaussians: usize,
-    /// Regions of the tree in the page; none without labels.
+    /// Regions of the tree in the page; none without labels, and on watched pages.
     regions: usize,
     /// Bytes of the columns in the page.
     bytes: usize,

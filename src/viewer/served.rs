@@ -13,12 +13,13 @@ use axum::body::{Body, Bytes};
 use axum::extract::{DefaultBodyLimit, Path, State};
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{get, post};
 use rayon::prelude::*;
+use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 use tokio::sync::watch;
 
 /// Bytes of edits at most: all Gaussians of a scene of 10 million, some times over.
@@ -45,12 +46,30 @@ struct Content {
     tree: watch::Receiver<Option<Bytes>>,
     sha256: String,
     edits: PathBuf,
-    /// What the file of edits has.
-    saved: Mutex<Vec<Operation>>,
+    saved: Mutex<Saved>,
+}
+
+/// The file of edits as it was read or written last.
+#[derive(Default, Serialize)]
+struct Saved {
+    #[serde(rename = "saved")]
+    operations: Vec<Operation>,
+    /// How often it was written: a page that does not know of the last time must not write.
+    saves: usize,
+    #[serde(skip)]
+    file: FileState,
+}
+
+/// Time and size of a file; `None` where there is none.
+type FileState = Option<(SystemTime, u64)>;
+
+fn state(path: &std::path::Path) -> FileState {
+    let there = std::fs::metadata(path).ok()?;
+    Some((there.modified().ok()?, there.len()))
 }
 
 impl Content {
-    fn saved(&self) -> MutexGuard<'_, Vec<Operation>> {
+    fn saved(&self) -> MutexGuard<'_, Saved> {
         self.saved.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -107,9 +126,12 @@ impl Served<'_> {
     }
 
     /// The edits to start from.
-    fn saved(&self) -> Result<Vec<Operation>> {
-        if !self.edits.exists() {
-            return Ok(Vec::new());
+    fn saved(&self) -> Result<Saved> {
+        // A later change is noticed before the file is written over.
+        own::allow(&self.edits);
+        let file = state(&self.edits);
+        if file.is_none() {
+            return Ok(Saved::default());
         }
         let edits = Edits::read(&self.edits)?;
         let Viewer {
@@ -125,9 +147,11 @@ impl Served<'_> {
         let labels = labels.map_or_else(|| vec![classes.ignore; gaussians.len()], <[u16]>::to_vec);
         let mut editing = Editing::new(gaussians.clone(), labels, classes.clone());
         edits.apply(&mut editing, sha256, origin)?;
-        // The page holds all that it writes over, as long as nobody else writes there.
-        own::stamp(&self.edits);
-        Ok(edits.operations)
+        Ok(Saved {
+            operations: edits.operations,
+            saves: 0,
+            file,
+        })
     }
 }
 
@@ -137,7 +161,8 @@ fn routes(token: &str, content: Arc<Content>) -> Router {
         .route(&format!("/{token}/places"), get(places))
         .route(&format!("/{token}/looks/{{block}}"), get(looks))
         .route(&format!("/{token}/tree"), get(tree))
-        .route(&format!("/{token}/edits"), get(saved).post(save))
+        .route(&format!("/{token}/edits"), get(saved))
+        .route(&format!("/{token}/edits/{{saves}}"), post(save))
         .layer(DefaultBodyLimit::max(MAX_EDITS))
         .with_state(content)
 }
@@ -166,7 +191,7 @@ async fn tree(State(content): State<Arc<Content>>) -> Response {
     }
 }
 
-/// The operations of the file of edits.
+/// What the file of edits has, as far as this server knows.
 async fn saved(State(content): State<Arc<Content>>) -> Response {
     match serde_json::to_string(&*content.saved()) {
         Ok(text) => typed("application/json", Body::from(text)),
@@ -174,19 +199,33 @@ async fn saved(State(content): State<Arc<Content>>) -> Response {
     }
 }
 
-/// Writes the file of edits, if it is one of this scene.
-async fn save(State(content): State<Arc<Content>>, body: String) -> Response {
+/// Writes the file of edits of a page that knows of so many `saves`, and answers with their number.
+async fn save(
+    State(content): State<Arc<Content>>,
+    Path(saves): Path<usize>,
+    body: String,
+) -> Response {
+    let path = &content.edits;
     let written = || {
-        let edits = Edits::parse(&content.edits, &body)?;
-        ensure!(edits.scene == content.sha256, &content.edits, "scene"; found "edits of another scene";
+        let edits = Edits::parse(path, &body)?;
+        ensure!(edits.scene == content.sha256, path, "scene"; found "edits of another scene";
             expected "edits of the scene that is served"; help "load the page again");
         let mut saved = content.saved();
-        atomic::write_bytes(&content.edits, body.as_bytes())?;
-        *saved = edits.operations;
-        Ok::<_, Error>(())
+        ensure!(saves == saved.saves, path, "file"; found "edits that another window has saved since";
+            expected "those that this page began with"; help "load the page again, and repeat what is missing");
+        let there = state(path);
+        ensure!(there.is_none() || there == saved.file, path, "file"; found "a file that another program has changed since";
+            expected "the one that the page was saved in or began with"; help "move it away, and save again");
+        atomic::write_bytes(path, body.as_bytes())?;
+        *saved = Saved {
+            operations: edits.operations,
+            saves: saves + 1,
+            file: state(path),
+        };
+        Ok::<_, Error>(saved.saves)
     };
     match written() {
-        Ok(()) => StatusCode::NO_CONTENT.into_response(),
+        Ok(saves) => saves.to_string().into_response(),
         Err(error) => (StatusCode::BAD_REQUEST, error.to_string()).into_response(),
     }
 }

@@ -232,7 +232,7 @@ impl RunState {
         let title = self.status.title.clone();
         let alpha_max = self.alpha_max;
         Some(move || {
-            let bytes = Viewer::bytes(&copy.gaussians, copy.labels.is_some());
+            let bytes = Viewer::bytes(&copy.gaussians, false);
             ensure!(bytes <= MAX_PAGE_BYTES, argument "scene"; found "a scene of {} MB", bytes / 1_000_000;
                 expected "at most {} MB", MAX_PAGE_BYTES / 1_000_000; help "watch its curves; `coseg view` shows the scene");
             let viewer = Viewer {

@@ -98,7 +98,7 @@ class Edits {
   /** Why the server has not written them, if so. */
   async send() {
     try {
-      return await saveEdits(this.text());
+      return await saveEdits(this.scene, this.text());
     } catch {
       this.download();
       return "The server has ended: the browser downloads edits.json instead.";
@@ -118,28 +118,36 @@ class Edits {
       const saved = this.isSaved;
       // Without edits a page differs from its server, too.
       const isKept = this.done.length || (this.scene.blocks && !saved);
+      // An older entry must not stay where there is no room for this one.
+      localStorage.removeItem(this.key);
       if (isKept) localStorage.setItem(this.key, JSON.stringify({ done: this.done, saved }));
-      else localStorage.removeItem(this.key);
       this.trouble = "";
     } catch {
       // Private windows keep nothing, and a page keeps 5 MB at most.
-      this.trouble = "The browser does not keep these edits: save them before you leave.";
+      this.trouble = this.isSaved ? "" : "The browser does not keep these edits: save them before you leave.";
     }
   }
 
   /** Takes up what was kept, or what the server has saved since. What does not fit the scene is dropped. */
   restore() {
     if (!this.key) return;
+    const servers = { done: this.scene.saved ?? [], saved: true };
     try {
-      const kept = JSON.parse(localStorage.getItem(this.key) ?? '{"done": [], "saved": true}');
+      const kept = JSON.parse(localStorage.getItem(this.key)) ?? servers;
       const isServers = kept.saved && this.scene.blocks > 0;
-      const { done, saved } = isServers ? { done: this.scene.saved, saved: true } : kept;
-      this.state = State.after(this.scene, done);
-      this.done = done;
-      this.saved = saved ? this.operations : [null];
+      // What is hidden is in no file.
+      const hidden = kept.done.filter(({ op }) => op === "view");
+      this.startFrom(isServers && kept !== servers ? { done: [...servers.done, ...hidden], saved: true } : kept);
     } catch {
-      this.state = new State(this.scene);
+      this.startFrom(servers);
       this.trouble = "Edits of an earlier visit could not be read.";
     }
+  }
+
+  /** Starts from operations, and from whether the saved file has them. */
+  startFrom({ done, saved }) {
+    this.state = State.after(this.scene, done);
+    this.done = done;
+    this.saved = saved ? this.operations : [null];
   }
 }

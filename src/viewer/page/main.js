@@ -306,7 +306,7 @@ async function start() {
   const scene = new Scene(JSON.parse(document.getElementById("header").textContent));
   if (scene.blocks) {
     scene.setPlaces(await fetched("places"));
-    scene.saved = await savedEdits();
+    Object.assign(scene, await savedEdits());
   } else scene.setEmbedded();
   window.page = new Page(scene);
 }

@@ -9,11 +9,13 @@ async function answered(name) {
 /** Columns of numbers. */
 const fetched = async (name) => new Columns(await (await answered(name)).arrayBuffer());
 
-/** The operations that the server's file of edits has. */
+/** Operations of the file of edits as `saved`, and how often it was saved as `saves`. */
 const savedEdits = async () => (await answered("edits")).json();
 
 /** Has the server write the text of edits; why it has not, if so. Throws where there is no server any more. */
-async function saveEdits(text) {
-  const answer = await fetch("edits", { method: "POST", body: text });
-  return answer.ok ? "" : `Not saved: ${await answer.text()}`;
+async function saveEdits(scene, text) {
+  const answer = await fetch(`edits/${scene.saves}`, { method: "POST", body: text });
+  if (!answer.ok) return `Not saved: ${await answer.text()}`;
+  scene.saves = Number(await answer.text());
+  return "";
 }

@@ -4,7 +4,7 @@ use crate::support::browser::inside;
 #[cfg(feature = "serve")]
 use crate::support::client::Client;
 use crate::support::plates::scene as plates_scene;
-use crate::support::program::{fails, listed, succeeds, text, utf8};
+use crate::support::program::{fails, listed, succeeds, utf8};
 use coseg::data::formats::transforms::write_cameras;
 use coseg::data::read_cameras;
 #[cfg(feature = "serve")]
@@ -90,18 +90,10 @@ fn a_served_page_saves_edits_beside_the_scene() {
         r#"{{"version": 1, "scene": {}, "operations": [{{"op": "rename", "object": 1, "name": "rug"}}]}}"#,
         header["sha256"]
     );
-    assert_eq!(client.post("edits", &edits, "").0, 204);
-    assert_eq!(client.post("edits", &edits, "").0, 204, "over its own file");
     let saved = scene.with_file_name("edits.json");
-    std::fs::write(&saved, "somebody else's").unwrap();
-    let (status, said) = client.post("edits", &edits, "");
-    assert_eq!(
-        (status, text(&said).contains("was changed since")),
-        (400, true)
-    );
-    assert_eq!(std::fs::read_to_string(&saved).unwrap(), "somebody else's");
-    std::fs::remove_file(&saved).unwrap();
-    assert_eq!(client.post("edits", &edits, "").0, 204);
+    for saves in 0..3 {
+        assert_eq!(client.post(&format!("edits/{saves}"), &edits, "").0, 200);
+    }
     program.kill().unwrap();
     program.wait().unwrap();
 

@@ -5,6 +5,7 @@ use crate::support::client::Client;
 use crate::support::devtools::Tab;
 use crate::support::mended_plates::spot;
 use crate::support::plates::{camera, plates};
+use crate::support::program::text as text_of;
 use crate::viewer::page::viewer;
 use coseg::Error;
 use coseg::data::{Classes, NamedCamera, Split};
@@ -147,6 +148,13 @@ fn edits_are_saved_and_the_page_starts_from_them() {
             tab.value("[page.edits.isSaved, page.edits.done.length]"),
             json!([true, 2])
         );
+        // What is hidden is in no file, and stays hidden.
+        tab.value("page.show([4], false)");
+        tab.reload();
+        assert_eq!(
+            tab.value("[page.state.object(4).shown, page.edits.isSaved]"),
+            json!([false, true])
+        );
         // What is discarded is discarded in the file too, once it is saved.
         tab.value("page.edits.discard()");
         let summary = "document.getElementById('summary').textContent";
@@ -185,7 +193,7 @@ fn only_edits_of_the_scene_are_saved() {
         let client = Client::at(address);
         let own = text(plates.viewer().sha256);
         let origin = "Origin: http://evil.example\r\n";
-        assert_eq!(client.post("edits", &own, origin).0, 403);
+        assert_eq!(client.post("edits/0", &own, origin).0, 403);
         for wrong in [
             "",
             "{",
@@ -193,7 +201,7 @@ fn only_edits_of_the_scene_are_saved() {
             &text("0000"),
             &own.replace("[]", r#"[{"op": "explode"}]"#),
         ] {
-            let (status, said) = client.post("edits", wrong, "");
+            let (status, said) = client.post("edits/0", wrong, "");
             assert_eq!(status, 400, "{wrong}");
             assert!(
                 String::from_utf8(said).unwrap().contains("edits.json"),
@@ -201,8 +209,17 @@ fn only_edits_of_the_scene_are_saved() {
             );
         }
         assert!(!edits.exists());
-        assert_eq!(client.post("edits", &own, "").0, 204);
+        assert_eq!(client.post("edits/0", &own, ""), (200, b"1".to_vec()));
         assert_eq!(std::fs::read_to_string(&edits).unwrap(), own);
+        // A page that has not seen this does not write, nor does any over what another program wrote.
+        let (status, said) = client.post("edits/0", &own, "");
+        assert!(status == 400 && text_of(&said).contains("another window"));
+        std::fs::write(&edits, "somebody else's").unwrap();
+        let (status, said) = client.post("edits/1", &own, "");
+        assert!(status == 400 && text_of(&said).contains("another program"));
+        assert_eq!(std::fs::read_to_string(&edits).unwrap(), "somebody else's");
+        std::fs::remove_file(&edits).unwrap();
+        assert_eq!(client.post("edits/1", &own, "").0, 200, "it is gone");
     });
 
     let unknown = r#"[{"op": "rename", "object": 999, "name": "rug"}]"#;
