@@ -25,7 +25,7 @@ Stage one builds Gaussians from the photos. Stage two learns from the raw label 
 The run folder gets
   scene.ply      the Gaussians in the 3DGS convention, with a label column
   report.html    curves, pictures, tables; one page that needs nothing else
-  viewer.html    the scene, to walk through in a browser, up to 128 MB (about 120 bytes a Gaussian); `coseg view` writes larger ones
+  viewer.html    the scene, to walk through in a browser, up to 128 MB (120 bytes a Gaussian); `coseg view` writes larger ones
   metrics.json   the same figures for programs
   classes.json   id, name and colour of each class
   cameras.json   the views as a transforms.json, for render and objects
