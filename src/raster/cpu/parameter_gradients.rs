@@ -1,6 +1,6 @@
 //! Gradients of the parameters from the sums over pixels of the backward pass.
 
-use super::footprint::UNIT;
+use super::footprint::{Splat2, UNIT};
 use super::geometry::{Moments, Splat3, project_backward};
 use super::pixel_gradients::geometry_sums;
 use super::projected::Projected;
@@ -10,6 +10,8 @@ use rayon::prelude::*;
 
 /// Gaussians that one task handles.
 const CHUNK: usize = 512;
+/// Gaussians whose sums are read together.
+const READ_TOGETHER: usize = 16;
 
 /// Gradients of all that [`Projected::blend`] depends on; rows of culled Gaussians are zero.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -126,26 +128,33 @@ impl<E: Real> Projected<E> {
     ) {
         let half = self.size().map(|s| s as f64 / 2.0);
         let channels = chunk.values.len() / ranks.len();
-        let visible = ranks
-            .iter()
-            .enumerate()
-            .filter(|(_, rank)| **rank != u32::MAX);
-        for (row, &rank) in visible {
-            let sums = &sums[rank as usize * stride..][..stride];
-            chunk.values[channels * row..][..channels].copy_from_slice(&sums[6..6 + channels]);
-            let g = project_backward(
-                &Splat3::read(splats, chunk.first + row),
-                &self.viewpoint,
-                &self.splats[rank as usize],
-                &moments(sums),
-                self.settings.low_pass,
-            );
-            write(&mut chunk.means[3 * row..], g.mean);
-            write(&mut chunk.log_scales[3 * row..], g.log_scale);
-            write(&mut chunk.rotations[4 * row..], g.rotation);
-            write(&mut chunk.logits[row..], [g.logit]);
-            let screen = [g.center[0] * half[0], g.center[1] * half[1]];
-            write(&mut chunk.screen[2 * row..], screen);
+        let visible: Vec<(usize, usize)> = (ranks.iter().enumerate())
+            .filter(|(_, rank)| **rank != u32::MAX)
+            .map(|(row, &rank)| (row, rank as usize))
+            .collect();
+        for visible in visible.chunks(READ_TOGETHER) {
+            // All reads of far memory come first, so that they wait for each other as little as possible.
+            let mut near = [(Splat2::default(), Moments::default()); READ_TOGETHER];
+            for (near, &(row, rank)) in near.iter_mut().zip(visible) {
+                let sums = &sums[rank * stride..][..stride];
+                *near = (self.splats[rank], moments(sums));
+                chunk.values[channels * row..][..channels].copy_from_slice(&sums[6..6 + channels]);
+            }
+            for ((projected, moments), &(row, _)) in near.iter().zip(visible) {
+                let g = project_backward(
+                    &Splat3::read(splats, chunk.first + row),
+                    &self.viewpoint,
+                    projected,
+                    moments,
+                    self.settings.low_pass,
+                );
+                write(&mut chunk.means[3 * row..], g.mean);
+                write(&mut chunk.log_scales[3 * row..], g.log_scale);
+                write(&mut chunk.rotations[4 * row..], g.rotation);
+                write(&mut chunk.logits[row..], [g.logit]);
+                let screen = [g.center[0] * half[0], g.center[1] * half[1]];
+                write(&mut chunk.screen[2 * row..], screen);
+            }
         }
     }
 
