@@ -49,6 +49,8 @@ pub trait Lanes<E>: Copy {
     fn keep(self, mask: Self::Mask, x: Self::V) -> Self::V;
     /// The sum of all lanes, in a fixed tree.
     fn total(self, a: Self::V) -> E;
+    /// The sums of all lanes of eight registers, in fixed trees.
+    fn totals(self, a: [Self::V; 8]) -> [E; 8];
     /// `2^x` for `x <= 0`. `f32`: a polynomial with relative error below 2e-7 down to -125, and `2^-125` below that.
     /// `f64`: the library function.
     fn exp2_nonpositive(self, x: Self::V) -> Self::V;
@@ -60,6 +62,22 @@ pub trait Lanes<E>: Copy {
         E: Real,
     {
         Self::registers(&E::RAMP)[0]
+    }
+
+    /// Writes the sums of all lanes of `registers`.
+    #[inline(always)]
+    fn write_totals(self, registers: &[Self::V], out: &mut [E])
+    where
+        E: Copy,
+    {
+        let (eights, rest) = registers.as_chunks::<8>();
+        let (out, out_rest) = out.split_at_mut(8 * eights.len());
+        for (&eight, out) in eights.iter().zip(out.chunks_exact_mut(8)) {
+            out.copy_from_slice(&self.totals(eight));
+        }
+        for (&register, out) in rest.iter().zip(out_rest) {
+            *out = self.total(register);
+        }
     }
 }
 
@@ -109,6 +127,7 @@ impl<S: Operations> Lanes<f32> for S {
         bits = mask_bits(mask: Self::Mask) -> u32;
         compress = compress_f32s(x: Self::V, bits: u32) -> Self::V;
         keep = keep_f32s(mask: Self::Mask, x: Self::V) -> Self::V;
+        totals = totals_f32s(a: [Self::V; 8]) -> [f32; 8];
         total = reduce_sum_f32s(a: Self::V) -> f32;
     }
 
@@ -176,6 +195,11 @@ impl Lanes<f64> for Scalar512b {
     #[inline(always)]
     fn keep(self, mask: Self::Mask, x: Self::V) -> Self::V {
         self.select_f64s(mask, x, self.splat_f64s(0.0))
+    }
+
+    #[inline(always)]
+    fn totals(self, a: [Self::V; 8]) -> [f64; 8] {
+        a.map(|a| self.reduce_sum_f64s(a))
     }
 
     #[inline(always)]

@@ -14,6 +14,12 @@ pub trait Operations: Simd {
     fn keep_f32s(self, mask: Self::m32s, x: Self::f32s) -> Self::f32s {
         self.select_f32s(mask, x, self.splat_f32s(0.0))
     }
+
+    /// The sums of all lanes of each register.
+    #[inline(always)]
+    fn totals_f32s(self, a: [Self::f32s; 8]) -> [f32; 8] {
+        a.map(|a| self.reduce_sum_f32s(a))
+    }
 }
 
 #[cfg(all(target_arch = "x86_64", feature = "avx512"))]
@@ -50,6 +56,32 @@ impl Operations for pulp::x86::V3 {
     #[inline(always)]
     fn keep_f32s(self, mask: Self::m32s, x: Self::f32s) -> Self::f32s {
         pulp::cast(self.avx._mm256_and_ps(pulp::cast(mask), pulp::cast(x)))
+    }
+
+    /// Halves are added, then halves of halves, for two, four and eight registers at once; the additions are those of
+    /// `reduce_sum_f32s`.
+    #[inline(always)]
+    fn totals_f32s(self, a: [Self::f32s; 8]) -> [f32; 8] {
+        let avx = self.avx;
+        let [a, b, c, d, e, f, g, h] = pulp::cast::<_, [std::arch::x86_64::__m256; 8]>(a);
+        let halves = |a, b| {
+            avx._mm256_add_ps(
+                avx._mm256_permute2f128_ps::<0x20>(a, b),
+                avx._mm256_permute2f128_ps::<0x31>(a, b),
+            )
+        };
+        let quarters = |a, b| {
+            avx._mm256_add_ps(
+                avx._mm256_shuffle_ps::<0x44>(a, b),
+                avx._mm256_shuffle_ps::<0xee>(a, b),
+            )
+        };
+        let abef = quarters(halves(a, e), halves(b, f));
+        let cdgh = quarters(halves(c, g), halves(d, h));
+        pulp::cast(avx._mm256_add_ps(
+            avx._mm256_shuffle_ps::<0x88>(abef, cdgh),
+            avx._mm256_shuffle_ps::<0xdd>(abef, cdgh),
+        ))
     }
 }
 
@@ -130,6 +162,17 @@ mod tests {
         fn run<S: Lanes<f32>>(self, s: S) {
             let registers = S::registers(&self.0);
             let eight: [S::V; 8] = std::array::from_fn(|i| registers[i % registers.len()]);
+            let bits = |sums: [f32; 8]| sums.map(f32::to_bits);
+            assert_eq!(
+                bits(s.totals(eight)),
+                bits(eight.map(|register| s.total(register)))
+            );
+            let mut written = [0.0; 11];
+            let eleven: Vec<S::V> = eight.into_iter().cycle().take(11).collect();
+            s.write_totals(&eleven, &mut written);
+            for (register, sum) in eleven.into_iter().zip(written) {
+                assert_eq!(s.total(register).to_bits(), sum.to_bits());
+            }
             for pair in eight.windows(2) {
                 let mask = s.greater(pair[0], pair[1]);
                 let kept = s.keep(mask, pair[0]);

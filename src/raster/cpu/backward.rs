@@ -18,6 +18,9 @@ use crate::backend::Real;
 use crate::backend::simd::{Kernel, Lanes};
 use crate::raster::settings::Splats;
 
+/// Sums of a list entry, at most.
+const MAX_SUMS: usize = 11;
+
 struct BackwardTile<'a, E, const C: usize, const ABSOLUTE: bool> {
     p: &'a Projected<E>,
     tile: Tile<'a>,
@@ -99,11 +102,14 @@ impl<E: Real, S: Lanes<E>, const C: usize, const ABSOLUTE: bool> Pass<E>
         // A second loop, because the sums of both do not fit into 16 registers.
         let (moments, absolute) = self.moments(next, footprint);
         let s = self.rule.s;
+        let mut registers = [s.splat(E::zero()); MAX_SUMS];
         let all = moments.into_iter().chain(d_value).chain(absolute);
+        registers
+            .iter_mut()
+            .zip(all)
+            .for_each(|(to, sum)| *to = sum);
         let sums = &mut self.sums[entry * width..][..width];
-        for (to, sum) in sums.iter_mut().zip(all) {
-            *to = s.total(sum);
-        }
+        s.write_totals(&registers[..width], sums);
         if ABSOLUTE {
             sums[6 + C..].iter_mut().for_each(|sum| *sum = -*sum);
         }
