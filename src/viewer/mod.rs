@@ -245,13 +245,16 @@ impl Viewer<'_> {
             Some(_) if is_bare && id == self.classes.ignore => (Some("unlabelled"), UNLABELLED),
             Some(_) => (self.classes.known_name(id), self.classes.legend_color(id)),
         };
-        let entry = |object: &Object| Entry {
-            id: self.labels.map(|_| object.id),
-            name: look(object.id).0,
-            color: look(object.id).1,
-            gaussians: object.rows.len(),
-            low: object.low,
-            high: object.high,
+        let entry = |object: &Object| {
+            let (name, color) = look(object.id);
+            Entry {
+                id: self.labels.map(|_| object.id),
+                name,
+                color,
+                gaussians: object.rows.len(),
+                low: object.low,
+                high: object.high,
+            }
         };
         let moved = |named: &NamedCamera| named.camera.moved(-self.origin);
         let cameras: Vec<Camera> = self.cameras.iter().map(moved).collect();

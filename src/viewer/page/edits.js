@@ -133,11 +133,11 @@ class Edits {
     if (!this.key) return;
     const servers = { done: this.scene.saved ?? [], saved: true };
     try {
-      const kept = JSON.parse(localStorage.getItem(this.key)) ?? servers;
-      const isServers = kept.saved && this.scene.blocks > 0;
+      const kept = JSON.parse(localStorage.getItem(this.key)) ?? { done: [], saved: true };
       // What is hidden is in no file.
       const hidden = kept.done.filter(({ op }) => op === "view");
-      this.startFrom(isServers && kept !== servers ? { done: [...servers.done, ...hidden], saved: true } : kept);
+      if (kept.saved && this.scene.blocks) this.startFrom({ done: [...servers.done, ...hidden], saved: true });
+      else this.startFrom(kept);
     } catch {
       this.startFrom(servers);
       this.trouble = "Edits of an earlier visit could not be read.";

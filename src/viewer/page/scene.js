@@ -35,7 +35,7 @@ class Scene {
     this.geometry = new Float32Array(4 * TEXTURE_WIDTH * this.rows);
     /** Rows of 16 words: 45 signed bytes of view-dependent colour, then the base colour as three floats. */
     this.colours = new Uint32Array(4 * TEXTURE_WIDTH * this.rows);
-    /** The group of neighbours on one surface of each Gaussian; none in scenes without labels, on watched pages, or before it is there. */
+    /** The group of neighbours on one surface of each Gaussian; none without labels, on watched pages, and before it is there. */
     this.superpoints = null;
   }
 
