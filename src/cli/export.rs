@@ -23,6 +23,8 @@ With a file name the scene becomes that file; with a folder each object becomes 
   .ply             3DGS PLY, exact, with labels
   .compressed.ply  compressed PLY of PlayCanvas and SuperSplat
   .spz             SPZ of Niantic, version 3
+  .points.ply      a point cloud: the centres with colour, opacity and label
+  .las .laz        the same for programs of surveyors; a label is the point source id, and 64 less than the classification
   .sog .glb        through splat-transform, where it is on the PATH; labels are lost
 
 A .spz or .compressed.ply gets its labels in a file beside it, NAME.labels.json. --scene of all commands reads both formats
@@ -33,6 +35,7 @@ Examples:
   coseg export --scene runs/room --out room.spz
   coseg export --scene objects --out parts                             each object as a PLY
   coseg export --scene objects --out chairs --only chair --format spz
+  coseg export --scene runs/room --out room.laz                        labelled points for CloudCompare or QGIS
   coseg export --scene cloud.splat --out cloud.ply                     converts scenes without labels too";
 
 /// Program that writes the formats which this one does not.
@@ -62,8 +65,11 @@ pub struct ExportArgs {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum FileFormat {
     CompressedPly,
+    PointsPly,
     Ply,
     Spz,
+    Las,
+    Laz,
     Sog,
     Glb,
 }
@@ -73,14 +79,17 @@ impl FileFormat {
     fn suffix(self) -> &'static str {
         match self {
             Self::CompressedPly => ".compressed.ply",
+            Self::PointsPly => ".points.ply",
             Self::Ply => ".ply",
             Self::Spz => ".spz",
+            Self::Las => ".las",
+            Self::Laz => ".laz",
             Self::Sog => ".sog",
             Self::Glb => ".glb",
         }
     }
 
-    /// The format that a file name asks for. A compressed PLY ends in .ply too, and comes first.
+    /// The format that a file name asks for. Other PLY end in .ply too, and come first.
     fn of(path: &Path) -> Option<Self> {
         let name = path.to_string_lossy().to_lowercase();
         let mut all = Self::value_variants().iter().copied();
@@ -96,8 +105,11 @@ impl FileFormat {
     ) -> Result<()> {
         let format = match self {
             Self::CompressedPly => Format::CompressedPly,
+            Self::PointsPly => Format::PointsPly,
             Self::Ply => Format::Ply,
             Self::Spz => Format::Spz,
+            Self::Las => Format::Las,
+            Self::Laz => Format::Laz,
             Self::Sog | Self::Glb => return convert(path, self, gaussians, origin),
         };
         formats::write(path, format, gaussians, origin, labels)
@@ -114,7 +126,7 @@ impl ExportArgs {
         let ply = read_scene(&path)?;
         let format = FileFormat::of(&self.out).filter(|_| !self.out.is_dir());
         ensure!(format.is_some() || self.out.is_dir() || extension(&self.out).is_empty(), argument "--out"; found "{}", self.out.display();
-            expected "a name that ends in .ply, .compressed.ply, .spz, .sog or .glb, or a folder"; help "change the name");
+            expected "a name that ends in .ply, .compressed.ply, .points.ply, .spz, .las, .laz, .sog or .glb, or a folder"; help "change the name");
         ensure!(format.is_none() || self.format.is_none(), argument "--format"; found "a file as --out"; expected "a folder";
             help "leave it out: the name of a file says its format");
         let is_whole = format.is_some() && self.only.is_empty();

@@ -1,6 +1,7 @@
 //! Subcommands: each parses its arguments, calls the library and prints the result.
 
 pub mod allocator;
+mod annotations;
 mod associate;
 mod bench;
 mod compare;
@@ -11,6 +12,7 @@ mod eval;
 mod export;
 mod fault_list;
 mod film;
+mod frame_files;
 mod from_photos;
 mod held_out;
 mod interrupt;

@@ -1,21 +1,20 @@
 //! `coseg render`: pictures of a PLY scene.
 
+use super::annotations::{AnnotationFormat, Annotations};
 use super::film;
+use super::frame_files::{Format, FrameFiles};
 use super::render_path::{PATTERN, PathArgs};
 use super::values::{alpha_max, numbers};
 use super::{BackendArgs, terminal};
 use burn::tensor::Device;
 use clap::{Args, ValueEnum};
+use coseg::config::Config;
 use coseg::data::formats::transforms;
-use coseg::data::labels::annotations::{Categories, CocoInstances, Yolo};
-use coseg::data::{
-    Classes, LabelMap, Limits, LoadOptions, NamedCamera, Split, check_outputs, read_cameras,
-};
+use coseg::data::labels::annotations::Categories;
+use coseg::data::{Limits, LoadOptions, NamedCamera, Split, check_outputs, read_cameras};
 use coseg::error::{Result, ensure};
 use coseg::features::FeatureColors;
-use coseg::files::atomic;
-use coseg::objects::{Frame, RenderOptions, Renderer};
-use coseg::report::pictures;
+use coseg::objects::{RenderOptions, Renderer};
 use coseg::runs::{
     CAMERAS, FEATURE_COLORS, cameras_path, classes_beside, read_scene, rendering_beside,
     scene_path, without_labels,
@@ -130,21 +129,6 @@ pub struct RenderArgs {
     backend: BackendArgs,
 }
 
-/// Kinds of image files.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Format {
-    Png,
-    Npy,
-}
-
-/// Formats of annotations.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum AnnotationFormat {
-    Coco,
-    Yolo,
-    Index,
-}
-
 /// How image features become colours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum FeatureKind {
@@ -179,51 +163,25 @@ fn parse_size(text: &str) -> std::result::Result<[usize; 2], String> {
 impl RenderArgs {
     /// Renders every frame.
     pub fn run(self) -> Result<()> {
-        let split = match self.split {
-            SplitArg::Train => Some(Split::Train),
-            SplitArg::Test => Some(Split::Test),
-            SplitArg::All => None,
-        };
         let path = scene_path(&self.scene)?;
         let keys = cameras_path(self.cameras.as_deref(), &path)?;
-        self.path.check(&self.out, &keys)?;
-        if self.path.film {
-            ensure!(self.format == Format::Png, argument "--film"; found "--format npy"; expected "--format png";
-                help "leave one of them out");
-            film::check(&self.out)?;
-        }
-        let mut config = rendering_beside(&path);
-        let scene = self
-            .cameras
-            .as_deref()
-            .filter(|dir| dir.is_dir())
-            .or(config.data.dir.as_deref());
-        let options = LoadOptions::from(&config);
-        check_outputs("--out", &[&self.out], scene.map(|dir| (dir, &options)))?;
-        let raster = &mut config.raster;
-        raster.alpha_max = self.alpha_max.unwrap_or(raster.alpha_max);
-        raster.background = self.background.unwrap_or(raster.background);
-        let mut cameras = read_cameras(&keys, split)?;
-        if let Some([width, height]) = self.size {
-            for named in &mut cameras {
-                named.camera = named.camera.with_size(width, height);
-            }
-        }
+        let config = self.config(&path);
+        self.check(&keys, &config)?;
+        let keys = self.keys(&keys)?;
         let scene = read_scene(&path)?;
         if self.labels && scene.labels.is_none() {
             return Err(without_labels(&path));
         }
         let classes = classes_beside(&path, None)?;
-        let along = self.path.cameras(&cameras, &path, &scene)?;
+        let along = self.path.cameras(&keys, &path, &scene)?;
         let is_path = along.is_some();
-        let cameras = along.unwrap_or(cameras);
-        let options = RenderOptions::from(&config);
+        let cameras = along.unwrap_or(keys);
         let labels = scene.labels.filter(|_| self.labels);
         let categories = Categories::new(&classes, labels.iter().flatten().copied());
-        let mut coco = CocoInstances::new(&categories);
-        let yolo = Yolo::new(&categories);
+        let mut annotations = Annotations::new(&self.annotations, &categories, &classes, &self.out);
+        let options = RenderOptions::from(&config);
         let device = self.backend.open()?;
-        let of_features = self.feature_renderer(&path, &scene.gaussians, options, &device)?;
+        let features = self.feature_renderer(&path, &scene.gaussians, options, &device)?;
         let renderer = Renderer::new(scene.gaussians, labels, options, &device)?;
         if is_path {
             transforms::write_cameras(&self.out.join(CAMERAS), &cameras)?;
@@ -235,44 +193,81 @@ impl RenderArgs {
             let start = Instant::now();
             let frame = renderer.frame(&camera)?;
             times.push(start.elapsed().as_secs_f64());
-            self.write(name, &frame, &classes)?;
+            let files = self.files(name);
+            files.write(&frame, &classes)?;
             if self.depth {
-                self.write_depth(name, &renderer.depth(&camera)?, &frame)?;
+                files.write_depth(&renderer.depth(&camera)?, &frame)?;
             }
             if self.normals {
-                self.write_normals(name, &renderer.normals(&camera)?, &frame)?;
+                files.write_normals(&renderer.normals(&camera)?, &frame)?;
             }
             if let Some(labels) = &frame.labels {
-                for format in &self.annotations {
-                    match format {
-                        AnnotationFormat::Coco => coco.add(format!("{name}.png"), labels),
-                        AnnotationFormat::Yolo => {
-                            yolo.write(&self.out.join(format!("{name}.txt")), labels)?
-                        }
-                        AnnotationFormat::Index => {
-                            let path = self.out.join(format!("{name}.index.png"));
-                            labels.write_indexed(&path, |id| classes.legend_color(id))?;
-                        }
-                    }
-                }
+                annotations.add(name, labels)?;
             }
-            if let Some(of_features) = &of_features {
-                self.write_color(name, "features", &of_features.frame(&camera)?)?;
+            if let Some(features) = &features {
+                files.write_color("features", &features.frame(&camera)?)?;
             }
             bar.inc(1);
         }
         bar.finish_and_clear();
-        if self.annotations.contains(&AnnotationFormat::Coco) {
-            coco.write(&self.out.join("instances.json"))?;
+        annotations.finish()?;
+        self.conclude(&times)
+    }
+
+    /// The settings of the run that the scene `path` is of, with those of the command line.
+    fn config(&self, path: &Path) -> Config {
+        let mut config = rendering_beside(path);
+        let raster = &mut config.raster;
+        raster.alpha_max = self.alpha_max.unwrap_or(raster.alpha_max);
+        raster.background = self.background.unwrap_or(raster.background);
+        config
+    }
+
+    /// Refuses an output that would harm the scene or the file of cameras `keys`, or that lacks what it needs.
+    fn check(&self, keys: &Path, config: &Config) -> Result<()> {
+        self.path.check(&self.out, keys)?;
+        if self.path.film {
+            ensure!(self.format == Format::Png, argument "--film"; found "--format npy"; expected "--format png";
+                help "leave one of them out");
+            film::check(&self.out)?;
         }
-        if self.annotations.contains(&AnnotationFormat::Yolo) {
-            yolo.write_names(&self.out.join("data.yaml"))?;
+        let folder = self.cameras.as_deref().filter(|dir| dir.is_dir());
+        let scene = folder.or(config.data.dir.as_deref());
+        let options = LoadOptions::from(config);
+        check_outputs("--out", &[&self.out], scene.map(|dir| (dir, &options)))
+    }
+
+    /// The cameras of the file or folder `keys` that the split has, in the size asked for.
+    fn keys(&self, keys: &Path) -> Result<Vec<NamedCamera>> {
+        let split = match self.split {
+            SplitArg::Train => Some(Split::Train),
+            SplitArg::Test => Some(Split::Test),
+            SplitArg::All => None,
+        };
+        let mut cameras = read_cameras(keys, split)?;
+        if let Some([width, height]) = self.size {
+            for named in &mut cameras {
+                named.camera = named.camera.with_size(width, height);
+            }
         }
+        Ok(cameras)
+    }
+
+    fn files<'a>(&'a self, name: &'a str) -> FrameFiles<'a> {
+        FrameFiles {
+            folder: &self.out,
+            name,
+            format: self.format,
+        }
+    }
+
+    /// Makes the film, and says what was rendered and how long each frame took.
+    fn conclude(&self, times: &[f64]) -> Result<()> {
         if self.path.film {
             let film = film::write(&self.out, PATTERN)?;
             terminal::say(&format!("film: {}", film.display()));
         }
-        let mut said = format!("{} frames in {}", cameras.len(), self.out.display());
+        let mut said = format!("{} frames in {}", times.len(), self.out.display());
         // A GPU compiles its kernels for the first one.
         let others = times.get(1..).unwrap_or_default();
         if !others.is_empty() {
@@ -302,92 +297,4 @@ impl RenderArgs {
         let painted = gaussians.clone().painted(&colors.rgb);
         Renderer::new(painted, None, options, device).map(Some)
     }
-
-    /// Writes the colours of `frame` as a file of `kind`.
-    fn write_color(&self, name: &str, kind: &str, frame: &Frame) -> Result<()> {
-        let file = |extension| self.out.join(format!("{name}.{kind}.{extension}"));
-        let &Frame { width, height, .. } = frame;
-        match self.format {
-            Format::Npy => write_npy(&file("npy"), &[height, width, 3], &frame.rgb),
-            Format::Png => {
-                let path = file("png");
-                pictures::write(&path, &pictures::from_floats(&frame.rgb, width, height)?)
-            }
-        }
-    }
-
-    fn write_depth(
-        &self,
-        name: &str,
-        depth: &[f32],
-        &Frame { width, height, .. }: &Frame,
-    ) -> Result<()> {
-        let file = |extension| self.out.join(format!("{name}.depth.{extension}"));
-        match self.format {
-            Format::Npy => write_npy(&file("npy"), &[height, width], depth),
-            Format::Png => {
-                // Casts end at 65,535.
-                let ids = depth.iter().map(|v| (1000.0 * v).round() as u16).collect();
-                LabelMap { width, height, ids }.write_wide(&file("png"))
-            }
-        }
-    }
-
-    fn write_normals(
-        &self,
-        name: &str,
-        normals: &[f32],
-        &Frame { width, height, .. }: &Frame,
-    ) -> Result<()> {
-        let file = |extension| self.out.join(format!("{name}.normal.{extension}"));
-        match self.format {
-            Format::Npy => write_npy(&file("npy"), &[height, width, 3], normals),
-            Format::Png => {
-                let colors: Vec<f32> = normals.iter().map(|n| 0.5 * (n + 1.0)).collect();
-                pictures::write(
-                    &file("png"),
-                    &pictures::from_floats(&colors, width, height)?,
-                )
-            }
-        }
-    }
-
-    fn write(&self, name: &str, frame: &Frame, classes: &Classes) -> Result<()> {
-        let file = |kind: &str| self.out.join(format!("{name}.{kind}"));
-        self.write_color(name, "rgb", frame)?;
-        let &Frame { width, height, .. } = frame;
-        match self.format {
-            Format::Npy => write_npy(&file("alpha.npy"), &[height, width], &frame.alpha)?,
-            Format::Png => {
-                let byte = |a: &f32| (a.clamp(0.0, 1.0) * 255.0).round() as u16;
-                let ids = frame.alpha.iter().map(byte).collect();
-                LabelMap { width, height, ids }.write(&file("alpha.png"))?;
-            }
-        }
-        let Some(labels) = &frame.labels else {
-            return Ok(());
-        };
-        labels.write(&file("label.png"))?;
-        if classes.is_empty() {
-            return Ok(());
-        }
-        let path = file("label_color.png");
-        let colored = pictures::with_legend(&pictures::colored(labels, classes), labels, classes);
-        pictures::write(&path, &colored)
-    }
-}
-
-/// Writes a little-endian float32 array in C order.
-fn write_npy(path: &Path, shape: &[usize], values: &[f32]) -> Result<()> {
-    use npyz::WriterBuilder;
-    let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
-    atomic::write(path, |out| {
-        let mut writer = npyz::WriteOptions::new()
-            .default_dtype()
-            .shape(&shape)
-            .writer(out)
-            .begin_nd()?;
-        writer.extend(values.iter())?;
-        writer.finish()
-    })
 }

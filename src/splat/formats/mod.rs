@@ -5,6 +5,7 @@
 
 mod antimatter15;
 pub(super) mod compressed_ply;
+mod point_cloud;
 mod spz;
 
 use super::ply::{self, PlyScene};
@@ -30,6 +31,12 @@ pub enum Format {
     CompressedPly,
     /// SPZ of Niantic.
     Spz,
+    /// The centres as points of a PLY, with colour, opacity and label.
+    PointsPly,
+    /// The centres as points of LAS 1.4, with colour, opacity and label.
+    Las,
+    /// [`Format::Las`], compressed.
+    Laz,
 }
 
 /// The labels of a file that has no place for them.
@@ -64,10 +71,10 @@ pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
 }
 
 /// Writes `gaussians` to `path` in `format`, adding `origin` to the positions, and `labels` where the format has a place for them,
-/// else beside it. Other formats than [`Format::Ply`] have the rows in [`Gaussians::spatial_order`].
+/// else beside it. Compressed formats have the rows in [`Gaussians::spatial_order`].
 ///
 /// # Errors
-/// As [`ply::write`]; [`crate::Error::Argument`] for positions that other formats than [`Format::Ply`] cannot hold.
+/// As [`ply::write`]; [`crate::Error::Argument`] for positions that a compressed format cannot hold.
 pub fn write(
     path: &Path,
     format: Format,
@@ -75,12 +82,16 @@ pub fn write(
     origin: DVec3,
     labels: Option<&[u16]>,
 ) -> Result<()> {
+    gaussians.check(labels)?;
+    let points = || gaussians.positions(origin);
     let write = match format {
         Format::Ply => return ply::write(path, gaussians, origin, labels),
+        Format::PointsPly => return point_cloud::write_ply(path, gaussians, &points(), labels),
+        Format::Las => return point_cloud::write_las(path, false, gaussians, &points(), labels),
+        Format::Laz => return point_cloud::write_las(path, true, gaussians, &points(), labels),
         Format::CompressedPly => compressed_ply::write,
         Format::Spz => spz::write,
     };
-    gaussians.check(labels)?;
     let order = gaussians.spatial_order();
     let gaussians = gaussians.select(&order);
     let positions = gaussians.positions(origin);

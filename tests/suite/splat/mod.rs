@@ -7,5 +7,6 @@ pub mod level;
 pub mod orbits;
 pub mod ply;
 pub mod ply_refused;
+pub mod point_clouds;
 pub mod properties;
 pub mod splat_transform;

@@ -1,0 +1,116 @@
+//! The files of a frame that `coseg render` writes.
+
+use clap::ValueEnum;
+use coseg::data::{Classes, LabelMap};
+use coseg::error::Result;
+use coseg::files::atomic;
+use coseg::objects::Frame;
+use coseg::report::pictures;
+use std::path::{Path, PathBuf};
+
+/// Kinds of image files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    Png,
+    Npy,
+}
+
+/// The files of one frame.
+pub struct FrameFiles<'a> {
+    /// Where they are.
+    pub folder: &'a Path,
+    /// Name of the frame.
+    pub name: &'a str,
+    /// 8-bit images or float32 arrays.
+    pub format: Format,
+}
+
+impl FrameFiles<'_> {
+    fn file(&self, end: &str) -> PathBuf {
+        self.folder.join(format!("{}.{end}", self.name))
+    }
+
+    /// Writes the colours of `frame` as a file of `kind`.
+    pub fn write_color(&self, kind: &str, frame: &Frame) -> Result<()> {
+        let file = |extension| self.file(&format!("{kind}.{extension}"));
+        let &Frame { width, height, .. } = frame;
+        match self.format {
+            Format::Npy => write_npy(&file("npy"), &[height, width, 3], &frame.rgb),
+            Format::Png => {
+                let path = file("png");
+                pictures::write(&path, &pictures::from_floats(&frame.rgb, width, height)?)
+            }
+        }
+    }
+
+    /// Writes depths, `[H, W]` world units.
+    pub fn write_depth(&self, depth: &[f32], &Frame { width, height, .. }: &Frame) -> Result<()> {
+        let file = |extension| self.file(&format!("depth.{extension}"));
+        match self.format {
+            Format::Npy => write_npy(&file("npy"), &[height, width], depth),
+            Format::Png => {
+                // Casts end at 65,535.
+                let ids = depth.iter().map(|v| (1000.0 * v).round() as u16).collect();
+                LabelMap { width, height, ids }.write_wide(&file("png"))
+            }
+        }
+    }
+
+    /// Writes normals, `[H, W, 3]` world directions.
+    pub fn write_normals(
+        &self,
+        normals: &[f32],
+        &Frame { width, height, .. }: &Frame,
+    ) -> Result<()> {
+        let file = |extension| self.file(&format!("normal.{extension}"));
+        match self.format {
+            Format::Npy => write_npy(&file("npy"), &[height, width, 3], normals),
+            Format::Png => {
+                let colors: Vec<f32> = normals.iter().map(|n| 0.5 * (n + 1.0)).collect();
+                pictures::write(
+                    &file("png"),
+                    &pictures::from_floats(&colors, width, height)?,
+                )
+            }
+        }
+    }
+
+    /// Writes colour, coverage and, where the frame has them, labels.
+    pub fn write(&self, frame: &Frame, classes: &Classes) -> Result<()> {
+        self.write_color("rgb", frame)?;
+        let &Frame { width, height, .. } = frame;
+        match self.format {
+            Format::Npy => write_npy(&self.file("alpha.npy"), &[height, width], &frame.alpha)?,
+            Format::Png => {
+                let byte = |a: &f32| (a.clamp(0.0, 1.0) * 255.0).round() as u16;
+                let ids = frame.alpha.iter().map(byte).collect();
+                LabelMap { width, height, ids }.write(&self.file("alpha.png"))?;
+            }
+        }
+        let Some(labels) = &frame.labels else {
+            return Ok(());
+        };
+        labels.write(&self.file("label.png"))?;
+        if classes.is_empty() {
+            return Ok(());
+        }
+        let path = self.file("label_color.png");
+        let colored = pictures::with_legend(&pictures::colored(labels, classes), labels, classes);
+        pictures::write(&path, &colored)
+    }
+}
+
+/// Writes a little-endian float32 array in C order.
+fn write_npy(path: &Path, shape: &[usize], values: &[f32]) -> Result<()> {
+    use npyz::WriterBuilder;
+    let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
+    atomic::write(path, |out| {
+        let mut writer = npyz::WriteOptions::new()
+            .default_dtype()
+            .shape(&shape)
+            .writer(out)
+            .begin_nd()?;
+        writer.extend(values.iter())?;
+        writer.finish()
+    })
+}
