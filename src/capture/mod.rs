@@ -6,6 +6,7 @@ mod program;
 mod video;
 
 use self::poses::{Place, Solver};
+use crate::data::photos::{is_heic, is_photo};
 use crate::error::{Error, Result, ensure};
 use crate::files::{self, atomic, names, own};
 use crate::progress::Progress;
@@ -56,6 +57,8 @@ impl Capture<'_> {
             let help = "give a folder of photos, or a video";
             return Err(Error::missing("file or folder", self.source, help));
         }
+        ensure!(!self.source.is_file() || !(is_photo(self.source) || is_heic(self.source)), self.source, "name"; found "a photo";
+            expected "a folder of photos, or a video"; help "name the folder of the photo");
         let photos = self.source.is_dir().then(|| photos::list(self.source));
         let photos = photos.transpose()?;
         let input = self.input(photos.as_deref())?;

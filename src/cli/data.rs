@@ -1,6 +1,7 @@
 //! `coseg data`: checks or describes a scene folder, or suggests photos to label.
 
 use super::{Settings, fault_list, terminal};
+use clap::builder::RangedU64ValueParser;
 use clap::{Args, Subcommand};
 use coseg::data::{self, Info, LoadOptions};
 use coseg::error::{Result, ensure};
@@ -89,7 +90,7 @@ struct SuggestArgs {
     #[arg(long, value_name = "DIR", conflicts_with = "dir")]
     data: Option<PathBuf>,
     /// Number of photos
-    #[arg(long, default_value_t = 6)]
+    #[arg(long, default_value_t = 6, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     count: usize,
     /// Scene, a PLY, .spz or .splat file, or its folder, whose Gaussians are to be shown
     #[arg(long, value_name = "FILE|DIR")]
@@ -191,6 +192,7 @@ impl SuggestArgs {
             scene = scene.with_origin(ply.origin);
         }
         let gaussians = given.as_ref().map(|ply| &ply.gaussians);
+        terminal::note("comparing what the training photos show");
         let suggestions = suggest(&scene, gaussians, self.count, &config)?;
         if self.json {
             terminal::say(&serde_json::json!(suggestions).to_string());

@@ -231,9 +231,14 @@ impl Settings {
     }
 }
 
-/// Ends the program as clap does where a setting is wrong: it was given on the command line.
+/// Ends the program as clap does where a setting, or a `--set`, is wrong: it was given on the command line.
 pub fn or_usage_error<T>(read: Result<T>) -> Result<T> {
-    if let Err(error @ Error::Config { .. }) = read {
+    let is_usage = |error: &Error| match error {
+        Error::Config { .. } => true,
+        Error::Argument { name, .. } => name == "--set",
+        _ => false,
+    };
+    if let Some(error) = read.as_ref().err().filter(|error| is_usage(error)) {
         clap::Error::raw(
             ErrorKind::ValueValidation,
             format!("{}\n", terminal::escaped(&error.to_string())),

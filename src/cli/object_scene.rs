@@ -1,5 +1,6 @@
 //! Arguments of commands that work on objects: a labelled scene, and where to write another.
 
+use super::terminal;
 use clap::Args;
 use coseg::data::Classes;
 use coseg::error::Result;
@@ -53,6 +54,10 @@ impl OutArgs {
         classes: &Classes,
     ) -> Result<PathBuf> {
         let inputs = (scene.path.as_path(), input.classes.as_deref());
-        scene_output(&self.out, self.force, inputs, classes)
+        let out = scene_output(&self.out, self.force, inputs, classes)?;
+        if out.is_file() {
+            terminal::note(&format!("writing over {}", out.display()));
+        }
+        Ok(out)
     }
 }

@@ -43,7 +43,7 @@ pub struct ObjectsArgs {
     #[arg(long, value_name = "STEM", requires = "pixel")]
     frame: Option<String>,
     /// Column and row of a pixel, from 0 at the top left
-    #[arg(long, value_name = "X,Y", requires = "frame", value_parser = values::pixel)]
+    #[arg(long, value_name = "X,Y", requires = "frame", value_parser = values::pixel, allow_hyphen_values = true)]
     pixel: Option<[usize; 2]>,
     /// Print JSON
     #[arg(long)]

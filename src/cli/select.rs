@@ -39,7 +39,7 @@ pub struct SelectArgs {
     #[arg(long = "frame", value_name = "STEM", required = true)]
     frames: Vec<String>,
     /// Column and row of a pixel, from 0 at the top left; one for each --frame
-    #[arg(long = "pixel", value_name = "X,Y", required = true, value_parser = values::pixel)]
+    #[arg(long = "pixel", value_name = "X,Y", required = true, value_parser = values::pixel, allow_hyphen_values = true)]
     pixels: Vec<[usize; 2]>,
     /// Name of the object
     #[arg(long, value_name = "NAME", value_parser = parse_name)]
@@ -74,6 +74,7 @@ impl SelectArgs {
             help "give --frame and --pixel once for each pixel");
         let scene = self.input.read_or_unlabelled()?;
         let seeds = self.seeds(&scene)?;
+        terminal::note("dividing the scene into regions");
         let growth = Growth::new(&Regions::new(&scene.ply.gaussians)?, &seeds);
         let threshold = self.threshold.unwrap_or(growth.proposed);
         let rows = growth.rows(threshold);

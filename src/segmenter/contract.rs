@@ -3,7 +3,7 @@
 use crate::data::ScoreGrid;
 use crate::data::labels::classes::plain;
 use crate::error::{Error, Result, bail, ensure, invalid};
-use crate::files;
+use crate::files::{self, extension};
 use image::RgbImage;
 use image::imageops::{FilterType, resize};
 use serde::Deserialize;
@@ -176,7 +176,7 @@ impl Contract {
             return Self::read(&beside);
         }
         let stem = model.file_stem().unwrap_or_default().to_string_lossy();
-        Self::shipped(&stem).unwrap_or_else(|| Err(unknown(&stem)))
+        Self::shipped(&stem).unwrap_or_else(|| Err(without_contract(model, &stem)))
     }
 
     /// Names of the shipped contracts.
@@ -341,10 +341,20 @@ pub(super) fn nearest_first<'a>(name: &str, names: impl Iterator<Item = &'a str>
     names
 }
 
+fn without_contract(model: &Path, stem: &str) -> Error {
+    let found = model.display();
+    if extension(model) != "onnx" {
+        return invalid!(argument "--model"; found "{found}"; expected "a network as .onnx file"; help "export it to ONNX");
+    }
+    let shipped = nearest_first(stem, Contract::names()).join(", ");
+    invalid!(argument "--model"; found "{found}, which has no contract"; expected "{stem}.toml beside it, or --contract";
+        help "a contract says how a network reads photos (docs/data.md); `coseg` has {shipped}")
+}
+
 fn unknown(name: &str) -> Error {
     let shipped = nearest_first(name, Contract::names()).join(", ");
     invalid!(argument "--contract"; found "no contract {name:?}"; expected "a TOML file, or one of {shipped}";
-        help "name one, or write a file of the model's name with the extension toml beside it (docs/data.md)")
+        help "name one, or write a file (docs/data.md)")
 }
 
 #[cfg(test)]

@@ -143,8 +143,9 @@ fn network_class(contract: &Contract, user: &ClassFile, name: &str, member: &str
     let names = &contract.classes.names;
     let index = names.iter().position(|other| plain(other) == plain(member));
     index.ok_or_else(|| {
-        let names = nearest_first(member, names.iter().map(String::as_str)).join("; ");
-        invalid!(&user.file, "classes.{name}"; found "{member:?}"; expected "a class of the network: {names}";
-            help "correct the name")
+        let nearest = nearest_first(member, names.iter().map(String::as_str));
+        let first = nearest.first().copied().unwrap_or_default();
+        invalid!(&user.file, "classes.{name}"; found "{member:?}"; expected "a class of the network, perhaps {first:?}";
+            help "correct the name; the network has: {}", nearest.join("; "))
     })
 }

@@ -201,11 +201,16 @@ fn expect_gaussians(file: &PlyFile) -> Result<()> {
     if !has("x") || has("f_dc_0") || has("opacity") {
         return Ok(());
     }
+    let found = if file.has_element("face") {
+        "a mesh"
+    } else {
+        "a point cloud"
+    };
     Err(file.error(
         "element vertex",
-        "a point cloud",
+        found,
         "3D Gaussians: x y z, f_dc_*, opacity, scale_*, rot_*",
-        "give the Gaussians that were trained on it; as initial points a scene folder takes it",
+        "name a scene of Gaussians; to train some from a point cloud, name it by ply_file_path in transforms.json",
     ))
 }
 

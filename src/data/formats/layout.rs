@@ -141,6 +141,22 @@ fn nothing(dir: &Path, options: &LoadOptions) -> Error {
         help "{help}")
 }
 
+/// Refuses a file or folder of raw labels that is not there.
+fn expect_raw_labels(dir: &Path, options: &LoadOptions) -> Result<()> {
+    let Some(named) = &options.raw_labels else {
+        return Ok(());
+    };
+    let path = dir.join(named);
+    let has_labels = |name: &str, path: &Path| name.contains("label") && path.is_dir();
+    let help = match &names(dir, has_labels)[..] {
+        [] => "correct the name".to_owned(),
+        there => format!("the scene folder has {}", there.join(", ")),
+    };
+    ensure!(path.exists(), setting "data.raw_labels"; found "{named}";
+        expected "a folder or file of label maps, absolute or in {}", dir.display(); help "{help}");
+    Ok(())
+}
+
 /// Lists the frames of a folder of any layout. Faults of single frames go to `problems`.
 pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
     let folder = Folder {
@@ -154,7 +170,10 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         Layout::Replica => replica::list(folder, problems),
         Layout::Scannet => scannet::list(folder, problems),
     }?;
-    let mut listing = listing.with_raw_labels(dir, options, problems);
+    let mut listing = match problems.ok(expect_raw_labels(dir, options)) {
+        Some(()) => listing.with_raw_labels(dir, options, problems),
+        None => listing.without_raw_labels(),
+    };
     let maps = listing
         .frames
         .iter()

@@ -115,8 +115,14 @@ impl Listing {
                     self.notices.extend(vocabulary.notice);
                 }
             }
-            None => self.frames.iter_mut().for_each(|frame| frame.raw = None),
+            None => return self.without_raw_labels(),
         }
+        self
+    }
+
+    /// The same frames without raw labels.
+    pub fn without_raw_labels(mut self) -> Self {
+        self.frames.iter_mut().for_each(|frame| frame.raw = None);
         self
     }
 

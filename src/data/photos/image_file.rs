@@ -21,8 +21,8 @@ const MAX_PROPORTION_ERROR: f64 = 0.02;
 pub(crate) const TURNED_HELP: &str = "it is turned by a quarter: some programs turn photos by their EXIF orientation and others do not; \
     apply it to the photos or strip it (docs/from-photos.md, 1), before COLMAP and the segmenter see them";
 /// Help for a picture of another size.
-const SIZE_HELP: &str = "scale the image to that size (label maps without blending), or correct the size with focal length \
-    and centre";
+const SIZE_HELP: &str = "scale the photo to that size, or correct the size with focal length and centre; label maps of smaller photos \
+    need a geometry.json beside them (docs/data.md)";
 /// Bytes of a pixel while a file is decoded, at most: 16 bits of four channels, and a copy.
 const PIXEL_BYTES: u64 = 16;
 /// Quality of photos that are written anew.

@@ -70,6 +70,7 @@ fn mistakes_on_the_command_line_exit_with_2() {
     fails(&["paint"], 2);
     fails(&["render", "--scene", "x.ply"], 2);
     fails(&["train", "--resume", "a", "--out", "b"], 2);
+    fails(&["train", "--set", "building.iterations"], 2);
     let message = fails(&["train", "--backend", "abacus"], 2);
     assert!(message.contains("wgpu, flex or ndarray"), "{message}");
     let render = [

@@ -160,7 +160,7 @@ fn a_command_writes_over_its_own_output_and_over_others_by_force() {
         "--force",
     ];
     let message = fails(&edit, 1);
-    assert!(message.contains("folder with photos"), "{message}");
+    assert!(message.contains("no photos beside it"), "{message}");
 }
 
 #[test]

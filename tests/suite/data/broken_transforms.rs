@@ -238,7 +238,11 @@ fn broken_label_maps_are_refused_by_name() {
         raw_labels: Some("labels_none".into()),
         ..options
     };
-    expect_error(dir.path(), &options, &["labels_none", "v0.png"]);
+    expect_error(
+        dir.path(),
+        &options,
+        &["data.raw_labels", "labels_none", "labels_raw"],
+    );
     fs::remove_file(dir.path().join("classes.json")).expect("remove");
     expect_error(
         dir.path(),

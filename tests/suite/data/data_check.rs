@@ -93,7 +93,7 @@ fn check_names_all_planted_faults_at_once() {
             "no file",
             "put the image there",
         ],
-        &["v2.png", "size", "40x32", "80x64", "scale the image"],
+        &["v2.png", "size", "40x32", "80x64", "scale the photo"],
         &[
             "transforms.json",
             "frames[3] (images/v3.png).transform_matrix[1][3]",
@@ -154,6 +154,18 @@ fn check_names_all_planted_faults_at_once() {
         message.contains("no such folder") && message.contains("1 problem"),
         "{message}"
     );
+}
+
+#[test]
+fn a_misspelt_folder_of_labels_is_one_problem() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let set = "data.raw_labels=label";
+    let message = fails(&["data", "check", utf8(folder.path()), "--set", set], 1);
+    let expected = "setting data.raw_labels: found label, expected a folder or file of label maps";
+    assert!(message.contains(expected), "{message}");
+    assert!(message.contains("the scene folder has labels"), "{message}");
+    assert!(message.contains("found 1 problem"), "{message}");
 }
 
 #[test]

@@ -379,6 +379,7 @@ fn photos_to_label_are_suggested() {
         );
     }
     assert!(together > 0.95 && together <= 1.0 + 1e-9, "{said}");
+    fails(&["data", "suggest", utf8(dir), "--count", "0"], 2);
     let message = fails(&["data", "suggest"], 2);
     assert!(message.contains("DIR"), "{message}");
 }

@@ -31,7 +31,7 @@ fn says(message: &str, parts: &[&str]) {
     parts
         .iter()
         .for_each(|part| assert!(message.contains(part), "{part:?} is not in: {message}"));
-    assert!(!message.contains("scale the image"), "{message}");
+    assert!(!message.contains("scale the photo"), "{message}");
 }
 
 #[test]
@@ -70,7 +70,7 @@ fn label_maps_of_turned_photos_are_told_from_maps_of_another_size() {
     .expect("map");
     let message = fault(dir);
     assert!(
-        message.contains("scale the image") && !message.contains("EXIF"),
+        message.contains("scale the photo") && !message.contains("EXIF"),
         "{message}"
     );
 }

@@ -57,7 +57,12 @@ fn a_missing_contract_lists_the_shipped_ones_near_matches_first() {
     assert!(at("segformer_ade20k") < at("deeplab_mnv2_ade20k"), "{text}");
     assert_names(
         &Contract::find(Path::new("my.onnx"), None).expect_err("none beside it"),
-        &["\"my\"", "torchvision_voc"],
+        &[
+            "--model",
+            "my.onnx, which has no contract",
+            "my.toml",
+            "torchvision_voc",
+        ],
     );
     Contract::find(Path::new("weights/deeplab_mnv2_ade20k.onnx"), None)
         .expect("by the model's name");
@@ -88,7 +93,8 @@ fn unknown_class_names_list_the_valid_ones() {
         &[
             "classes.plate",
             "\"crimsom\"",
-            "network: crimson;",
+            "perhaps \"crimson\"",
+            "the network has: crimson;",
             "plaster",
             "navy",
         ],

@@ -217,6 +217,13 @@ fn files_that_are_taken_for_scenes_are_named() {
             "a point cloud",
         ),
         (
+            header(&["x", "y", "z"]).replace(
+                "end_header",
+                "element face 0\nproperty list uchar int vertex_indices\nend_header",
+            ),
+            "a mesh",
+        ),
+        (
             "ply\nformat ascii 1.0\nelement vertex x\n".to_owned(),
             "line 3",
         ),
