@@ -177,34 +177,39 @@ impl Provenance {
     /// [`Error::Config`] naming the first setting that differs, or the one that explains other data; [`Error::Input`] naming
     /// the data.
     pub fn check(&self, stored: &Self, finished: bool, file: &Path) -> Result<()> {
-        if let Some(key) = first_difference(&self.settings, &stored.settings) {
-            return Err(other_setting(key, &self.settings, &stored.settings, file));
-        }
-        if !finished && self.render != stored.render {
-            let text = |render| serde_json::json!(render).to_string();
-            let [now, then] = [self.render, stored.render].map(text);
-            return Err(other_value("segmentation.render", now, &then, file));
-        }
-        let kinds = self.data.keys().chain(stored.data.keys());
-        let digest = |of: &Self, data| of.data.get(data).map(|origin| origin.digest.clone());
-        match kinds
-            .filter(|data| digest(self, data) != digest(stored, data))
-            .min()
-        {
-            Some(data) => Err(self.other_data(*data, stored, file)),
+        match self.difference(stored, finished) {
+            Some(difference) => Err(difference.refuses_to_resume(file)),
             None => Ok(()),
         }
     }
 
-    /// The refusal of other data. It names the setting that explains the difference, if there is one.
-    fn other_data(&self, data: Data, stored: &Self, file: &Path) -> Error {
-        if let (Some(now), Some(then)) = (self.data.get(&data), stored.data.get(&data))
-            && let Some(key) = first_difference(&now.settings, &then.settings)
-        {
-            return other_setting(key, &now.settings, &then.settings, file);
+    /// What differs in `stored`, if anything: the first setting, or the one that explains other data, or the data. `finished` as in
+    /// [`Provenance::check`].
+    pub(crate) fn difference(&self, stored: &Self, finished: bool) -> Option<Difference> {
+        if let Some(setting) = first_difference(&self.settings, &stored.settings) {
+            return Some(setting);
         }
-        invalid!(file, "{}", data.name(); found "those of other data"; expected "those of this run";
-            help "resume with {}, or train into another folder", data.original())
+        if !finished && self.render != stored.render {
+            let text = |render| serde_json::json!(render).to_string();
+            return Some(Difference::Setting {
+                key: "segmentation.render".to_owned(),
+                now: text(self.render),
+                then: text(stored.render),
+            });
+        }
+        let kinds = self.data.keys().chain(stored.data.keys());
+        let digest = |of: &Self, data| of.data.get(data).map(|origin| origin.digest.clone());
+        let data = kinds
+            .filter(|data| digest(self, data) != digest(stored, data))
+            .min()?;
+        let explained = match (self.data.get(data), stored.data.get(data)) {
+            (Some(now), Some(then)) => first_difference(&now.settings, &then.settings),
+            _ => None,
+        };
+        explained.or(Some(Difference::Data {
+            name: data.name(),
+            original: data.original(),
+        }))
     }
 
     /// Whether label maps are rendered by the same rule as in `stored`.
@@ -213,23 +218,50 @@ impl Provenance {
     }
 }
 
+/// What one provenance has otherwise than another.
+pub(crate) enum Difference {
+    /// A setting by its dotted key. The values are JSON texts.
+    Setting {
+        key: String,
+        now: String,
+        then: String,
+    },
+    /// Data, where no setting explains the difference: its name, and what to resume with.
+    Data {
+        name: &'static str,
+        original: &'static str,
+    },
+}
+
+impl Difference {
+    /// The refusal to resume from `file`.
+    fn refuses_to_resume(&self, file: &Path) -> Error {
+        match self {
+            Self::Setting { key, now, then } => {
+                invalid!(setting "{key}"; found "{now}"; expected "{then}, as when {} was written", file.display();
+                    help "resume with that value, or train with this one into another folder")
+            }
+            Self::Data { name, original } => {
+                invalid!(file, "{name}"; found "those of other data"; expected "those of this run";
+                    help "resume with {original}, or train into another folder")
+            }
+        }
+    }
+}
+
 /// The first key with different values. The scene folder comes last: its name differs for a scene that was moved as well.
-fn first_difference<'a>(now: &'a Values, then: &'a Values) -> Option<&'a str> {
-    now.keys()
+fn first_difference(now: &Values, then: &Values) -> Option<Difference> {
+    let key = now
+        .keys()
         .chain(then.keys())
         .filter(|key| now.get(*key) != then.get(*key))
-        .min_by_key(|key| key.as_str() == "data.dir")
-        .map(String::as_str)
-}
-
-fn other_setting(key: &str, now: &Values, then: &Values, file: &Path) -> Error {
+        .min_by_key(|key| key.as_str() == "data.dir")?;
     let value = |values: &Values| values.get(key).cloned().unwrap_or("nothing".into());
-    other_value(key, value(now), &value(then), file)
-}
-
-fn other_value(key: &str, now: String, then: &str, file: &Path) -> Error {
-    invalid!(setting "{key}"; found "{now}"; expected "{then}, as when {} was written", file.display();
-        help "resume with that value, or train with this one into another folder")
+    Some(Difference::Setting {
+        key: key.clone(),
+        now: value(now),
+        then: value(then),
+    })
 }
 
 /// The settings of some sections, without those that do not affect results. Paths count by their file names, as files may move.

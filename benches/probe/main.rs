@@ -9,7 +9,7 @@ mod rooms;
 
 use coseg::backend::device;
 use coseg::segmentation::encoder::random_weights;
-use coseg::segmentation::pixels::UNLABELLED;
+use coseg::segmentation::pixels::NO_CLASS;
 use coseg::segmentation::randla::RandlaEncoder;
 use coseg::weights::WeightFile;
 use linear::linear_probe;
@@ -51,7 +51,7 @@ fn main() -> coseg::Result<()> {
         .collect::<coseg::Result<_>>()?;
     for task in tasks() {
         let labels = task.fitted.iter().flat_map(|cloud| &cloud.labels);
-        let known = labels.filter(|&&label| label != UNLABELLED);
+        let known = labels.filter(|&&label| label != NO_CLASS);
         let classes = known.max().map_or(0, |&label| usize::from(label) + 1);
         for (name, encoder) in &encoders {
             let scores = linear_probe(encoder, &task.fitted, &task.scored, classes, 0, &device)?;
@@ -131,7 +131,7 @@ fn scene_points(dir: &Path) -> LabelledCloud {
                 row(r) as f32 + rng.random_range(-0.017f32..0.017)
             }));
             cloud.labels.push(match labels.get_pixel(x, y).0[0] {
-                0 => UNLABELLED,
+                0 => NO_CLASS,
                 id => u16::from(id) - 1,
             });
         }
@@ -153,7 +153,7 @@ fn split_in_space(cloud: &LabelledCloud) -> [LabelledCloud; 2] {
                 if (cell >> 40) & 1 == half {
                     label
                 } else {
-                    UNLABELLED
+                    NO_CLASS
                 }
             });
         LabelledCloud {

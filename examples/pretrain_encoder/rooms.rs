@@ -11,7 +11,7 @@ pub const ROOMS_PER_SEED: u64 = 1 << 12;
 pub struct LabelledCloud {
     /// `[N, 3]` metres, z up.
     pub positions: Vec<[f32; 3]>,
-    /// `[N]` class indices, [`UNLABELLED`](coseg::segmentation::pixels::UNLABELLED) where there is none.
+    /// `[N]` class indices, [`NO_CLASS`](coseg::segmentation::pixels::NO_CLASS) where there is none.
     pub labels: Vec<u16>,
 }
 

@@ -12,7 +12,7 @@ use coseg::metrics::Confusion;
 use coseg::segmentation::decoder::{Decoder, DecoderConfig};
 use coseg::segmentation::encoder::{Cloud, encode, random_weights};
 use coseg::segmentation::loss::{CoSegLoss, LabelLoss};
-use coseg::segmentation::pixels::UNLABELLED;
+use coseg::segmentation::pixels::NO_CLASS;
 use coseg::segmentation::pyramid::{Level, Pyramid, Switches};
 use coseg::segmentation::randla::{LAYERS, NEIGHBOURS, RATIO, RandlaEncoder};
 use coseg::segmentation::sampling::Hierarchy;
@@ -234,14 +234,14 @@ fn augment(
 fn balanced(labels: &[u16], rng: &mut ChaCha8Rng) -> Vec<u16> {
     let classes = labels
         .iter()
-        .filter(|&&l| l != UNLABELLED)
+        .filter(|&&l| l != NO_CLASS)
         .max()
         .map_or(0, |&l| usize::from(l) + 1);
     let share = (2 * labels.len()).div_ceil(classes.max(1));
     let mut order: Vec<usize> = (0..labels.len()).collect();
     order.shuffle(rng);
-    let (mut counts, mut kept) = (vec![0; classes], vec![UNLABELLED; labels.len()]);
-    for i in order.into_iter().filter(|&i| labels[i] != UNLABELLED) {
+    let (mut counts, mut kept) = (vec![0; classes], vec![NO_CLASS; labels.len()]);
+    for i in order.into_iter().filter(|&i| labels[i] != NO_CLASS) {
         let count = &mut counts[usize::from(labels[i])];
         if *count < share {
             *count += 1;

@@ -157,7 +157,7 @@ impl Watch for Lines {
     }
 
     fn finished(&mut self, cell: &Cell) {
-        let miou = cell.figures.miou;
+        let miou = cell.figures.pixels.miou;
         let miou = miou.map_or("no score".to_owned(), |miou| {
             format!("mIoU {:.1} %", 100.0 * miou)
         });

@@ -15,7 +15,7 @@ pub fn print(scores: &HeldOutScores, what: &str) {
             terminal::say(&format!("{what}{kind}: {}", figures.join(", ")));
         }
     };
-    let labels = &scores.labels;
+    let labels = &scores.labels.pixels;
     line(
         "",
         &[

@@ -30,7 +30,7 @@ beside FILE.onnx, or the built-in contract with the model's name. docs/data.md d
   sofa = [\"sofa\", \"armchair\"]
   floor = [\"floor\", \"rug\"]
 Where the scene has a classes.json, the names on the left are its own. The network's other classes are dropped. Without
---classes, the labels have the network's classes, as far as they occur.
+--classes, the labels have those of the network's classes that occur.
 
 Examples:
   coseg label --data scenes/living --model deeplab_mnv2_ade20k.onnx --out labels/living

@@ -259,7 +259,9 @@ fn summary(outcome: &Outcome) {
     }
     let scored = |row: &VariantOutcome| {
         let scores = &row.scores;
-        scores.labels.miou.is_some() || scores.instances.is_some() || scores.semantic.is_some()
+        scores.labels.pixels.miou.is_some()
+            || scores.instances.is_some()
+            || scores.semantic.is_some()
     };
     if !outcome.rows.iter().any(scored) {
         let names: Vec<&str> = outcome.rows.iter().map(|row| row.variant.title()).collect();

@@ -116,7 +116,7 @@ impl ViewArgs {
         // Whoever opens the page may give a scene its first labels.
         let labels = ply
             .labels
-            .unwrap_or_else(|| vec![classes.ignore; gaussians.len()]);
+            .unwrap_or_else(|| classes.unlabelled(gaussians.len()));
         let cameras = self
             .cameras
             .clone()

@@ -2,10 +2,10 @@
 
 use super::{Figures, LabelKind, Row, SceneFolder};
 use crate::config::Variant;
-use crate::error::{Error, Result, bail, ensure};
+use crate::error::{Result, bail, ensure};
 use crate::files::{self, atomic};
 use crate::metrics::ClassIou;
-use crate::provenance::Provenance;
+use crate::provenance::{Difference, Provenance};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -91,7 +91,7 @@ pub(super) fn write_cell(out: &Path, cell: Cell, provenance: Provenance) -> Resu
 /// `None`.
 ///
 /// # Errors
-/// [`Error::Input`] naming the file and what differs.
+/// [`crate::Error::Input`] naming the file and what differs.
 pub(super) fn read_cell(
     out: &Path,
     id: &CellId,
@@ -105,8 +105,7 @@ pub(super) fn read_cell(
     let stored: CellFile = files::json(path, "a cell of `coseg compare`")?;
     let cell = stored.cell;
     ensure!(cell.id == *id, path, "scene, labels, row, seed"; found "{}", cell.id; expected "{id}"; help "{HELP}");
-    let differs = provenance.check(&stored.provenance, false, path);
-    differs.map_err(|error| other_provenance(error, path))?;
+    check_provenance(provenance, &stored.provenance, path)?;
     if let Some(commit) = commit.filter(|commit| *commit != cell.commit) {
         bail!(path, "commit"; found "{}", cell.commit; expected "{commit}, that of this program";
             help "{HELP}, or keep such cells with --keep-cells");
@@ -114,25 +113,22 @@ pub(super) fn read_cell(
     Ok(Some(cell))
 }
 
-/// The refusal of a run to resume, as the refusal of a finished file of a comparison.
-pub(super) fn other_provenance(error: Error, path: &Path) -> Error {
-    match error {
-        // There the plan's value is found, and the file's is expected.
-        Error::Config {
-            key,
-            found,
-            expected,
-            ..
-        } => {
-            let then = expected.split(", as when ").next().unwrap_or_default();
-            Error::input(path, key, then, format!("{found}, as in the plan"), HELP)
+/// Refuses the finished file `path` of a comparison, which has the provenance `stored`, where the plan has another one.
+///
+/// # Errors
+/// [`crate::Error::Input`] naming the file and what differs.
+pub(super) fn check_provenance(
+    of_plan: &Provenance,
+    stored: &Provenance,
+    path: &Path,
+) -> Result<()> {
+    match of_plan.difference(stored, false) {
+        None => Ok(()),
+        Some(Difference::Setting { key, now, then }) => {
+            bail!(path, "{key}"; found "{then}"; expected "{now}, as in the plan"; help "{HELP}")
         }
-        Error::Input {
-            field,
-            found,
-            expected: _,
-            ..
-        } => Error::input(path, field, found, "those of the plan", HELP),
-        other => other,
+        Some(Difference::Data { name, .. }) => {
+            bail!(path, "{name}"; found "those of other data"; expected "those of the plan"; help "{HELP}")
+        }
     }
 }

@@ -98,7 +98,7 @@ impl Column {
     }
 }
 
-pub(super) const MIOU: Column = Column::score("miou", "mIoU, %", |f| f.miou);
+pub(super) const MIOU: Column = Column::score("miou", "mIoU, %", |f| f.pixels.miou);
 pub(super) const FRAMES: Column = Column::cost("frames_per_second", "frames/s", (1.0, 1), |f| {
     f.frames_per_second
 });
@@ -107,8 +107,10 @@ pub(super) const SECONDS: Column = Column::cost("seconds", "seconds", (1.0, 0), 
 /// Those of every table.
 pub(super) static COLUMNS: [Column; 8] = [
     MIOU,
-    Column::score("miou_per_view", "mIoU per view, %", |f| f.miou_per_view),
-    Column::score("accuracy", "accuracy, %", |f| f.accuracy),
+    Column::score("miou_per_view", "mIoU per view, %", |f| {
+        f.pixels.miou_per_view
+    }),
+    Column::score("accuracy", "accuracy, %", |f| f.pixels.accuracy),
     Column::score("boundary_iou", "boundary IoU, %", |f| f.boundary_iou),
     FRAMES,
     Column::cost("learnable_bytes", "learnable, MB", (1e-6, 2), |f| {

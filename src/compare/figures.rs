@@ -2,6 +2,7 @@
 
 use crate::data::Split;
 use crate::error::Result;
+use crate::metrics::PixelScores;
 use crate::objects::{RenderOptions, Renderer};
 use crate::pipeline::{FieldScores, Outcome, VariantOutcome};
 use burn::tensor::Device;
@@ -11,12 +12,9 @@ use std::time::Instant;
 /// What is measured of a cell. Scores are in 0..1; `None` where there is nothing to measure.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
-    /// Mean IoU of all held-out views together.
-    pub miou: Option<f64>,
-    /// Mean over views of each view's mean IoU.
-    pub miou_per_view: Option<f64>,
-    /// Share of labelled pixels that are right.
-    pub accuracy: Option<f64>,
+    /// `miou`, `miou_per_view` and `accuracy` of the held-out views.
+    #[serde(flatten)]
+    pub pixels: PixelScores,
     /// Mean boundary IoU.
     pub boundary_iou: Option<f64>,
     /// Frames of colour and labels in a second: 1 over the median time of the held-out views.
@@ -51,9 +49,7 @@ impl Figures {
         let features = seconds.features + seconds.unprojection;
         let labels = &row.scores.labels;
         Ok(Self {
-            miou: labels.miou,
-            miou_per_view: labels.miou_per_view,
-            accuracy: labels.accuracy,
+            pixels: labels.pixels,
             boundary_iou: labels.boundary_iou,
             frames_per_second: frames_per_second(row, outcome, device)?,
             learnable_bytes: row.learnable_bytes as u64,

@@ -1,6 +1,6 @@
 //! The Gaussians of a scene that all of its cells share: trained once, or taken from a file.
 
-use super::cells::other_provenance;
+use super::cells::check_provenance;
 use super::plan::{Plan, SceneFolder};
 use super::{Options, Watch};
 use crate::config::{BuildingConfig, Config};
@@ -111,8 +111,7 @@ impl Record {
                 help "leave out --gaussians for this scene, or choose another --out");
         }
         let config = settings(plan, scene, self.given.as_deref())?;
-        Provenance::stage_one(&config, &load_scene(&config)?)
-            .check(&self.provenance, false, path)
-            .map_err(|error| other_provenance(error, path))
+        let of_plan = Provenance::stage_one(&config, &load_scene(&config)?);
+        check_provenance(&of_plan, &self.provenance, path)
     }
 }

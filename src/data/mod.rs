@@ -224,7 +224,7 @@ pub struct View {
     pub raw: Option<LabelRuns>,
     /// Where the class probabilities of [`View::raw`] are, if the segmenter's scores lie beside the map.
     pub scores: Option<ViewScores>,
-    /// The segments of [`View::raw`] as far as they are known, where its ids are segments of this view, not classes.
+    /// The known segments of [`View::raw`], where its ids are segments of this view, not classes.
     pub segments: Vec<Segment>,
     /// True instance ids, where known; 0 is none. Only for scoring.
     pub instances: Option<LabelRuns>,

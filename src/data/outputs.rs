@@ -108,7 +108,7 @@ fn files_read(dir: &Path, options: &LoadOptions) -> Vec<PathBuf> {
     frames.flat_map(files).chain(cloud).collect()
 }
 
-/// The path without links, as far as it is there.
+/// The path with links resolved as far as it exists.
 fn absolute(path: &Path) -> PathBuf {
     let mut rest = Vec::new();
     let full = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());

@@ -1,4 +1,4 @@
-//! Which files a command of this program wrote: it writes over no others.
+//! Records which files this program wrote, so that it overwrites no others.
 //!
 //! The program calls [`guard`]; the library alone writes where it is told to. Then each folder that is written into has a record,
 //! [`RECORD`]: a line for each file with the SHA-256 of its content, the command, and its name. A file is own as long as its content

@@ -103,15 +103,23 @@ impl Confusion {
     }
 }
 
-/// Label scores of a set of views, each in 0..1.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct LabelScores {
+/// Scores that count the pixels of a set of views, each in 0..1; `None` where there is nothing to score.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PixelScores {
     /// Mean IoU of all views counted together, over the classes present in their truth.
     pub miou: Option<f64>,
     /// Mean over views of each view's mean IoU over the classes present in its own truth.
     pub miou_per_view: Option<f64>,
     /// Share of labelled pixels predicted right, all views together.
     pub accuracy: Option<f64>,
+}
+
+/// Label scores of a set of views, each in 0..1.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LabelScores {
+    /// Scores that count pixels.
+    #[serde(flatten)]
+    pub pixels: PixelScores,
     /// Mean boundary IoU, see [`boundary_iou`](super::boundary_iou); [`label_scores`] leaves it out, as it needs maps.
     pub boundary_iou: Option<f64>,
     /// IoU of each class present in the truth, all views together: (id, IoU).
@@ -139,9 +147,11 @@ pub fn label_scores(
         .collect();
     let ids = classes.entries.iter().map(|c| c.id);
     LabelScores {
-        miou: pooled.miou(void),
-        miou_per_view: mean(per_view),
-        accuracy: pooled.accuracy(void),
+        pixels: PixelScores {
+            miou: pooled.miou(void),
+            miou_per_view: mean(per_view),
+            accuracy: pooled.accuracy(void),
+        },
         boundary_iou: None,
         per_class: ids
             .enumerate()

@@ -16,7 +16,7 @@ pub use self::boundary::boundary_iou;
 pub use self::clusters::{calinski_harabasz, davies_bouldin};
 pub use self::image::{ImageScores, PSNR_CAP, psnr, ssim};
 pub use self::instances::{InstanceScores, PanopticQuality, Quality, instance_scores};
-pub use self::labels::{Confusion, LabelScores, Void, label_scores};
+pub use self::labels::{Confusion, LabelScores, PixelScores, Void, label_scores};
 pub use self::semantic::{ClassIou, PanopticScores, SemanticScores, SemanticView, semantic_scores};
 
 /// Mean of the values that are there; `None` when there are none.

@@ -96,9 +96,9 @@ pub fn semantic_scores<'a>(
         iou,
     };
     SemanticScores {
-        miou: scores.miou,
-        miou_per_view: scores.miou_per_view,
-        accuracy: scores.accuracy,
+        miou: scores.pixels.miou,
+        miou_per_view: scores.pixels.miou_per_view,
+        accuracy: scores.pixels.accuracy,
         per_class: scores.per_class.into_iter().map(named).collect(),
         panoptic: panoptic(classes, stuff, &class_of, &views),
     }

@@ -184,7 +184,7 @@ impl Flux {
     }
 }
 
-/// How labels err, as far as they contradict the class that wins a piece of surface.
+/// How labels err where they contradict the class that wins a piece of surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LabelErrors {
     /// Share of the labels that contradict the winner.

@@ -89,8 +89,8 @@ pub struct PooledVote {
     pub exponent: f64,
 }
 
-/// Pools the votes `refined` ([`refined_vote`](super::refined_vote)) over superpoints and calibrates them, as far as the plain
-/// `votes` say that labels contradict their surface. Class frequencies are divided out as far as these errors prefer frequent
+/// Pools the votes `refined` ([`refined_vote`](super::refined_vote)) over superpoints and calibrates them where the plain
+/// `votes` say that labels contradict their surface. Class frequencies are divided out where these errors prefer frequent
 /// classes: a network makes such errors. With `exponent`, labels of any kind are pooled, and divided by the class frequencies to
 /// this power.
 ///

@@ -143,7 +143,7 @@ pub fn spatial_of(variant: Variant, config: &Config) -> SpatialConfig {
 }
 
 impl Encodings {
-    /// The input of the decoder of `variant`: spatial features joined with the lifted ones, as far as the variant reads them.
+    /// The input of the decoder of `variant`: spatial features joined with the lifted ones, where the variant reads them.
     ///
     /// # Errors
     /// [`crate::Error::Argument`] for a variant that reads image features where none were lifted.

@@ -91,7 +91,7 @@ pub(super) fn segmentation(report: &Report<'_>) -> Vec<Markup> {
         .collect();
     for (row, scores) in &report.metrics.test.labels {
         let is_trained = rows.iter().any(|trained| trained.variant == *row);
-        if let (false, Some(miou)) = (is_trained, scores.miou) {
+        if let (false, Some(miou)) = (is_trained, scores.pixels.miou) {
             lines.push(Line {
                 name: row.title(),
                 color: color(*row),

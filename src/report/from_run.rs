@@ -42,7 +42,7 @@ impl Metrics {
 
 fn variant_scores(row: &VariantOutcome) -> VariantScores {
     VariantScores {
-        void_left_out: row.void_left_out.as_ref().map(Into::into),
+        void_left_out: row.void_left_out.as_ref().map(|scores| scores.pixels),
         iterations: row.curve.last().map(|point| point.iteration),
         learning_rate: row.rate,
         fine_tuning_steps: row.fine_tuning_steps,

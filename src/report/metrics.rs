@@ -2,7 +2,7 @@
 
 use super::History;
 use crate::config::Variant;
-use crate::metrics::{ImageScores, InstanceScores, LabelScores, SemanticScores};
+use crate::metrics::{ImageScores, InstanceScores, PixelScores, SemanticScores};
 use crate::pipeline::{AssociationCounts, HeldOutScores, Seconds};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -65,18 +65,15 @@ pub struct TestScores {
 /// Label scores of one variant.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct VariantScores {
-    /// Mean IoU over the classes in the test truth, all held-out pixels in one confusion matrix; `None` without truth.
-    pub miou: Option<f64>,
-    /// Mean over the held-out views of each view's own mean IoU.
-    pub miou_per_view: Option<f64>,
-    /// Share of labelled pixels that are right.
-    pub accuracy: Option<f64>,
+    /// `miou`, `miou_per_view` and `accuracy` of the held-out views.
+    #[serde(flatten)]
+    pub pixels: PixelScores,
     /// Mean boundary IoU over the same classes, all held-out views together (Cheng et al. 2021).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub boundary_iou: Option<f64>,
     /// The same scores with unlabelled predictions left out instead of counted as wrong (raw labels).
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub void_left_out: Option<Scores>,
+    pub void_left_out: Option<PixelScores>,
     /// IoU by class id, pooled, for the classes in the test truth.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub class_iou: BTreeMap<u16, f64>,
@@ -104,9 +101,7 @@ impl From<&HeldOutScores> for VariantScores {
     fn from(scores: &HeldOutScores) -> Self {
         let labels = &scores.labels;
         Self {
-            miou: labels.miou,
-            miou_per_view: labels.miou_per_view,
-            accuracy: labels.accuracy,
+            pixels: labels.pixels,
             boundary_iou: labels.boundary_iou,
             class_iou: labels.per_class.iter().copied().collect(),
             instances: scores.instances.clone(),
@@ -114,27 +109,6 @@ impl From<&HeldOutScores> for VariantScores {
             ..Self::default()
         }
     }
-}
-
-impl From<&LabelScores> for Scores {
-    fn from(scores: &LabelScores) -> Self {
-        Self {
-            miou: scores.miou,
-            miou_per_view: scores.miou_per_view,
-            accuracy: scores.accuracy,
-        }
-    }
-}
-
-/// The three label scores; see [`VariantScores`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Scores {
-    /// Pooled mean IoU.
-    pub miou: Option<f64>,
-    /// Mean IoU per view, averaged.
-    pub miou_per_view: Option<f64>,
-    /// Pixel accuracy.
-    pub accuracy: Option<f64>,
 }
 
 /// Peak resident memory of this process so far, bytes (`VmHWM`); `None` where the system does not report it.

@@ -14,7 +14,7 @@ mod views;
 
 pub use self::from_run::held_out_views;
 pub use self::history::{BuildingHistory, History, Sample, VariantHistory};
-pub use self::metrics::{Command, Metrics, Scores, TestScores, VariantScores, peak_memory_bytes};
+pub use self::metrics::{Command, Metrics, TestScores, VariantScores, peak_memory_bytes};
 
 pub(crate) use self::units::thousands;
 

@@ -91,7 +91,12 @@ fn tiles(report: &Report<'_>) -> Markup {
             }
         }
     };
-    let miou = |row| m.test.labels.get(&row).and_then(|scores| scores.miou);
+    let miou = |row| {
+        m.test
+            .labels
+            .get(&row)
+            .and_then(|scores| scores.pixels.miou)
+    };
     html! {
         div.tiles {
             @if let Some(psnr) = m.test.psnr { (tile(format!("{psnr:.2}"), "dB", "held-out PSNR")) }

@@ -10,7 +10,7 @@ use std::path::Path;
 
 /// Pixels across a character, and from its top to its bottom.
 pub(super) const GLYPH: usize = 8;
-pub use crate::data::labels::palette::UNLABELLED;
+pub use crate::data::labels::palette::UNLABELLED_COLOR;
 /// Colour of ids that are not in the class table.
 const UNKNOWN: [u8; 3] = [255, 0, 200];
 /// Colours of [`label_error`]: right, wrong, truth unlabelled.
@@ -37,7 +37,7 @@ pub fn from_floats(rgb: &[f32], width: usize, height: usize) -> Result<RgbImage>
 pub fn colored(labels: &LabelMap, classes: &Classes) -> RgbImage {
     let color = |id: u16| match classes.index(id) {
         Some(i) => classes.entries[i].color,
-        None if id == classes.ignore => UNLABELLED,
+        None if id == classes.ignore => UNLABELLED_COLOR,
         None => UNKNOWN,
     };
     per_pixel(labels.width, labels.height, |p| color(labels.ids[p]))
@@ -45,7 +45,13 @@ pub fn colored(labels: &LabelMap, classes: &Classes) -> RgbImage {
 
 /// A map of segments in a colour for each, whatever the classes.
 pub fn colored_segments(segments: &LabelMap) -> RgbImage {
-    let color = |id: u16| if id == 0 { UNLABELLED } else { class_color(id) };
+    let color = |id: u16| {
+        if id == 0 {
+            UNLABELLED_COLOR
+        } else {
+            class_color(id)
+        }
+    };
     per_pixel(segments.width, segments.height, |p| color(segments.ids[p]))
 }
 
@@ -114,7 +120,7 @@ pub fn with_legend(picture: &RgbImage, labels: &LabelMap, classes: &Classes) -> 
         .map(|c| (c.color, format!("{} {}", c.id, c.name)))
         .collect();
     if present[classes.ignore as usize] {
-        entries.push((UNLABELLED, "unlabelled".into()));
+        entries.push((UNLABELLED_COLOR, "unlabelled".into()));
     }
     let scale = if picture.width() >= 900 { 2 } else { 1 };
     let swatch = 9 * scale;

@@ -5,7 +5,7 @@ use super::curves::color;
 use super::units::{bytes, duration, percent, thousands};
 use super::{Report, VariantScores};
 use crate::config::Variant;
-use crate::metrics::{InstanceScores, SemanticScores};
+use crate::metrics::{InstanceScores, PixelScores, SemanticScores};
 use crate::reconstruction::MAX_GAP;
 use maud::{Markup, html};
 
@@ -49,9 +49,10 @@ fn rows_with<'a, T>(
 /// Scores of all rows. Raw labels have two lines: with unlabelled pixels as wrong, and with those left out.
 pub(super) fn scores(report: &Report<'_>) -> Markup {
     let labels = &report.metrics.test.labels;
-    let columns: [fn(&VariantScores) -> Option<f64>; 3] =
+    let columns: [fn(&PixelScores) -> Option<f64>; 3] =
         [|s| s.miou, |s| s.miou_per_view, |s| s.accuracy];
-    let best = columns.map(|pick| labels.values().filter_map(pick).max_by(f64::total_cmp));
+    let pixels = || labels.values().map(|scores| &scores.pixels);
+    let best = columns.map(|pick| pixels().filter_map(pick).max_by(f64::total_cmp));
     let or_dash = |text: Option<String>| text.unwrap_or_else(|| "–".into());
     let head = [
         "",
@@ -67,7 +68,7 @@ pub(super) fn scores(report: &Report<'_>) -> Markup {
         @for (row, scores) in labels {
             tr.ours[*row == Variant::Ours] {
                 (row_name(*row))
-                @for (pick, best) in columns.iter().zip(best) { (share(pick(scores), best)) }
+                @for (pick, best) in columns.iter().zip(best) { (share(pick(&scores.pixels), best)) }
                 td { (or_dash(scores.iterations.map(|n| thousands(n as u64)))) }
                 td { (or_dash(scores.learning_rate.map(|rate| rate.to_string()))) }
                 td { (or_dash(scores.fine_tuning_steps.map(|n| thousands(n as u64)))) }
@@ -111,9 +112,9 @@ pub(super) fn reviews(report: &Report<'_>) -> Markup {
     html! {
         @if !reviews.is_empty() {
             p {
-                "Some training views were held back from training for a time. Each review left out the Gaussians that these views "
-                "hardly need. Afterwards new ones could come while densification went on, until the views trained on were more than "
-                (MAX_GAP) " dB better than those held back."
+                "Some training views were held back from training for a time. Each review removed the Gaussians that hardly change "
+                "the pictures of these views. Training added Gaussians again until the views trained on were more than " (MAX_GAP)
+                " dB better than those held back, or densification ended."
             }
             (table(&head, body))
         }

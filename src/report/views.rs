@@ -2,7 +2,7 @@
 
 use super::chart::swatch;
 use super::pictures::{
-    AGREEMENT, ERROR_FULL, UNLABELLED, accuracy, colored, from_floats, heat, label_error, png,
+    AGREEMENT, ERROR_FULL, UNLABELLED_COLOR, accuracy, colored, from_floats, heat, label_error, png,
 };
 use super::units::percent;
 use super::{HeldOutView, Report};
@@ -61,7 +61,7 @@ fn legend(report: &Report<'_>) -> Markup {
             @for class in &report.classes.entries {
                 li { (swatch(class.color)) i { (class.id) } (class.name) }
             }
-            li { (swatch(UNLABELLED)) i { (report.classes.ignore) } "unlabelled" }
+            li { (swatch(UNLABELLED_COLOR)) i { (report.classes.ignore) } "unlabelled" }
         }
     }
 }

@@ -151,7 +151,7 @@ impl ObjectScene {
         classes: Option<&PathBuf>,
     ) -> Result<Self> {
         let classes = classes_beside(&path, classes.map(PathBuf::as_path))?;
-        let unlabelled = || vec![classes.ignore; ply.gaussians.len()];
+        let unlabelled = || classes.unlabelled(ply.gaussians.len());
         let labels = ply.labels.take().unwrap_or_else(unlabelled);
         Ok(Self::with_labels(path, ply, labels, classes))
     }

@@ -139,7 +139,7 @@ fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<usize> {
     let cameras = scene.cameras();
     transforms::write_cameras(&run.file(CAMERAS), &cameras)?;
     // Whoever opens the page may give a scene its first labels.
-    let labels = ids.unwrap_or_else(|| vec![scene.classes.ignore; gaussians.len()]);
+    let labels = ids.unwrap_or_else(|| scene.classes.unlabelled(gaussians.len()));
     let page_bytes = Viewer::bytes(gaussians, true);
     if page_bytes > MAX_PAGE_BYTES {
         // The page of an earlier result.

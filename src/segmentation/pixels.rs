@@ -10,7 +10,7 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 use std::sync::Arc;
 
 /// The label of pixels that do not count.
-pub const UNLABELLED: u16 = u16::MAX;
+pub const NO_CLASS: u16 = u16::MAX;
 
 /// Blending weights of P pixels over the V Gaussians that they show. The weights of a pixel sum to 1, or to its coverage 1 - T
 /// where blended values are not divided by that.
@@ -111,7 +111,7 @@ impl FrozenGaussians {
         min_coverage: f32,
     ) -> Result<(LabelledView, PixelWeights)> {
         let wanted: Vec<u32> = (0..labels.len() as u32)
-            .filter(|&pixel| labels[pixel as usize] != UNLABELLED)
+            .filter(|&pixel| labels[pixel as usize] != NO_CLASS)
             .collect();
         let view = self.splats.seen_by(camera, &self.settings);
         let (visible, pixels, weights) = if self.splats.have_stored_weights() {
@@ -228,7 +228,7 @@ pub(crate) struct LabelledView {
 pub struct LabelledPixels {
     /// Frozen blending weights, one row for each pixel.
     pub weights: PixelWeights,
-    /// Class index of each pixel, or [`UNLABELLED`].
+    /// Class index of each pixel, or [`NO_CLASS`].
     pub labels: Arc<Vec<u16>>,
     /// Class probabilities to train on instead of `labels`, `[P, C]` without autodiff. All pixels have labels then.
     pub distributions: Option<Tensor<2>>,
@@ -257,11 +257,11 @@ impl LabelledPixels {
     /// The pixels that have a label.
     #[must_use]
     pub fn labelled(&self) -> Self {
-        if !self.labels.contains(&UNLABELLED) {
+        if !self.labels.contains(&NO_CLASS) {
             return self.clone();
         }
         let places: Vec<u32> = (0..self.len() as u32)
-            .filter(|&place| self.labels[place as usize] != UNLABELLED)
+            .filter(|&place| self.labels[place as usize] != NO_CLASS)
             .collect();
         self.at(&places)
     }

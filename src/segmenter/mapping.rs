@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// The id of unlabelled pixels.
-const UNLABELLED: u16 = 0;
+const UNLABELLED_ID: u16 = 0;
 
 /// The user's classes: a TOML with one table `[classes]` from names to lists of the network's names.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
@@ -58,13 +58,13 @@ impl Mapping {
         let names = &contract.classes.names;
         let first = u16::from(contract.output.none != Some(0));
         let id = |index: usize| match contract.output.none {
-            Some(none) if none == index => UNLABELLED,
+            Some(none) if none == index => UNLABELLED_ID,
             _ => index as u16 + first,
         };
         let ids: Vec<u16> = (0..names.len()).map(id).collect();
         let named = ids.iter().copied().zip(names.iter().cloned());
         Self {
-            classes: Classes::from_names(UNLABELLED, named),
+            classes: Classes::from_names(UNLABELLED_ID, named),
             keeps_occurring: true,
             channels: (0..names.len()).map(Some).collect(),
             ids,
@@ -111,7 +111,7 @@ impl Mapping {
         }
         mapping.classes = if scene.is_empty() {
             let ids = mapping.ids.iter().copied();
-            Classes::from_names(UNLABELLED, ids.zip(user.classes.keys().cloned()))
+            Classes::from_names(UNLABELLED_ID, ids.zip(user.classes.keys().cloned()))
         } else {
             let mut classes = scene.clone();
             classes

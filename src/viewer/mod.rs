@@ -8,7 +8,7 @@ mod packing;
 #[cfg(feature = "serve")]
 mod served;
 
-use crate::data::labels::palette::UNLABELLED;
+use crate::data::labels::palette::UNLABELLED_COLOR;
 use crate::data::{Class, Classes, NamedCamera, Split};
 use crate::error::{Error, Result, bail, ensure};
 use crate::files::atomic;
@@ -106,13 +106,13 @@ struct Header<'a> {
     alpha_max: f64,
     up: DVec3,
     extent: Extent,
-    start: View<'a>,
+    start: CameraEntry<'a>,
     objects: Vec<Entry<'a>>,
     /// Classes that no Gaussian has.
     absent: Vec<Absent<'a>>,
     /// The label of unlabelled Gaussians.
     ignore: u16,
-    cameras: Vec<View<'a>>,
+    cameras: Vec<CameraEntry<'a>>,
 }
 
 #[derive(Serialize)]
@@ -151,7 +151,7 @@ struct Listed {
 
 /// A camera relative to the origin.
 #[derive(Serialize)]
-struct View<'a> {
+struct CameraEntry<'a> {
     name: &'a str,
     split: Split,
     /// Its rotation is transposed: matrices are written column by column, and the page reads them row by row.
@@ -242,7 +242,9 @@ impl Viewer<'_> {
         let is_bare = self.classes.is_empty() && objects.len() == 1;
         let look = |id: u16| match self.labels {
             None => (None, [255; 3]),
-            Some(_) if is_bare && id == self.classes.ignore => (Some("unlabelled"), UNLABELLED),
+            Some(_) if is_bare && id == self.classes.ignore => {
+                (Some("unlabelled"), UNLABELLED_COLOR)
+            }
             Some(_) => (self.classes.known_name(id), self.classes.legend_color(id)),
         };
         let entry = |object: &Object| {
@@ -287,7 +289,7 @@ impl Viewer<'_> {
                 low: all.low,
                 high: all.high,
             },
-            start: view("", Split::Train, &start),
+            start: camera_entry("", Split::Train, &start),
             objects: objects.iter().map(entry).collect(),
             absent: absent
                 .map(|class| Absent {
@@ -298,7 +300,7 @@ impl Viewer<'_> {
                 .collect(),
             ignore: self.classes.ignore,
             cameras: views
-                .map(|(named, camera)| view(&named.name, named.split, camera))
+                .map(|(named, camera)| camera_entry(&named.name, named.split, camera))
                 .collect(),
         }
     }
@@ -341,12 +343,12 @@ fn upright(up: DVec3) -> DVec3 {
         .unwrap_or(up)
 }
 
-fn view<'a>(name: &'a str, split: Split, camera: &Camera) -> View<'a> {
+fn camera_entry<'a>(name: &'a str, split: Split, camera: &Camera) -> CameraEntry<'a> {
     let camera = Camera {
         rotation: camera.rotation.transpose(),
         ..camera.clone()
     };
-    View {
+    CameraEntry {
         name,
         split,
         camera,

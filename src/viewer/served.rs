@@ -144,7 +144,8 @@ impl Served<'_> {
         } = self.viewer;
         ensure!(edits.scene == sha256, &self.edits, "scene"; found "edits of another scene";
             expected "edits of this one, or no file"; help "name another file by --edits, or move this one");
-        let labels = labels.map_or_else(|| vec![classes.ignore; gaussians.len()], <[u16]>::to_vec);
+        let unlabelled = || classes.unlabelled(gaussians.len());
+        let labels = labels.map_or_else(unlabelled, <[u16]>::to_vec);
         let mut editing = Editing::new(gaussians.clone(), labels, classes.clone());
         edits.apply(&mut editing, sha256, origin)?;
         Ok(Saved {

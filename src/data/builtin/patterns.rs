@@ -1,7 +1,7 @@
 //! Surface patterns: wood, tiles, cloth, wallpaper, books, rugs. Edges are soft over about a centimetre and fine grain
 //! is faint, so that photos at 320x240 do not alias.
 
-use super::noise::{band, cloud, fold, hash, noise, step};
+use super::noise::{band, cloud, fold, hash, noise, rgb, step};
 use super::paintings::{painting, scenery};
 use super::shapes::{Shape, Solid};
 use glam::DVec3;
@@ -102,78 +102,25 @@ impl Spot {
 impl Material {
     /// Reflected colour at `spot`, linear light.
     pub fn color(&self, spot: &Spot) -> DVec3 {
-        let Spot {
-            p,
-            u,
-            v,
-            face,
-            axis,
-            ..
-        } = *spot;
+        let Spot { p, u, v, face, .. } = *spot;
         let seed = self.seed;
         match self.pattern {
             Pattern::Plain(c) => c * (0.94 + 0.12 * noise(u / 0.35, v / 0.35, seed)),
             Pattern::Clouds(a, b, size) => {
                 a.lerp(b, step(0.2, 0.8, cloud(u / size, v / size, seed)))
             }
-            Pattern::Wood(light, dark) => {
-                let h = spot.half;
-                // Grain runs along the longest side; the two others make the rings.
-                let (along, across) = if h.x >= h.y && h.x >= h.z {
-                    (p.x, p.y + 0.7 * p.z)
-                } else if h.y >= h.z {
-                    (p.y, p.x + 0.7 * p.z)
-                } else {
-                    (p.z, p.x + 0.7 * p.y)
-                };
-                grain(light, dark, along, across, seed)
-            }
-            Pattern::Planks(light, dark, width) => {
-                let row = (v / width).floor();
-                let shift = hash(row as i64, 7, seed) * 1.3;
-                let length = 1.3;
-                let column = ((u + shift) / length).floor();
-                let tone = hash(row as i64, column as i64, seed);
-                let c = grain(light, dark, u, v + 3.0 * tone, seed ^ row as i64 as u64);
-                let seam = band(fold(v, width), 0.003, 0.012).max(band(
-                    fold(u + shift, length),
-                    0.003,
-                    0.012,
-                ));
-                c * (0.84 + 0.26 * tone) * (1.0 - 0.35 * seam)
-            }
-            Pattern::Parquet(light, dark, size) => {
-                let (i, j) = ((u / size).floor() as i64, (v / size).floor() as i64);
-                let turned = (i + j).rem_euclid(2) == 0;
-                let (along, across) = if turned { (u, v) } else { (v, u) };
-                let tone = if turned { 1.04 } else { 0.92 } * (0.95 + 0.1 * hash(i, j, seed));
-                let strips = band(fold(across, size / 3.0), 0.002, 0.012);
-                grain(light, dark, along, across, seed) * tone * (1.0 - 0.12 * strips)
-            }
+            Pattern::Wood(light, dark) => wood([light, dark], spot, seed),
+            Pattern::Planks(light, dark, width) => planks([light, dark], width, spot, seed),
+            Pattern::Parquet(light, dark, size) => parquet([light, dark], size, spot, seed),
             Pattern::Stripes(a, b, period) => {
                 // Upright on side faces, along x on top.
-                let x = if axis == 2 { p.y } else { u };
+                let x = if spot.axis == 2 { p.y } else { u };
                 a.lerp(b, step(-0.012, 0.012, fold(x, period).abs() - period / 4.0))
             }
-            Pattern::Motif(ground, motif, spacing) => {
-                let row = (v / (spacing * 0.866)).round();
-                let shift = if row as i64 % 2 == 0 {
-                    0.0
-                } else {
-                    spacing / 2.0
-                };
-                let (x, y) = (fold(u + shift, spacing), v - row * spacing * 0.866);
-                let r = x.hypot(y) / spacing;
-                let petals = 0.27 + 0.06 * (5.0 * y.atan2(x)).cos();
-                let flower = 1.0 - step(petals - 0.08, petals + 0.08, r);
-                ground.lerp(
-                    motif,
-                    0.8 * flower * (1.0 - 0.5 * (1.0 - step(0.05, 0.14, r))),
-                )
-            }
+            Pattern::Motif(ground, drawn, spacing) => motif([ground, drawn], spacing, spot),
             Pattern::Checks(ground, thread, period) => {
                 let line = |x: f64| step(-0.015, 0.015, period / 4.0 - fold(x, period).abs());
-                let (x, y) = if axis == 2 { (p.x, p.y) } else { (u, v) };
+                let (x, y) = if spot.axis == 2 { (p.x, p.y) } else { (u, v) };
                 ground.lerp(thread, 0.5 * line(x) + 0.5 * line(y))
             }
             Pattern::Folds(c, period) => {
@@ -181,37 +128,10 @@ impl Material {
                     (u / period * std::f64::consts::TAU + 1.3 * noise(u / 0.4, 0.0, seed)).cos();
                 c * (0.86 + 0.2 * wave)
             }
-            Pattern::Panels(panel, groove, knob, [columns, rows]) => {
-                if axis != 1 {
-                    return grain(panel, panel * 0.86, v, u, seed);
-                }
-                let (w, h) = (
-                    2.0 * face.0 / f64::from(columns),
-                    2.0 * face.1 / f64::from(rows),
-                );
-                let (x, y) = (fold(u + face.0 - w / 2.0, w), fold(v + face.1 - h / 2.0, h));
-                let edge = (w / 2.0 - x.abs()).min(h / 2.0 - y.abs());
-                let inset = band(edge - 0.07, 0.008, 0.012) * 0.25 + band(edge, 0.008, 0.012) * 0.8;
-                // Doors (taller than wide) have their knob at one side, drawers in the middle.
-                let k = if h > w { x.abs() - w / 2.0 + 0.05 } else { x };
-                let round = 1.0 - step(0.018, 0.03, k.hypot(y));
-                grain(panel, panel * 0.86, v, u, seed)
-                    .lerp(groove, inset)
-                    .lerp(knob, round)
+            Pattern::Panels(panel, groove, knob, counts) => {
+                panels([panel, groove, knob], counts, spot, seed)
             }
-            Pattern::Books => {
-                let width = 0.07;
-                let i = (u / width).floor() as i64;
-                let hue = hash(i, 1, seed);
-                let palette = [
-                    0x7a2e2a, 0x2e4a6b, 0x3f6b4f, 0xb58a3c, 0x6b4f7a, 0xd8cdb4, 0x444444, 0xa3553a,
-                ];
-                let c = super::noise::rgb(palette[(hue * 8.0) as usize % 8])
-                    * (0.9 + 0.2 * hash(i, 2, seed));
-                let label = band(v - face.1 * (0.2 + 0.4 * hash(i, 3, seed)), 0.02, 0.015);
-                let gap = band(fold(u, width), 0.002, 0.012);
-                c.lerp(DVec3::splat(0.5), 0.3 * label) * (1.0 - 0.35 * gap)
-            }
+            Pattern::Books => books(spot, seed),
             Pattern::Rug(spacing, colors) => rug(spacing, colors, u, v, face),
             Pattern::Painting(style, colors) => {
                 painting(style, colors, u / face.0, v / face.1, face, seed)
@@ -220,6 +140,94 @@ impl Material {
             Pattern::Gradient(a, b) => a.lerp(b, 0.5 + 0.5 * p.z / spot.half.z),
         }
     }
+}
+
+fn wood([light, dark]: [DVec3; 2], spot: &Spot, seed: u64) -> DVec3 {
+    let (p, h) = (spot.p, spot.half);
+    // Grain runs along the longest side; the two others make the rings.
+    let (along, across) = if h.x >= h.y && h.x >= h.z {
+        (p.x, p.y + 0.7 * p.z)
+    } else if h.y >= h.z {
+        (p.y, p.x + 0.7 * p.z)
+    } else {
+        (p.z, p.x + 0.7 * p.y)
+    };
+    grain(light, dark, along, across, seed)
+}
+
+fn planks([light, dark]: [DVec3; 2], width: f64, spot: &Spot, seed: u64) -> DVec3 {
+    let Spot { u, v, .. } = *spot;
+    let row = (v / width).floor();
+    let shift = hash(row as i64, 7, seed) * 1.3;
+    let length = 1.3;
+    let column = ((u + shift) / length).floor();
+    let tone = hash(row as i64, column as i64, seed);
+    let c = grain(light, dark, u, v + 3.0 * tone, seed ^ row as i64 as u64);
+    let seam = band(fold(v, width), 0.003, 0.012).max(band(fold(u + shift, length), 0.003, 0.012));
+    c * (0.84 + 0.26 * tone) * (1.0 - 0.35 * seam)
+}
+
+fn parquet([light, dark]: [DVec3; 2], size: f64, spot: &Spot, seed: u64) -> DVec3 {
+    let Spot { u, v, .. } = *spot;
+    let (i, j) = ((u / size).floor() as i64, (v / size).floor() as i64);
+    let turned = (i + j).rem_euclid(2) == 0;
+    let (along, across) = if turned { (u, v) } else { (v, u) };
+    let tone = if turned { 1.04 } else { 0.92 } * (0.95 + 0.1 * hash(i, j, seed));
+    let strips = band(fold(across, size / 3.0), 0.002, 0.012);
+    grain(light, dark, along, across, seed) * tone * (1.0 - 0.12 * strips)
+}
+
+fn motif([ground, drawn]: [DVec3; 2], spacing: f64, spot: &Spot) -> DVec3 {
+    let Spot { u, v, .. } = *spot;
+    let row = (v / (spacing * 0.866)).round();
+    let shift = if row as i64 % 2 == 0 {
+        0.0
+    } else {
+        spacing / 2.0
+    };
+    let (x, y) = (fold(u + shift, spacing), v - row * spacing * 0.866);
+    let r = x.hypot(y) / spacing;
+    let petals = 0.27 + 0.06 * (5.0 * y.atan2(x)).cos();
+    let flower = 1.0 - step(petals - 0.08, petals + 0.08, r);
+    let inside = 0.8 * flower * (1.0 - 0.5 * (1.0 - step(0.05, 0.14, r)));
+    ground.lerp(drawn, inside)
+}
+
+fn panels(
+    [panel, groove, knob]: [DVec3; 3],
+    [columns, rows]: [u32; 2],
+    spot: &Spot,
+    seed: u64,
+) -> DVec3 {
+    let Spot { u, v, face, .. } = *spot;
+    if spot.axis != 1 {
+        return grain(panel, panel * 0.86, v, u, seed);
+    }
+    let w = 2.0 * face.0 / f64::from(columns);
+    let h = 2.0 * face.1 / f64::from(rows);
+    let (x, y) = (fold(u + face.0 - w / 2.0, w), fold(v + face.1 - h / 2.0, h));
+    let edge = (w / 2.0 - x.abs()).min(h / 2.0 - y.abs());
+    let inset = band(edge - 0.07, 0.008, 0.012) * 0.25 + band(edge, 0.008, 0.012) * 0.8;
+    // Doors (taller than wide) have their knob at one side, drawers in the middle.
+    let k = if h > w { x.abs() - w / 2.0 + 0.05 } else { x };
+    let round = 1.0 - step(0.018, 0.03, k.hypot(y));
+    grain(panel, panel * 0.86, v, u, seed)
+        .lerp(groove, inset)
+        .lerp(knob, round)
+}
+
+fn books(spot: &Spot, seed: u64) -> DVec3 {
+    let Spot { u, v, face, .. } = *spot;
+    let width = 0.07;
+    let i = (u / width).floor() as i64;
+    let hue = hash(i, 1, seed);
+    let palette = [
+        0x7a2e2a, 0x2e4a6b, 0x3f6b4f, 0xb58a3c, 0x6b4f7a, 0xd8cdb4, 0x444444, 0xa3553a,
+    ];
+    let c = rgb(palette[(hue * 8.0) as usize % 8]) * (0.9 + 0.2 * hash(i, 2, seed));
+    let label = band(v - face.1 * (0.2 + 0.4 * hash(i, 3, seed)), 0.02, 0.015);
+    let gap = band(fold(u, width), 0.002, 0.012);
+    c.lerp(DVec3::splat(0.5), 0.3 * label) * (1.0 - 0.35 * gap)
 }
 
 /// Wood grain: long soft streaks and wavy rings.

@@ -1,8 +1,8 @@
 //! Limits and checks for the cameras of all formats.
 
-use crate::error::{Error, Result, ensure, invalid};
+use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::splat::camera::Camera;
-use glam::{DMat3, DMat4};
+use glam::{DMat3, DMat4, DVec4};
 use std::ops::RangeInclusive;
 use std::path::Path;
 
@@ -36,29 +36,51 @@ pub(crate) fn check_intrinsics(path: &Path, frame: &str, camera: &Camera) -> Res
     Ok(())
 }
 
-/// Whether a number is finite in f32 as well.
-pub(crate) fn fits_f32(value: f64) -> bool {
-    (value as f32).is_finite()
-}
-
 /// Whether a number may be a coordinate in the world.
 pub(crate) fn is_coordinate(value: f64) -> bool {
     value.abs() <= MAX_WORLD
 }
 
-/// Column lengths and determinant of a pose, which show why it is no rotation.
-pub(crate) fn describe_rotation(pose: &DMat4) -> String {
-    let m = DMat3::from_mat4(*pose);
-    let lengths = [m.x_axis, m.y_axis, m.z_axis].map(|axis| axis.length());
-    format!(
-        "column lengths {lengths:.4?}, determinant {:.4}",
-        m.determinant()
-    )
+/// The camera that `with_pose` makes of a camera-to-world matrix in axes of its own, which `field` of the file `path` gave.
+///
+/// # Errors
+/// [`Error::Input`] where the matrix has numbers that are no coordinates, has a last row other than 0, 0, 0, 1, or is no
+/// rotation and translation.
+pub(crate) fn posed(
+    path: &Path,
+    field: &str,
+    pose: &DMat4,
+    with_pose: impl Fn(&DMat4) -> Option<Camera>,
+) -> Result<Camera> {
+    let rows = pose.transpose().to_cols_array();
+    if let Some(i) = rows.iter().position(|value| !is_coordinate(*value)) {
+        bail!(path, "{field}"; found "{:?} in row {}, column {}", rows[i], i / 4, i % 4;
+            expected "finite numbers (f32)"; help "export the pose again, or drop the frame");
+    }
+    let last = pose.row(3);
+    ensure!(last.abs_diff_eq(DVec4::W, 1e-6), path, "{field}"; found "last row {:?}", last.to_array();
+        expected "[0, 0, 0, 1]"; help "write the matrix by rows, its translation at the end of each, or drop the frame");
+    with_pose(pose).ok_or_else(|| not_a_rotation(path, field, pose, with_pose))
 }
 
-/// The error for a pose that is no rotation and translation.
-pub(crate) fn not_a_rotation(path: &Path, field: &str, pose: &DMat4) -> Error {
-    invalid!(path, "{field}"; found "{}", describe_rotation(pose);
-        expected "a rotation (orthonormal columns, determinant +1) and a translation";
-        help "remove scale, shear and mirroring from the pose, or drop the frame")
+/// The error for a pose of which `with_pose` makes no camera. Exporters of Blender leave the scale of the object that a camera
+/// belongs to in its matrix.
+fn not_a_rotation(
+    path: &Path,
+    field: &str,
+    pose: &DMat4,
+    with_pose: impl Fn(&DMat4) -> Option<Camera>,
+) -> Error {
+    let m = DMat3::from_mat4(*pose);
+    let lengths = [m.x_axis, m.y_axis, m.z_axis].map(|axis| axis.length());
+    let determinant = m.determinant();
+    let mut found = format!("column lengths {lengths:.4?}, determinant {determinant:.4}");
+    let mut help = "remove scale, shear and mirroring from the pose, or drop the frame".to_owned();
+    let scale = lengths[0];
+    if with_pose(&DMat4::from_mat3(m * scale.recip())).is_some() {
+        found += &format!(", which is a rotation times {scale:.6}");
+        help = format!("divide its first three columns by {scale:.6}; the translation stays");
+    }
+    invalid!(path, "{field}"; found "{found}";
+        expected "a rotation (orthonormal columns, determinant +1) and a translation"; help "{help}")
 }

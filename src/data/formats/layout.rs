@@ -20,6 +20,11 @@ const MAX_FOLDERS: usize = 256;
 /// [`Error::Missing`] when there is no such folder; [`Error::Input`] when it is a file, or has the files of no layout or of
 /// several.
 pub fn locate(dir: &Path, options: &LoadOptions) -> Result<Layout> {
+    find(dir, options)?.ok_or_else(|| nothing(dir, options))
+}
+
+/// As [`locate`]; `None` where the options name no layout and the folder has the files of none.
+pub(super) fn find(dir: &Path, options: &LoadOptions) -> Result<Option<Layout>> {
     if !dir.try_exists().map_err(|e| Error::io(dir, "look at", e))? {
         let help = "give the scene folder that holds the photos and their cameras";
         return Err(Error::missing("folder", dir, help));
@@ -32,28 +37,29 @@ pub fn locate(dir: &Path, options: &LoadOptions) -> Result<Layout> {
     ensure!(dir.is_dir(), dir, "scene"; found "a file"; expected "a scene folder"; help "{help}");
     let layout = match options.layout {
         Layout::Auto => detect(dir, options)?,
-        named => named,
+        named => Some(named),
     };
     match layout {
-        Layout::Auto | Layout::Transforms => transforms::expect(dir, options)?,
-        Layout::Colmap => colmap::expect(dir, options)?,
-        Layout::Replica => replica::expect(dir)?,
-        Layout::Scannet => scannet::expect(dir)?,
+        None => {}
+        Some(Layout::Auto | Layout::Transforms) => transforms::expect(dir, options)?,
+        Some(Layout::Colmap) => colmap::expect(dir, options)?,
+        Some(Layout::Replica) => replica::expect(dir)?,
+        Some(Layout::Scannet) => scannet::expect(dir)?,
     }
     Ok(layout)
 }
 
-/// The one layout whose files lie in `dir`.
-fn detect(dir: &Path, options: &LoadOptions) -> Result<Layout> {
+/// The one layout whose files lie in `dir`; `None` where there are no such files.
+fn detect(dir: &Path, options: &LoadOptions) -> Result<Option<Layout>> {
     let found = markers(dir, options);
     let is_named = options.transforms != LoadOptions::default().transforms;
     match &found[..] {
-        [] => Err(nothing(dir, options)),
-        [(layout, _)] => Ok(*layout),
+        [] => Ok(None),
+        [(layout, _)] => Ok(Some(*layout)),
         // A user who names another file of cameras means that one.
-        [(Layout::Transforms, _), ..] if is_named => Ok(Layout::Transforms),
+        [(Layout::Transforms, _), ..] if is_named => Ok(Some(Layout::Transforms)),
         // nerfstudio keeps the model that its transforms.json was made from.
-        [(layout, _), (Layout::Colmap, model)] if model.starts_with("colmap") => Ok(*layout),
+        [(layout, _), (Layout::Colmap, model)] if model.starts_with("colmap") => Ok(Some(*layout)),
         [(first, _), ..] => {
             let all: Vec<_> = found
                 .iter()

@@ -1,12 +1,12 @@
 //! Shared by recorded sequences (Replica, ScanNet): numbered files, poses as text, depth images.
 
-use super::camera_checks::{is_coordinate, not_a_rotation};
+use super::camera_checks::posed;
 use super::depth::Depth;
 use super::frame::Frame;
 use super::listing::Cloud;
 use super::side_folders::SideFolders;
 use crate::data::Split;
-use crate::error::{Result, bail, ensure, invalid};
+use crate::error::{Result, invalid};
 use crate::files::{Numbered, numbered};
 use crate::splat::camera::Camera;
 use glam::DMat4;
@@ -91,19 +91,11 @@ pub(crate) fn pose(text: &str, path: &Path, field: &str) -> Result<Pose> {
 /// The camera of a pose.
 ///
 /// # Errors
-/// The pose is not finite or no rotation and translation.
+/// As [`posed`].
 pub(crate) fn camera(pose: &Pose, intrinsics: &Camera, path: &Path, field: &str) -> Result<Camera> {
-    let again = "drop the frame, or export its pose again";
-    if let Some(i) = pose.iter().position(|v| !is_coordinate(*v)) {
-        bail!(path, "{field}"; found "{} in row {}, column {}", pose[i], i / 4, i % 4;
-            expected "finite numbers (f32)"; help "{again}");
-    }
-    let last = &pose[12..];
-    let is_affine =
-        (last.iter().zip([0.0, 0.0, 0.0, 1.0])).all(|(v, want)| (v - want).abs() <= 1e-6);
-    ensure!(is_affine, path, "{field}"; found "last row {last:?}"; expected "[0, 0, 0, 1]"; help "{again}");
     // The matrix is stored by rows.
     let matrix = DMat4::from_cols_array(pose).transpose();
-    let camera = intrinsics.clone().with_opencv_pose(&matrix);
-    camera.ok_or_else(|| not_a_rotation(path, field, &matrix))
+    posed(path, field, &matrix, |pose| {
+        intrinsics.clone().with_opencv_pose(pose)
+    })
 }

@@ -60,6 +60,11 @@ impl Classes {
         self.index(id).map_or("void", |i| &self.entries[i].name)
     }
 
+    /// The labels of `count` unlabelled Gaussians.
+    pub fn unlabelled(&self, count: usize) -> Vec<u16> {
+        vec![self.ignore; count]
+    }
+
     /// The id of the class that is called `name`, but for case, blanks at the ends, and `-` or `_` for blanks.
     pub(crate) fn id_of(&self, name: &str) -> Option<u16> {
         let wanted = plain(name);

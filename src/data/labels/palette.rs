@@ -12,10 +12,10 @@ const RESERVED: [([u8; 3], f64); 4] = [
     ([0; 3], 0.3),
     ([255; 3], 0.12),
     ([128; 3], 0.1),
-    (UNLABELLED, 0.12),
+    (UNLABELLED_COLOR, 0.12),
 ];
 /// The colour of unlabelled pixels in pictures.
-pub const UNLABELLED: [u8; 3] = [38, 38, 42];
+pub const UNLABELLED_COLOR: [u8; 3] = [38, 38, 42];
 
 /// The colour of a class id, 8-bit sRGB; ids 255 apart share one. None looks like black, white, grey, or unlabelled pixels.
 pub fn class_color(id: u16) -> [u8; 3] {

@@ -1,7 +1,7 @@
 //! Segments that cover several groups: a segmenter took two objects for one.
 
 use super::groups::{Category, Groups};
-use super::ownership::visible_groups;
+use super::ownership::group_sightings;
 use super::segments::{SegmentWeights, ViewSegments};
 use crate::objects::largest::first_largest;
 use std::borrow::Cow;
@@ -20,16 +20,16 @@ pub(super) fn divided<'a>(
 ) -> Vec<Cow<'a, SegmentWeights>> {
     // Groups with their pixels, ascending by group.
     let mut covered: BTreeMap<usize, Vec<(u32, f64)>> = BTreeMap::new();
-    for visible in visible_groups(groups, view) {
-        let Some((segment, pixels)) = visible.covered_by else {
+    for seen in group_sightings(groups, view) {
+        let Some((segment, pixels)) = seen.covered_by else {
             continue;
         };
         let category = Category::from(&view.segments[segment]);
-        if groups.category(visible.set) == category
-            && visible.total > MIN_VISIBLE * extents[visible.set as usize]
+        if groups.category(seen.set) == category
+            && seen.total > MIN_VISIBLE * extents[seen.set as usize]
         {
             let covered = covered.entry(segment).or_default();
-            covered.push((visible.set, pixels));
+            covered.push((seen.set, pixels));
         }
     }
     let mut pieces = Vec::with_capacity(view.segments.len());

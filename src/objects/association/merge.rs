@@ -1,7 +1,7 @@
 //! The merge graph: pairs of groups that are one object, and groups that are negligible.
 
 use super::groups::Groups;
-use super::ownership::{Evidence, Visible, evidence};
+use super::ownership::{Evidence, Sighting, evidence};
 use crate::error::{Error, Result, invalid};
 use std::collections::BTreeMap;
 
@@ -40,7 +40,7 @@ pub(super) fn totals(groups: &Groups) -> Vec<Total> {
     totals
 }
 
-/// Pairs (smaller, larger) of groups to merge. Each group is in one pair at most. `visible` has what each view shows, `extents`
+/// Pairs (smaller, larger) of groups to merge. Each group is in one pair at most. `sightings` has what each view shows, `extents`
 /// the most that a view shows of each group.
 ///
 /// Two groups are merged where they share Gaussians and more than the share `min_agreement` of the views say that they are one
@@ -48,7 +48,7 @@ pub(super) fn totals(groups: &Groups) -> Vec<Total> {
 /// views are not merged, however large they are there.
 pub(super) fn pairs(
     groups: &Groups,
-    visible: &[Vec<Visible>],
+    sightings: &[Vec<Sighting>],
     extents: &[f64],
     min_agreement: f64,
 ) -> Vec<(u32, u32)> {
@@ -61,7 +61,7 @@ pub(super) fn pairs(
         if !can_merge || pixels <= MIN_SHARED * weight_a.min(weight_b) {
             continue;
         }
-        let Evidence { one, two } = evidence(visible, extents, [a, b]);
+        let Evidence { one, two } = evidence(sightings, extents, [a, b]);
         let all = one + two + PRIOR_VIEWS;
         if one > min_agreement * all {
             let [small, large] = if weight_a >= weight_b { [b, a] } else { [a, b] };

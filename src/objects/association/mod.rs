@@ -35,9 +35,9 @@ use crate::error::{Error, Result, ensure, invalid};
 use crate::raster::Settings;
 use crate::splat::Gaussians;
 use groups::{Assigned, Category, Groups};
-use ownership::{extents, visible_in_views};
+use ownership::{extents, sightings_in_views};
 use relabel::relabelled;
-use segments::{UNLABELLED, ViewSegments, view_segments};
+use segments::{NO_SEGMENT, ViewSegments, view_segments};
 use std::collections::{BTreeSet, HashMap};
 use std::ops::ControlFlow;
 
@@ -210,8 +210,8 @@ impl AssociationInputs<'_> {
         progress: &mut Progress,
     ) -> Result<Vec<Option<LabelRuns>>, End> {
         let ids: HashMap<u32, u16> = kept.iter().copied().zip(1..).collect();
-        let ids = |group: u32| ids.get(&group).copied().unwrap_or(UNLABELLED);
-        let extents = extents(groups.len(), &visible_in_views(groups, views));
+        let ids = |group: u32| ids.get(&group).copied().unwrap_or(NO_SEGMENT);
+        let extents = extents(groups.len(), &sightings_in_views(groups, views));
         let relabel = |view: &View, assigned: &Assigned<'_>| -> Result<Option<LabelRuns>> {
             let map = relabelled(self.gaussians, view, assigned, &ids, self.settings)?;
             Ok(map.map(LabelRuns::from))
@@ -289,6 +289,6 @@ fn class_table(categories: impl Iterator<Item = Category>, classes: &Classes) ->
     };
     Classes {
         entries: categories.zip(1..).map(entry).collect(),
-        ignore: UNLABELLED,
+        ignore: NO_SEGMENT,
     }
 }

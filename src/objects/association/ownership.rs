@@ -18,7 +18,7 @@ const FULL_WEIGHT_EXTENT: f64 = 0.1;
 
 /// What a view shows of some set of Gaussians, such as those of a group.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Visible {
+pub(super) struct Sighting {
     /// Which set.
     pub set: u32,
     /// Pixels in the whole view.
@@ -29,11 +29,11 @@ pub(super) struct Visible {
 
 /// What a view shows of sets of Gaussians, ascending by set. `pixels` gives the sets of a Gaussian, and how many of its pixels
 /// in the view count for each.
-pub(super) fn visible<I: Iterator<Item = (u32, f64)>>(
+pub(super) fn sightings<I: Iterator<Item = (u32, f64)>>(
     view: &ViewSegments,
     sums: &mut SparseSums,
     pixels: impl Fn(u32, f64) -> I,
-) -> Vec<Visible> {
+) -> Vec<Sighting> {
     let mut row = |weights: &[(u32, f32)]| {
         for &(gaussian, weight) in weights {
             for (set, pixels) in pixels(gaussian, f64::from(weight)) {
@@ -53,26 +53,26 @@ pub(super) fn visible<I: Iterator<Item = (u32, f64)>>(
         in_segments.entry(*set).or_default();
     }
     let mut unlabelled = unlabelled.into_iter().peekable();
-    let visible = |(set, segments): (u32, Vec<(usize, f64)>)| {
+    let sighting = |(set, segments): (u32, Vec<(usize, f64)>)| {
         let labelled: f64 = segments.iter().map(|(_, pixels)| pixels).sum();
         let rest = unlabelled.next_if(|(other, _)| *other == set);
         let total = labelled + rest.map_or(0.0, |(_, pixels)| pixels);
         let covers = |&(_, pixels): &(usize, f64)| {
             pixels > MIN_OF_LABELLED * labelled && pixels > MIN_OF_VISIBLE * total
         };
-        Visible {
+        Sighting {
             set,
             total,
             covered_by: segments.into_iter().find(covers),
         }
     };
-    in_segments.into_iter().map(visible).collect()
+    in_segments.into_iter().map(sighting).collect()
 }
 
 /// What a view shows of the Gaussians that each group owns.
-pub(super) fn visible_groups(groups: &Groups, view: &ViewSegments) -> Vec<Visible> {
+pub(super) fn group_sightings(groups: &Groups, view: &ViewSegments) -> Vec<Sighting> {
     let mut sums = SparseSums::new(groups.len());
-    visible(view, &mut sums, |gaussian, weight| {
+    sightings(view, &mut sums, |gaussian, weight| {
         let owners = &groups.owners()[gaussian as usize];
         let most = owners.iter().map(|(_, w)| *w).fold(0.0, f32::max);
         let all = groups.total(gaussian);
@@ -83,20 +83,20 @@ pub(super) fn visible_groups(groups: &Groups, view: &ViewSegments) -> Vec<Visibl
     })
 }
 
-/// [`visible_groups`] of each view.
-pub(super) fn visible_in_views(groups: &Groups, views: &[ViewSegments]) -> Vec<Vec<Visible>> {
+/// [`group_sightings`] of each view.
+pub(super) fn sightings_in_views(groups: &Groups, views: &[ViewSegments]) -> Vec<Vec<Sighting>> {
     views
         .par_iter()
-        .map(|view| visible_groups(groups, view))
+        .map(|view| group_sightings(groups, view))
         .collect()
 }
 
 /// The most that a view shows of each of `sets` sets, pixels.
-pub(super) fn extents(sets: usize, views: &[Vec<Visible>]) -> Vec<f64> {
+pub(super) fn extents(sets: usize, views: &[Vec<Sighting>]) -> Vec<f64> {
     let mut extents = vec![0.0_f64; sets];
-    for visible in views.iter().flatten() {
-        let extent = &mut extents[visible.set as usize];
-        *extent = extent.max(visible.total);
+    for seen in views.iter().flatten() {
+        let extent = &mut extents[seen.set as usize];
+        *extent = extent.max(seen.total);
     }
     extents
 }
@@ -110,18 +110,18 @@ pub(super) struct Evidence {
 
 /// The evidence of `views` on two sets. A view counts where segments cover both sets. One segment that covers both is evidence for
 /// one object, two segments are evidence for two. A view that shows little of a set, compared with the best view, counts less.
-pub(super) fn evidence(views: &[Vec<Visible>], extents: &[f64], pair: [u32; 2]) -> Evidence {
+pub(super) fn evidence(views: &[Vec<Sighting>], extents: &[f64], pair: [u32; 2]) -> Evidence {
     let mut evidence = Evidence::default();
     for view in views {
         let found = pair.map(|set| {
-            let index = view.binary_search_by_key(&set, |visible| visible.set);
+            let index = view.binary_search_by_key(&set, |seen| seen.set);
             index.ok().map(|index| view[index])
         });
         let [Some(a), Some(b)] = found else { continue };
         let (Some((in_a, _)), Some((in_b, _))) = (a.covered_by, b.covered_by) else {
             continue;
         };
-        let share = |visible: Visible| visible.total / extents[visible.set as usize];
+        let share = |seen: Sighting| seen.total / extents[seen.set as usize];
         let weight = (share(a).min(share(b)) / FULL_WEIGHT_EXTENT).min(1.0);
         if in_a == in_b {
             evidence.one += weight;

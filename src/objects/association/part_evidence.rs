@@ -1,6 +1,6 @@
 //! What the views say of several pairs of parts, in one pass over their segments.
 
-use super::ownership::{Evidence, evidence, extents, visible};
+use super::ownership::{Evidence, evidence, extents, sightings};
 use super::segments::ViewSegments;
 use super::sums::SparseSums;
 use rayon::prelude::*;
@@ -37,7 +37,7 @@ pub(super) fn part_evidence(
         .map_init(
             || SparseSums::new(sets),
             |sums, view| {
-                visible(view, sums, |gaussian, weight| {
+                sightings(view, sums, |gaussian, weight| {
                     let sets = parts_of[gaussian as usize].iter();
                     sets.map(move |&(set, share)| (set, weight * share))
                 })

@@ -1,7 +1,7 @@
 //! From the groups of a view's segments to its label map.
 
 use super::groups::Assigned;
-use super::segments::{BAND_PIXELS, UNLABELLED};
+use super::segments::{BAND_PIXELS, NO_SEGMENT};
 use crate::data::{LabelMap, LabelRuns, View};
 use crate::error::Result;
 use crate::objects::largest::first_largest;
@@ -34,13 +34,13 @@ pub(super) fn relabelled(
     let Some(raw) = view.raw.as_ref().map(LabelRuns::map) else {
         return Ok(None);
     };
-    let mut table = vec![UNLABELLED; 1 << 16];
+    let mut table = vec![NO_SEGMENT; 1 << 16];
     let mut divided: HashMap<u16, Divided> = HashMap::new();
     let mut first = 0;
     for groups in assigned.by_segment() {
         let pieces = &assigned.pieces[first..first + groups.len()];
         first += groups.len();
-        let id = |n: usize| groups[n].map_or(UNLABELLED, ids);
+        let id = |n: usize| groups[n].map_or(NO_SEGMENT, ids);
         let largest = first_largest(pieces.iter().map(|piece| piece.total)).unwrap_or(0);
         let segment = pieces[0].segment.id;
         let largest = id(largest);

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use std::collections::BTreeSet;
 
 /// The id of pixels that belong to no segment.
-pub(super) const UNLABELLED: u16 = 0;
+pub(super) const NO_SEGMENT: u16 = 0;
 /// Pixels whose blending weights are held at once.
 pub(super) const BAND_PIXELS: usize = 1 << 18;
 /// Weights below a hundredth of a pixel are left out.
@@ -80,7 +80,7 @@ pub(super) fn view_segments(
     segments.par_iter_mut().for_each(SegmentWeights::finish);
     let unlabelled = segments
         .first()
-        .is_some_and(|segment| segment.segment.id == UNLABELLED)
+        .is_some_and(|segment| segment.segment.id == NO_SEGMENT)
         .then(|| segments.remove(0).weights);
     Ok(ViewSegments {
         segments,
@@ -88,7 +88,7 @@ pub(super) fn view_segments(
     })
 }
 
-/// The segments of a map without weights, ascending by id; [`UNLABELLED`] is one of them where it occurs.
+/// The segments of a map without weights, ascending by id; [`NO_SEGMENT`] is one of them where it occurs.
 fn empty_segments(view: &View, raw: &LabelMap) -> Vec<SegmentWeights> {
     let ids: BTreeSet<u16> = raw.ids.iter().copied().collect();
     let segment = |id: u16| {

@@ -4,7 +4,7 @@ use super::divide::divided;
 use super::groups::{Assigned, Groups, Unmatched};
 use super::merge;
 use super::order::view_order;
-use super::ownership::{extents, visible_in_views};
+use super::ownership::{extents, sightings_in_views};
 use super::segments::ViewSegments;
 use super::split::split;
 use super::{End, Progress};
@@ -74,9 +74,9 @@ fn merge_groups(
 ) -> Result<Vec<f64>, End> {
     loop {
         progress(0)?;
-        let visible = visible_in_views(groups, views);
-        let extents = extents(groups.len(), &visible);
-        let pairs = merge::pairs(groups, &visible, &extents, min_agreement);
+        let sightings = sightings_in_views(groups, views);
+        let extents = extents(groups.len(), &sightings);
+        let pairs = merge::pairs(groups, &sightings, &extents, min_agreement);
         if pairs.is_empty() {
             return Ok(extents);
         }

@@ -10,7 +10,7 @@ use crate::error::Result;
 use crate::features::SCALES;
 use crate::metrics::{calinski_harabasz, davies_bouldin};
 use crate::random::{Purpose, stream};
-use crate::segmentation::pixels::{FrozenGaussians, LabelledPixels, UNLABELLED};
+use crate::segmentation::pixels::{FrozenGaussians, LabelledPixels, NO_CLASS};
 use burn::tensor::Tensor;
 use serde::{Deserialize, Serialize};
 
@@ -119,7 +119,7 @@ fn drawn_pixels<'a>(
     (0..).zip(views).filter_map(move |(number, view)| {
         let ids = view.truth.as_ref()?.map().ids;
         let mut random = stream(0, Purpose::ScoredPixels, number);
-        let mut classes = vec![UNLABELLED; ids.len()];
+        let mut classes = vec![NO_CLASS; ids.len()];
         for pixel in stratified_sample(ids.len(), share, &mut random) {
             let pixel = pixel as usize;
             classes[pixel] = lookup[usize::from(ids[pixel])];

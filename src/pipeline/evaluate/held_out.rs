@@ -38,7 +38,7 @@ impl HeldOutScores {
             self.instances.as_ref().and_then(|s| s.miou),
             self.semantic.as_ref().and_then(|s| s.miou),
         ];
-        self.labels.miou.or(instances).or(semantic)
+        self.labels.pixels.miou.or(instances).or(semantic)
     }
 }
 
@@ -102,7 +102,7 @@ impl<'a> HeldOut<'a> {
         }
     }
 
-    /// Against true labels, as far as there are any.
+    /// Against true labels, where there are any.
     fn labels(&self, found: &[(&View, LabelRuns)], inputs: &Inputs, void: Void) -> LabelScores {
         let classes = &inputs.scene.classes;
         let pairs = || {

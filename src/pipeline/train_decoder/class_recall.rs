@@ -8,7 +8,7 @@
 use crate::backend::device::read;
 use crate::error::Result;
 use crate::segmentation::loss::Scores;
-use crate::segmentation::pixels::{LabelledPixels, UNLABELLED};
+use crate::segmentation::pixels::{LabelledPixels, NO_CLASS};
 
 /// Steps between two measurements.
 const INTERVAL: usize = 5;
@@ -79,7 +79,7 @@ impl ClassRecall {
 /// Places of up to [`PIXELS`] pixels of each class, evenly spread over its own.
 fn some_of_each(labels: &[u16], classes: usize) -> Vec<u32> {
     let mut of_class: Vec<Vec<u32>> = vec![Vec::new(); classes];
-    for (place, &label) in (0..).zip(labels).filter(|(_, label)| **label != UNLABELLED) {
+    for (place, &label) in (0..).zip(labels).filter(|(_, label)| **label != NO_CLASS) {
         of_class[usize::from(label)].push(place);
     }
     let mut chosen = Vec::new();
@@ -104,7 +104,7 @@ mod tests {
         let labels: Vec<u16> = (0..3000)
             .map(|i| {
                 if i % 3 == 0 {
-                    UNLABELLED
+                    NO_CLASS
                 } else {
                     u16::from(i >= 2990)
                 }
@@ -117,12 +117,12 @@ mod tests {
                 .filter(|&&place| labels[place as usize] == class)
                 .count()
         };
-        assert_eq!((count(0), count(1), count(UNLABELLED)), (PIXELS, 7, 0));
+        assert_eq!((count(0), count(1), count(NO_CLASS)), (PIXELS, 7, 0));
         assert!(
             chosen.is_sorted() && chosen[0] < 10 && chosen[PIXELS - 1] > 2900,
             "{chosen:?}"
         );
-        assert!(some_of_each(&[UNLABELLED; 4], 2).is_empty());
+        assert!(some_of_each(&[NO_CLASS; 4], 2).is_empty());
     }
 
     #[test]

@@ -54,7 +54,7 @@ pub struct TrainingViews<'a> {
     gaussians: FrozenGaussians,
     device: Device,
     views: Vec<&'a View>,
-    /// Class index of each label id, [`UNLABELLED`](crate::segmentation::pixels::UNLABELLED) for the others. Absent where labels do
+    /// Class index of each label id, [`NO_CLASS`](crate::segmentation::pixels::NO_CLASS) for the others. Absent where labels do
     /// not count.
     lookup: Option<Vec<u16>>,
     min_coverage: f32,

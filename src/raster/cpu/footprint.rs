@@ -100,7 +100,7 @@ pub(super) const UNIT: f64 = 1.201_122_408_786_449_8;
 impl<E: Real> Corner<E> {
     #[inline(always)]
     pub fn new(splat: &Splat2, tile: Tile<'_>) -> Self {
-        // In f64 as far as the corner: a huge splat centred far away would lose its edge in f32.
+        // In f64 up to the corner: a huge splat centred far away would lose its edge in f32.
         let x = tile.origin[0] as f64 + 0.5 - splat.center[0];
         let y = tile.origin[1] as f64 + 0.5 - splat.center[1];
         let du = UNIT * splat.du;

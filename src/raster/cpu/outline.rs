@@ -90,7 +90,7 @@ fn tile_row(rows: &Range<usize>, k: usize) -> [f64; 2] {
     [rows.start.max(top) as f64, rows.end.min(top + TILE) as f64]
 }
 
-/// Ellipses as far as tile lists need them.
+/// What tile lists need of ellipses.
 struct Outlines {
     center: [Column; 2],
     slope: Column,

@@ -1,4 +1,5 @@
-//! The contributing pairs of a view, tile by tile, for callers that fold pixels themselves.
+//! The contributing pairs of a view, tile by tile, for `segmentation::unprojection::lift_view`, which sums pixels by cells of a
+//! lattice.
 
 use super::footprint::{Buffer, TILE, Tile, fresh_transmittance};
 use super::pairs::Pairs;

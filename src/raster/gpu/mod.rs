@@ -79,7 +79,7 @@ mod fixture {
         words(gpu, tensor).into_iter().map(f32::from_bits).collect()
     }
 
-    /// A scene in host memory and on the device, as far as tile lists.
+    /// A scene in host memory and on the device, up to its tile lists.
     pub struct View {
         pub gpu: Gpu,
         pub host: Projected<f32>,

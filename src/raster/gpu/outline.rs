@@ -4,7 +4,7 @@ use super::project::SPLAT;
 use crate::raster::cpu::footprint::TILE;
 use burn_cubecl::cubecl::{self, prelude::*};
 
-/// A projected Gaussian as far as tile lists need it.
+/// What tile lists need of a projected Gaussian.
 #[derive(CubeType, Clone, Copy)]
 pub(super) struct Outline {
     center_x: f32,

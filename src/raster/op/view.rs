@@ -16,8 +16,9 @@ use std::sync::{Arc, OnceLock};
 
 /// Bytes of an image of several channels, where they need not lie together, in host memory.
 const BLOCK_BYTES: usize = 64 << 20;
-/// The most that such an image takes on a device, and the share of its largest allocation.
+/// Bytes of such an image on a device, at most.
 const DEVICE_BLOCK_BYTES: usize = 1 << 30;
+/// Such an image takes at most one part in this many of the largest allocation of a device.
 const DEVICE_BLOCK_SHARE: usize = 4;
 /// On a device the channels of a block are a multiple of this.
 const DEVICE_STEP: usize = 32;

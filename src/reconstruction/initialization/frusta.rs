@@ -2,7 +2,7 @@
 
 use crate::data::{Points, View};
 use crate::error::{Result, in_order};
-use crate::splat::camera::spread;
+use crate::splat::camera::{Camera, spread};
 use glam::{DMat3, DVec3};
 use image::RgbImage;
 use rand::Rng;
@@ -49,35 +49,9 @@ pub fn points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Result<Poi
     let mut drawn: Vec<Drawn> = (0..count)
         .map(|_| {
             let view = used[rng.random_range(0..used.len())];
-            let View { camera, mask, .. } = views[view];
-            // By rank among the unmasked ones, so that each of them is equally likely.
-            let ranked = mask.as_ref().and_then(|mask| {
-                let pixel = mask.nth(rng.random_range(0..mask.kept()))?;
-                Some((pixel % mask.width(), pixel / mask.width()))
-            });
-            let (x, y) = ranked.unwrap_or_else(|| {
-                (
-                    rng.random_range(0..camera.width),
-                    rng.random_range(0..camera.height),
-                )
-            });
-            let offset = rng.random();
-            Drawn {
-                view,
-                x: x as u32,
-                y: y as u32,
-                offset,
-                color: [0; 3],
-                differences: Vec::new(),
-            }
+            Drawn::new(view, views[view], rng)
         })
         .collect();
-    let at = |drawn: &Drawn, k: usize| {
-        let camera = &views[drawn.view].camera;
-        let ray = camera.ray(f64::from(drawn.x) + 0.5, f64::from(drawn.y) + 0.5);
-        let share = 2.0 * (k as f64 + drawn.offset) / DEPTHS as f64 - 1.0;
-        camera.center + ray * (focus * DEPTH_FACTOR.powf(share))
-    };
     each_photo(&views, |first, photos| {
         drawn.par_iter_mut().for_each(|drawn| {
             if let Some(photo) = drawn.view.checked_sub(first).and_then(|i| photos.get(i)) {
@@ -88,40 +62,17 @@ pub fn points(views: &[&View], count: usize, rng: &mut ChaCha8Rng) -> Result<Poi
         });
     })?;
     each_photo(&views, |first, photos| {
-        drawn.par_iter_mut().for_each(|drawn| {
-            let here = first..first + photos.len();
-            let here: Vec<usize> = witnesses[drawn.view]
-                .iter()
-                .copied()
-                .filter(|w| here.contains(w))
-                .collect();
-            for k in (0..DEPTHS).filter(|_| !here.is_empty()) {
-                let position = at(drawn, k);
-                let seen = here.iter().filter_map(|&w| {
-                    let difference =
-                        difference(views[w], &photos[w - first], position, drawn.color)?;
-                    Some((k as u8, difference))
-                });
-                drawn.differences.extend(seen);
-            }
-        });
+        drawn
+            .par_iter_mut()
+            .for_each(|drawn| drawn.compare(&views, focus, &witnesses[drawn.view], first, photos));
     })?;
     let placed: Vec<([f32; 3], [f32; 3])> = drawn
         .into_par_iter()
         .map(|mut drawn| {
-            drawn.differences.sort_unstable();
-            let judged = drawn
-                .differences
-                .chunk_by(|a, b| a.0 == b.0)
-                .map(|of_depth| (disagreement(of_depth), usize::from(of_depth[0].0)));
-            // A pixel that no other view sees gets a random depth.
-            let chosen = judged
-                .min_by(|a, b| a.0.total_cmp(&b.0))
-                .map_or((drawn.offset * DEPTHS as f64) as usize, |(_, k)| k);
-            (
-                at(&drawn, chosen).as_vec3().to_array(),
-                drawn.color.map(|c| f32::from(c) / 255.0),
-            )
+            let depth = drawn.best_depth();
+            let position = drawn.position(&views[drawn.view].camera, focus, depth);
+            let color = drawn.color.map(|c| f32::from(c) / 255.0);
+            (position.as_vec3().to_array(), color)
         })
         .collect();
     let (positions, colors) = placed.into_iter().unzip();
@@ -139,6 +90,78 @@ struct Drawn {
     color: [u8; 3],
     /// Indices of depths, each with the colour difference in a view that sees the point there.
     differences: Vec<(u8, u16)>,
+}
+
+impl Drawn {
+    /// A pixel of `source`, the view of index `view`. Each of its unmasked pixels is equally likely.
+    fn new(view: usize, source: &View, rng: &mut ChaCha8Rng) -> Self {
+        let View { camera, mask, .. } = source;
+        // By rank among the unmasked ones.
+        let ranked = mask.as_ref().and_then(|mask| {
+            let pixel = mask.nth(rng.random_range(0..mask.kept()))?;
+            Some((pixel % mask.width(), pixel / mask.width()))
+        });
+        let (x, y) = ranked.unwrap_or_else(|| {
+            (
+                rng.random_range(0..camera.width),
+                rng.random_range(0..camera.height),
+            )
+        });
+        let offset = rng.random();
+        Self {
+            view,
+            x: x as u32,
+            y: y as u32,
+            offset,
+            color: [0; 3],
+            differences: Vec::new(),
+        }
+    }
+
+    /// The point at depth `k` on the pixel's ray, of `camera`; `focus` is the focus distance.
+    fn position(&self, camera: &Camera, focus: f64, k: usize) -> DVec3 {
+        let ray = camera.ray(f64::from(self.x) + 0.5, f64::from(self.y) + 0.5);
+        let share = 2.0 * (k as f64 + self.offset) / DEPTHS as f64 - 1.0;
+        camera.center + ray * (focus * DEPTH_FACTOR.powf(share))
+    }
+
+    /// Adds the differences in those of the views `witnesses` that `photos` show, of the views from index `first` on.
+    fn compare(
+        &mut self,
+        views: &[&View],
+        focus: f64,
+        witnesses: &[usize],
+        first: usize,
+        photos: &[Arc<RgbImage>],
+    ) {
+        let shown = first..first + photos.len();
+        let shown: Vec<usize> = witnesses
+            .iter()
+            .copied()
+            .filter(|w| shown.contains(w))
+            .collect();
+        for k in (0..DEPTHS).filter(|_| !shown.is_empty()) {
+            let position = self.position(&views[self.view].camera, focus, k);
+            let color = self.color;
+            let seen = shown.iter().filter_map(|&w| {
+                let difference = difference(views[w], &photos[w - first], position, color)?;
+                Some((k as u8, difference))
+            });
+            self.differences.extend(seen);
+        }
+    }
+
+    /// The depth at which the other views agree best; a random one where none sees the pixel.
+    fn best_depth(&mut self) -> usize {
+        self.differences.sort_unstable();
+        let judged = self
+            .differences
+            .chunk_by(|a, b| a.0 == b.0)
+            .map(|of_depth| (disagreement(of_depth), usize::from(of_depth[0].0)));
+        judged
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .map_or((self.offset * DEPTHS as f64) as usize, |(_, k)| k)
+    }
 }
 
 /// Calls `look` with the photos of all views, a few at a time: index of the first one, and the photos.

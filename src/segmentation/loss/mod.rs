@@ -7,7 +7,7 @@ pub use self::label_loss::LabelLoss;
 pub use self::regularisation::{NeighbourPairs, neighbour_divergence};
 
 use self::label_loss::{MIN_PROBABILITY, OwnClass, exponents, generalised_cross_entropy};
-use super::pixels::{LabelledPixels, UNLABELLED, constant};
+use super::pixels::{LabelledPixels, NO_CLASS, constant};
 use crate::error::Result;
 use crate::ops::select;
 use burn::tensor::activation::{log_softmax, softmax};
@@ -152,12 +152,12 @@ impl CoSegLoss {
     /// The mean label loss `[1]` over the labelled rows of `logits` `[P, C]`, with gradient to `logits`; 0 without any.
     ///
     /// # Panics
-    /// If there is not one label for each row, or a label is neither below C nor [`UNLABELLED`].
+    /// If there is not one label for each row, or a label is neither below C nor [`NO_CLASS`].
     pub fn of_logits(&self, logits: Tensor<2>, labels: &[u16]) -> Tensor<1> {
         let [rows, classes] = logits.dims();
         assert_labels(labels, rows, classes);
         let kept: Vec<u32> = (0..rows as u32)
-            .filter(|&i| labels[i as usize] != UNLABELLED)
+            .filter(|&i| labels[i as usize] != NO_CLASS)
             .collect();
         if kept.is_empty() {
             return (logits * 0.0).sum();
@@ -228,7 +228,7 @@ impl CoSegLoss {
 
 fn assert_labels(labels: &[u16], rows: usize, classes: usize) {
     assert_eq!(labels.len(), rows, "label loss: labels against pixels");
-    let known = |&label: &u16| label == UNLABELLED || usize::from(label) < classes;
+    let known = |&label: &u16| label == NO_CLASS || usize::from(label) < classes;
     assert!(
         labels.iter().all(known),
         "label loss: a label is no class index below {classes}"

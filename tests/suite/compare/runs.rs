@@ -75,7 +75,8 @@ pub(super) fn scores(cells: &[Cell]) -> Vec<(String, [Option<i64>; 5])> {
     let digits = |value: Option<f64>| value.map(|value| (value * 1e12).round() as i64);
     let of = |cell: &Cell| {
         let f = &cell.figures;
-        let all = [f.miou, f.miou_per_view, f.accuracy, f.boundary_iou, f.psnr];
+        let p = &f.pixels;
+        let all = [p.miou, p.miou_per_view, p.accuracy, f.boundary_iou, f.psnr];
         (cell.id.to_string(), all.map(digits))
     };
     cells.iter().map(of).collect()
@@ -96,7 +97,9 @@ fn a_plan_is_run_once_and_resumed_by_cells() {
     );
     assert!(first.cells.iter().all(|cell| {
         let f = &cell.figures;
-        f.miou.is_some() && f.boundary_iou.is_some() && f.frames_per_second.is_some_and(|n| n > 0.0)
+        f.pixels.miou.is_some()
+            && f.boundary_iou.is_some()
+            && f.frames_per_second.is_some_and(|n| n > 0.0)
     }));
     let trained = |cell: &&Cell| cell.figures.training_seconds.is_some();
     assert_eq!(

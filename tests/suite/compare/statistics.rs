@@ -2,6 +2,7 @@
 
 use crate::support::comparison::{PLAN, write_plan};
 use coseg::compare::{Cell, Figures, Plan, Statistic, Tables};
+use coseg::metrics::PixelScores;
 use coseg::pipeline::FieldScores;
 
 fn near(found: Option<f64>, want: f64) -> bool {
@@ -38,7 +39,10 @@ fn scenes_with_fewer_cells_count_as_much() {
 /// The lines of both rows in the table of cells with the mIoU `scores` of the seeds; `None` is a cell that is missing.
 fn lines(scores: [[Option<f64>; 2]; 2]) -> [String; 2] {
     let figures = |miou| Figures {
-        miou: Some(miou),
+        pixels: PixelScores {
+            miou: Some(miou),
+            ..PixelScores::default()
+        },
         ..Figures::default()
     };
     let [_, vote, ours] = table(scores.map(|row| row.map(|miou| miou.map(figures))));

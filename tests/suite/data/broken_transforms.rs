@@ -84,7 +84,12 @@ fn broken_manifests_are_refused_by_name() {
         ),
         (
             |v| v["frames"][1]["transform_matrix"][1][3] = json!(-1e300),
-            &["frames[1]", "[1][3]", "finite"],
+            &[
+                "frames[1]",
+                "transform_matrix",
+                "-1e300 in row 1, column 3",
+                "finite",
+            ],
         ),
         (
             |v| v["convention"] = json!("OpenCV camera-to-world"),
@@ -100,7 +105,11 @@ fn broken_manifests_are_refused_by_name() {
         ),
         (
             |v| v["frames"][1]["transform_matrix"][3][3] = json!(2.0),
-            &["frames[1]", "transform_matrix[3]"],
+            &[
+                "frames[1]",
+                "transform_matrix",
+                "last row [0.0, 0.0, 0.0, 2.0]",
+            ],
         ),
         (
             |v| v["frames"][1]["transform_matrix"] = json!([[1, 0, 0, 0], [0, 1]]),

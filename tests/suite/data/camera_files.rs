@@ -169,9 +169,24 @@ fn a_transforms_file_and_a_scene_folder_are_read_as_ever() {
 #[test]
 fn broken_files_are_refused_by_name() {
     type Change = fn(&mut Value);
-    let of_graphdeco: [(Change, &[&str]); 19] = [
+    let of_graphdeco: [(Change, &[&str]); 21] = [
         (|v| *v = json!([]), &["cameras", "no cameras"]),
-        (|v| *v = json!([1, 2]), &["cameras[0].img_name", "no name"]),
+        (
+            |v| *v = json!([1, 2]),
+            &["cameras[0]", "integer `1`", "a camera with img_name"],
+        ),
+        (
+            |v| {
+                v[1].as_object_mut().expect("camera").remove("img_name");
+            },
+            &["cameras[1].img_name", "no name"],
+        ),
+        (
+            |v| {
+                v[1].as_object_mut().expect("camera").remove("fx");
+            },
+            &["cameras[1]", "missing field `fx`", "3DGS"],
+        ),
         (
             |v| v[1]["img_name"] = json!(""),
             &["cameras[1].img_name", "no name"],
@@ -207,45 +222,53 @@ fn broken_files_are_refused_by_name() {
         ),
         (
             |v| v[1]["fy"] = json!(-1e300),
-            &["cameras[1].fy", "-1e+300", "finite"],
+            &["cameras[1].fy", "-1e300 pixels", "focal length"],
         ),
         (
             |v| v[1]["fy"] = Value::Null,
-            &["cameras[1].fy", "null", "a finite number"],
+            &["cameras[1].fy", "null", "expected f64", "3DGS"],
         ),
         (
             |v| v[1]["position"] = json!([1, 2]),
-            &["cameras[1].position", "[1,2]", "3 finite numbers"],
+            &["cameras[1].position", "length 2", "length 3"],
         ),
         (
             |v| v[1]["position"][2] = json!("far"),
-            &["cameras[1].position", "far", "3 finite numbers"],
+            &["cameras[1].position[2]", "far", "f64"],
         ),
         (
             |v| v[1]["position"][0] = json!(1e300),
-            &["cameras[1].position", "finite"],
+            &["cameras[1].position", "1e300 in row 0, column 3", "finite"],
         ),
         (
             |v| v[1]["rotation"] = json!([[1, 0, 0], [0, 1, 0]]),
-            &["cameras[1].rotation", "3 rows of 3"],
+            &["cameras[1].rotation", "length 2", "length 3"],
         ),
         (
             |v| v[1]["rotation"][0] = json!([2, 0, 0]),
-            &["cameras[1].rotation", "column lengths", "orthonormal"],
+            &[
+                "cameras[1].position, rotation",
+                "column lengths",
+                "orthonormal",
+            ],
         ),
         (
             |v| v[1]["rotation"] = json!([[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
-            &["cameras[1].rotation", "determinant -1", "mirroring"],
+            &[
+                "cameras[1].position, rotation",
+                "determinant -1",
+                "mirroring",
+            ],
         ),
     ];
-    let of_nerfstudio: [(Change, &[&str]); 14] = [
+    let of_nerfstudio: [(Change, &[&str]); 15] = [
         (
             |v| v["camera_path"] = json!([]),
             &["camera_path", "no cameras"],
         ),
         (
             |v| v["camera_path"] = json!({"a": 1}),
-            &["camera_path", "a list"],
+            &["camera_path", "map", "a sequence", "nerfstudio"],
         ),
         (
             |v| v["camera_type"] = json!("equirectangular"),
@@ -253,7 +276,7 @@ fn broken_files_are_refused_by_name() {
         ),
         (
             |v| v["render_width"] = Value::Null,
-            &["render_width", "null", "finite number"],
+            &["render_width", "null", "f64", "nerfstudio"],
         ),
         (
             |v| v["render_height"] = json!(0),
@@ -281,17 +304,23 @@ fn broken_files_are_refused_by_name() {
         ),
         (
             |v| v["camera_path"][1] = json!(null),
-            &["camera_path[1].fov", "nothing"],
+            &["camera_path[1]", "null", "a camera with camera_to_world"],
+        ),
+        (
+            |v| {
+                v.as_object_mut().expect("file").remove("render_height");
+            },
+            &["fields", "missing field `render_height`", "nerfstudio"],
         ),
         (
             |v| v["camera_path"][1]["camera_to_world"] = json!([1, 0, 0, 0]),
-            &["camera_path[1].camera_to_world", "16 finite numbers"],
+            &["camera_path[1].camera_to_world", "length 4", "length 16"],
         ),
         (
             |v| v["camera_path"][1]["camera_to_world"][12] = json!(3),
             &[
                 "camera_path[1].camera_to_world",
-                "a last row of [3, 0, 0, 1]",
+                "last row [3.0, 0.0, 0.0, 1.0]",
                 "by rows",
             ],
         ),

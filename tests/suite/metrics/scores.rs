@@ -99,14 +99,14 @@ fn label_scores_of_a_hand_counted_case() {
     let wrong = label_scores(&classes, views, Void::Wrong);
     // Class 3: TP 2, FP 1, FN 1; class 7: TP 1, FP 0, FN 2; lamp is not in the truth.
     assert_eq!(wrong.per_class, [(3, 0.5), (7, 1.0 / 3.0)]);
-    assert_eq!(wrong.miou, Some((0.5 + 1.0 / 3.0) / 2.0));
+    assert_eq!(wrong.pixels.miou, Some((0.5 + 1.0 / 3.0) / 2.0));
     // View 1: 3 -> 2/4, 7 -> 0; view 2: 7 -> 1/2.
-    assert_eq!(wrong.miou_per_view, Some((0.25 + 0.5) / 2.0));
-    assert_eq!(wrong.accuracy, Some(0.5));
+    assert_eq!(wrong.pixels.miou_per_view, Some((0.25 + 0.5) / 2.0));
+    assert_eq!(wrong.pixels.accuracy, Some(0.5));
     let left_out = label_scores(&classes, views, Void::LeftOut);
     assert_eq!(left_out.per_class, [(3, 2.0 / 3.0), (7, 1.0 / 3.0)]);
-    assert_eq!(left_out.miou, Some(0.5));
-    assert_eq!(left_out.accuracy, Some(3.0 / 5.0));
+    assert_eq!(left_out.pixels.miou, Some(0.5));
+    assert_eq!(left_out.pixels.accuracy, Some(3.0 / 5.0));
 }
 
 #[test]
@@ -117,19 +117,31 @@ fn label_scores_of_nothing_are_absent() {
     for void in [Void::Wrong, Void::LeftOut] {
         let scores = label_scores(&classes, views, void);
         assert_eq!(
-            (scores.miou, scores.miou_per_view, scores.accuracy),
+            (
+                scores.pixels.miou,
+                scores.pixels.miou_per_view,
+                scores.pixels.accuracy
+            ),
             (None, None, None)
         );
         assert!(scores.per_class.is_empty());
     }
     assert_eq!(
-        label_scores(&Classes::default(), views, Void::Wrong).miou,
+        label_scores(&Classes::default(), views, Void::Wrong)
+            .pixels
+            .miou,
         None
     );
     // All predictions void: wrong everywhere, or nothing to score.
     let views = [(&[1_u16, 2][..], &[0_u16, 0][..])];
-    assert_eq!(label_scores(&classes, views, Void::Wrong).miou, Some(0.0));
-    assert_eq!(label_scores(&classes, views, Void::LeftOut).miou, None);
+    assert_eq!(
+        label_scores(&classes, views, Void::Wrong).pixels.miou,
+        Some(0.0)
+    );
+    assert_eq!(
+        label_scores(&classes, views, Void::LeftOut).pixels.miou,
+        None
+    );
     let mut a = Confusion::new(2);
     assert!(!a.merge(&Confusion::new(3)));
     a.add([0, 1, 5], [1, 9, 0]);
@@ -142,7 +154,7 @@ fn raw_scores(scene: &Scene, void: Void) -> [f64; 3] {
         .split(Split::Test)
         .filter_map(|v| Some((v.truth.as_ref()?.map(), v.raw.as_ref()?.map())));
     let s = label_scores(&scene.classes, views, void);
-    [s.miou, s.miou_per_view, s.accuracy].map(|v| v.expect("scored"))
+    [s.pixels.miou, s.pixels.miou_per_view, s.pixels.accuracy].map(|v| v.expect("scored"))
 }
 
 #[test]

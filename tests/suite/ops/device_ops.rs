@@ -4,7 +4,7 @@ use crate::support::device_tensors::{assert_close, host, leaf, value_and_gradien
 use burn::tensor::Device;
 use coseg::ops::{SparseMatrix, sparse_apply};
 use coseg::segmentation::loss::{CoSegLoss, LabelLoss, Scores};
-use coseg::segmentation::pixels::{LabelledPixels, PixelWeights, UNLABELLED};
+use coseg::segmentation::pixels::{LabelledPixels, NO_CLASS, PixelWeights};
 use std::sync::Arc;
 
 /// The wgpu device with autodiff, if this machine has one.
@@ -98,7 +98,7 @@ fn label_losses() {
         let logits = waves(pixels * classes, amplitude);
         let label = |i: usize| {
             if i % 4 == 3 {
-                UNLABELLED
+                NO_CLASS
             } else {
                 (i * 7 % classes) as u16
             }
@@ -181,7 +181,7 @@ fn blended_label_losses() {
     let chosen: Vec<u32> = (0..rows as u32).filter(|r| r % 3 != 1).collect();
     let label = |&r: &u32| {
         if r % 11 == 5 {
-            UNLABELLED
+            NO_CLASS
         } else {
             (r / 2 % 5) as u16
         }

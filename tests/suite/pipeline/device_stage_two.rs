@@ -148,7 +148,7 @@ fn rows_trained_on_a_gpu_learn_what_those_on_ndarray_do() {
     for (got, want) in got.rows.iter().zip(&want.rows) {
         let [a, b] = [got, want].map(|row| row.identities.as_ref().expect("identities").labels());
         let same = a.iter().zip(&b).filter(|(a, b)| a == b).count() as f64 / b.len() as f64;
-        let [a, b] = [got, want].map(|row| row.scores.labels.miou.expect("a score"));
+        let [a, b] = [got, want].map(|row| row.scores.labels.pixels.miou.expect("a score"));
         assert!(
             same > 0.98 && (a - b).abs() < 0.02,
             "{}: {same} of the labels, mIoU {a} for {b}",

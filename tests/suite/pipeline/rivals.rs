@@ -35,7 +35,7 @@ fn trained(rows: &[Variant], iterations: usize) -> Outcome {
 }
 
 fn miou(row: &VariantOutcome) -> f64 {
-    row.scores.labels.miou.expect("held-out truth")
+    row.scores.labels.pixels.miou.expect("held-out truth")
 }
 
 #[test]

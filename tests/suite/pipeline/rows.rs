@@ -138,7 +138,7 @@ fn a_truth_that_no_row_is_scored_by_is_none() {
         let outcome = crate::support::plate_runs::whole(&config, &folder.path().join(out));
         let notes = coseg::report::Report::notes_of(&outcome, &config).concat();
         let is_scored = |row: &coseg::pipeline::VariantOutcome| {
-            row.scores.labels.miou.is_some() || row.scores.instances.is_some()
+            row.scores.labels.pixels.miou.is_some() || row.scores.instances.is_some()
         };
         let scored = outcome.rows.iter().any(is_scored);
         assert_eq!(

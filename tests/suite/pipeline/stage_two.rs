@@ -183,7 +183,7 @@ fn blended_logits_without_a_prior_are_the_papers_rule_and_learn() {
         s.lr = STILL;
         s.fine_tune = Some(false);
     });
-    let miou = |o: &Outcome| o.rows[0].scores.labels.miou.expect("a score");
+    let miou = |o: &Outcome| o.rows[0].scores.labels.pixels.miou.expect("a score");
     assert!(
         miou(&outcome) > miou(&untaught) + 0.1,
         "{} against {}",

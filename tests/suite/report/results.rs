@@ -6,8 +6,27 @@ use crate::support::made_up_report::{
 use crate::support::program::read_json;
 use coseg::config::Config;
 use coseg::data::{Classes, LabelMap};
-use coseg::report::{Metrics, Report, peak_memory_bytes, pictures};
+use coseg::metrics::PixelScores;
+use coseg::report::{Metrics, Report, VariantScores, peak_memory_bytes, pictures};
 use std::path::Path;
+
+#[test]
+fn scores_of_a_row_lie_side_by_side_in_json() {
+    let scores = VariantScores {
+        pixels: PixelScores {
+            miou: Some(0.25),
+            miou_per_view: None,
+            accuracy: Some(1.0),
+        },
+        class_iou: [(3, 0.5)].into(),
+        iterations: Some(7),
+        ..VariantScores::default()
+    };
+    let text =
+        r#"{"miou":0.25,"miou_per_view":null,"accuracy":1.0,"class_iou":{"3":0.5},"iterations":7}"#;
+    assert_eq!(serde_json::to_string(&scores).unwrap(), text);
+    assert_eq!(serde_json::from_str::<VariantScores>(text).unwrap(), scores);
+}
 
 #[test]
 fn the_run_folder_is_complete() {
@@ -234,7 +253,7 @@ fn label_pictures_show_classes_errors_and_void() {
     };
     let colored = pictures::colored(&found, &classes);
     assert_eq!(colored.get_pixel(0, 0).0, [174, 199, 232]);
-    assert_eq!(colored.get_pixel(1, 1).0, pictures::UNLABELLED);
+    assert_eq!(colored.get_pixel(1, 1).0, pictures::UNLABELLED_COLOR);
     let [right, wrong, void] = pictures::AGREEMENT;
     let errors = pictures::label_error(&found, &truth, 0);
     assert_eq!(

@@ -6,7 +6,7 @@ use coseg::ops::SparseMatrix;
 use coseg::segmentation::loss::{
     CoSegLoss, LabelLoss, NeighbourPairs, Scores, neighbour_divergence,
 };
-use coseg::segmentation::pixels::{LabelledPixels, PixelWeights, UNLABELLED};
+use coseg::segmentation::pixels::{LabelledPixels, NO_CLASS, PixelWeights};
 use std::sync::Arc;
 
 const KINDS: [LabelLoss; 6] = [
@@ -70,7 +70,7 @@ fn pixels(rows: usize, points: usize) -> Arc<LabelledPixels> {
     let chosen: Vec<u32> = (0..rows as u32).filter(|r| r % 3 != 1).collect();
     let label = |&r: &u32| {
         if r % 11 == 5 {
-            UNLABELLED
+            NO_CLASS
         } else {
             [0, 1, 2, 4][(r / 2 % 4) as usize]
         }
@@ -172,7 +172,7 @@ fn blended_label_loss_survives_certainty_and_emptiness() {
             value[0]
         );
     }
-    let labels = Arc::new(vec![UNLABELLED; pixels.len()]);
+    let labels = Arc::new(vec![NO_CLASS; pixels.len()]);
     let nothing = Arc::new(LabelledPixels {
         labels,
         ..(*pixels).clone()

@@ -7,7 +7,7 @@ use coseg::pipeline::train_decoder::dropped_channels;
 use coseg::segmentation::decoder::DecoderConfig;
 use coseg::segmentation::encoder::{Cloud, encode, load_spatial};
 use coseg::segmentation::loss::{CoSegLoss, LabelLoss};
-use coseg::segmentation::pixels::UNLABELLED;
+use coseg::segmentation::pixels::NO_CLASS;
 use coseg::segmentation::pyramid::{Pyramid, Switches};
 use glam::DVec3;
 
@@ -103,7 +103,7 @@ fn two_predictions_that_agree_leave_the_label_term() {
     let none = generalised_js(0.9).of_pair([tensor(&[], &device), tensor(&[], &device)], &[]);
     assert_eq!(none.into_scalar::<f64>(), 0.0);
     let unlabelled =
-        generalised_js(0.9).of_pair([tensor(&a, &device), tensor(&a, &device)], &[UNLABELLED; 5]);
+        generalised_js(0.9).of_pair([tensor(&a, &device), tensor(&a, &device)], &[NO_CLASS; 5]);
     assert!(unlabelled.into_scalar::<f64>().abs() < 1e-12);
 }
 

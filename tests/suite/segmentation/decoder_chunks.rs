@@ -11,7 +11,7 @@ use coseg::pipeline::train_decoder::{
 use coseg::segmentation::decoder::DecoderConfig;
 use coseg::segmentation::encoder::{Cloud, encode, load_spatial};
 use coseg::segmentation::loss::{self, CoSegLoss};
-use coseg::segmentation::pixels::{LabelledPixels, PixelWeights, UNLABELLED};
+use coseg::segmentation::pixels::{LabelledPixels, NO_CLASS, PixelWeights};
 use coseg::segmentation::pyramid::{Dependencies, Switches};
 use glam::DVec3;
 use std::sync::Arc;
@@ -74,7 +74,7 @@ impl Scene {
         );
         let label = |r: usize| {
             if r % 13 == 4 {
-                UNLABELLED
+                NO_CLASS
             } else {
                 (r * 3 / 7 % CLASSES) as u16
             }

@@ -7,7 +7,7 @@ use burn::tensor::{Tensor, TensorData};
 use coseg::config::{self, SegmentationConfig};
 use coseg::segmentation::loss::{CoSegLoss, LabelLoss, NeighbourPairs, neighbour_divergence};
 use coseg::segmentation::neighbours::{PointIndex, without_self};
-use coseg::segmentation::pixels::UNLABELLED;
+use coseg::segmentation::pixels::NO_CLASS;
 
 /// The mean loss over the labelled rows of `logits`.
 fn label_loss(logits: Tensor<2>, labels: &[u16], kind: &LabelLoss) -> Tensor<1> {
@@ -52,7 +52,7 @@ fn label_loss_equals_its_direct_sum() {
     let (logits, labels) = example();
     let device = plain_device();
     for kind in KINDS {
-        let kept: Vec<usize> = (0..12).filter(|&i| labels[i] != UNLABELLED).collect();
+        let kept: Vec<usize> = (0..12).filter(|&i| labels[i] != NO_CLASS).collect();
         let sum: f64 = kept
             .iter()
             .map(|&i| direct(&logits[i * 5..][..5], labels[i].into(), kind))
@@ -159,7 +159,7 @@ fn hard_logits_stay_finite() {
 fn nothing_labelled_costs_nothing_and_one_class_is_certain() {
     let device = plain_device().autodiff();
     for kind in KINDS {
-        for (columns, labels) in [(3, vec![UNLABELLED; 4]), (1, vec![0; 12])] {
+        for (columns, labels) in [(3, vec![NO_CLASS; 4]), (1, vec![0; 12])] {
             let x = matrix(&waves(12, 3.0), columns, &device).require_grad();
             let loss = label_loss(x.clone(), &labels, &kind);
             let gradients = loss.clone().backward();

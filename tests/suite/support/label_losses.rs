@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use coseg::segmentation::loss::LabelLoss;
-use coseg::segmentation::pixels::UNLABELLED;
+use coseg::segmentation::pixels::NO_CLASS;
 
 /// Every label loss of one prediction.
 pub const KINDS: [LabelLoss; 9] = [
@@ -47,7 +47,7 @@ pub fn example() -> (Vec<f64>, Vec<u16>) {
     (
         waves(60, 2.0),
         (0..12)
-            .map(|i| if i % 4 == 3 { UNLABELLED } else { i * 7 % 5 })
+            .map(|i| if i % 4 == 3 { NO_CLASS } else { i * 7 % 5 })
             .collect(),
     )
 }

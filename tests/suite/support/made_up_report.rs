@@ -2,12 +2,12 @@
 
 use coseg::config::{Config, Variant};
 use coseg::data::{Class, Classes, LabelMap, Split, View};
-use coseg::metrics::ImageScores;
+use coseg::metrics::{ImageScores, PixelScores};
 use coseg::pipeline::Seconds;
 use coseg::progress::Review;
 use coseg::report::{
-    BuildingHistory, Command, HeldOutView, History, Metrics, Report, Scores, TestScores,
-    VariantHistory, VariantScores,
+    BuildingHistory, Command, HeldOutView, History, Metrics, Report, TestScores, VariantHistory,
+    VariantScores,
 };
 use coseg::splat::camera::Camera;
 use glam::{DMat3, DVec3};
@@ -123,10 +123,12 @@ fn sparse(steps: usize, from: f64, to: f64, pace: f64) -> Vec<(usize, f64)> {
 
 fn scores(miou: f64, trained: bool) -> VariantScores {
     VariantScores {
-        miou: Some(miou),
-        miou_per_view: Some(miou + 0.013),
-        accuracy: Some(0.5 + 0.5 * miou),
-        void_left_out: (miou < 0.65).then_some(Scores {
+        pixels: PixelScores {
+            miou: Some(miou),
+            miou_per_view: Some(miou + 0.013),
+            accuracy: Some(0.5 + 0.5 * miou),
+        },
+        void_left_out: (miou < 0.65).then_some(PixelScores {
             miou: Some(miou + 0.02),
             miou_per_view: Some(miou + 0.03),
             accuracy: Some(0.82),

@@ -1,13 +1,13 @@
 //! Cameras without photos, from files of several tools.
 
-mod entry;
 mod graphdeco;
 mod nerfstudio;
+mod place;
 
 use super::layout;
 use super::transforms::{self, not_finite::quoted};
 use crate::data::{LoadOptions, NamedCamera, Split};
-use crate::error::{Error, Result, bail, ensure, invalid};
+use crate::error::{Result, bail, ensure, invalid};
 use crate::files;
 use serde_json::Value;
 use std::path::Path;
@@ -29,21 +29,17 @@ const IN_FOLDER: &str = "cameras.json";
 /// The last two have no splits: all of their frames are for training.
 ///
 /// # Errors
-/// [`Error::Input`] naming file and field, [`Error::Io`] or [`Error::Limit`]: malformed or unknown files, numbers that make no
-/// camera, names given twice, no frame of `split`.
+/// [`crate::Error::Input`] naming file and field, [`crate::Error::Io`] or [`crate::Error::Limit`]: malformed or unknown files,
+/// numbers that make no camera, names given twice, no frame of `split`.
 pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera>> {
     if path.is_dir() {
         let options = LoadOptions::default();
         let inside = path.join(IN_FOLDER);
-        return match layout::locate(path, &options) {
-            // The folder has no layout. Where it has two, one has to be chosen.
-            Err(Error::Input { found, .. })
-                if inside.is_file() && found.starts_with("no such file") =>
-            {
-                read_cameras(&inside, split)
-            }
-            _ => crate::data::load_cameras(path, &options, split),
-        };
+        // Where the folder has two layouts, one has to be chosen.
+        if inside.is_file() && layout::find(path, &options)?.is_none() {
+            return read_cameras(&inside, split);
+        }
+        return crate::data::load_cameras(path, &options, split);
     }
     let unusable = |field: &str, found: &str| {
         invalid!(path, "{field}"; found "{found}";
@@ -59,14 +55,14 @@ pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
     let (text, tokens) = quoted(text);
     let value: Value = serde_json::from_str(&text)
         .map_err(|e| files::json_error(path, &e, "JSON with cameras"))?;
-    let cameras = if let Value::Array(list) = &value {
-        graphdeco::cameras(path, list)
+    let cameras = if value.is_array() {
+        graphdeco::cameras(path, value)
     } else if value.get("frames").is_some() {
         // It has rules of its own about numbers that are not finite.
         drop(value);
         return transforms::load_cameras(path, split);
     } else if value.get("camera_path").is_some() {
-        nerfstudio::cameras(path, &value)
+        nerfstudio::cameras(path, value)
     } else {
         return Err(unusable("frames", "nothing"));
     };

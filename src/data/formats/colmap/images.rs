@@ -4,7 +4,7 @@ use super::DAMAGED_HELP;
 use super::cameras::ModelCamera;
 use super::reader::Reader;
 use crate::data::Limits;
-use crate::data::formats::camera_checks::{is_coordinate, not_a_rotation};
+use crate::data::formats::camera_checks::{is_coordinate, posed};
 use crate::data::formats::frame::joined_name;
 use crate::data::photos::lens::Lens;
 use crate::error::{Result, ensure, invalid};
@@ -109,8 +109,9 @@ impl PosedImage {
         let mut pose = DMat4::from_mat3(rotation.transpose());
         pose.w_axis = center.extend(1.0);
         let (intrinsics, lens) = camera.checked(calibration)?;
-        let camera = intrinsics.with_opencv_pose(&pose);
-        let camera = camera.ok_or_else(|| not_a_rotation(images, &self.place, &pose))?;
+        let camera = posed(images, &self.place, &pose, |pose| {
+            intrinsics.clone().with_opencv_pose(pose)
+        })?;
         Ok((camera, lens))
     }
 }

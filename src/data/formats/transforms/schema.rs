@@ -1,12 +1,12 @@
 //! The fields of a `transforms.json`, and the cameras that they give.
 
 use super::not_finite::quoted;
-use crate::data::formats::camera_checks::{FOCAL, MAX_PIXELS, describe_rotation, is_coordinate};
+use crate::data::formats::camera_checks::{FOCAL, MAX_PIXELS, posed};
 use crate::data::photos::lens::Lens;
-use crate::error::{Error, Result, bail, ensure, invalid};
+use crate::error::{Result, bail, ensure, invalid};
 use crate::files;
 use crate::splat::camera::Camera;
-use glam::{DMat3, DMat4};
+use glam::DMat4;
 use serde::Deserialize;
 use serde_json::Value;
 use std::path::Path;
@@ -151,30 +151,14 @@ impl Transforms {
     ) -> Result<(Camera, Lens)> {
         let (intrinsics, lens) = self.intrinsics(path, frame, size)?;
         let matrix = self.matrix(path, frame)?;
-        let camera = intrinsics.with_opengl_pose(&matrix);
-        let camera = camera.ok_or_else(|| self.scaled_pose(path, frame, &matrix))?;
+        let field = format!("{}.transform_matrix", self.field(frame));
+        let camera = posed(path, &field, &matrix, |pose| {
+            intrinsics.clone().with_opengl_pose(pose)
+        })?;
         Ok((camera, lens))
     }
 
-    /// The error for a pose that is no rotation. Exporters of Blender leave the scale of the object that a camera belongs
-    /// to in its matrix.
-    fn scaled_pose(&self, path: &Path, frame: usize, matrix: &DMat4) -> Error {
-        let m = DMat3::from_mat4(*matrix);
-        let scale = m.x_axis.length();
-        let unscaled = DMat4::from_mat3(m * scale.recip());
-        let any = Camera::centred([1.0; 2], [1; 2]);
-        let is_scaled = any.with_opengl_pose(&unscaled).is_some();
-        let mut found = describe_rotation(matrix);
-        let mut help = "remove scale, shear and mirroring from the pose".to_owned();
-        if is_scaled {
-            found += &format!(", which is a rotation times {scale:.6}");
-            help = format!("divide its first three columns by {scale:.6}; the translation stays");
-        }
-        invalid!(path, "{}.transform_matrix", self.field(frame); found "{found}";
-            expected "a rotation (orthonormal columns, determinant +1) and a translation"; help "{help}")
-    }
-
-    /// The pose, finite, 4x4.
+    /// The numbers of a pose, 4x4.
     fn matrix(&self, path: &Path, frame: usize) -> Result<DMat4> {
         let rows = &self.frames[frame].transform_matrix;
         const DAMAGED_HELP: &str = "export the pose again";
@@ -185,16 +169,13 @@ impl Transforms {
         let mut m = DMat4::IDENTITY.to_cols_array_2d();
         for (r, row) in rows.iter().enumerate() {
             for (c, value) in row.iter().enumerate() {
-                let number = value.as_f64().filter(|number| is_coordinate(*number));
-                m[r][c] = number.ok_or_else(|| {
+                m[r][c] = value.as_f64().ok_or_else(|| {
                     let text = value.as_str().map(str::to_owned);
                     let found = text.unwrap_or_else(|| value.to_string());
                     invalid!(path, "{field}[{r}][{c}]"; found "{found}"; expected "a finite number (f32)"; help "{DAMAGED_HELP}")
                 })?;
             }
         }
-        ensure!(m[3] == [0.0, 0.0, 0.0, 1.0],
-            path, "{field}[3]"; found "{:?}", m[3]; expected "[0, 0, 0, 1]"; help "{DAMAGED_HELP}");
         Ok(DMat4::from_cols_array_2d(&m).transpose())
     }
 

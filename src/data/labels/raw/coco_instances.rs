@@ -159,7 +159,7 @@ fn frame_of<'a>(frames: &'a [RawFile<'a>], file_name: &str) -> Option<&'a RawFil
     found.next().filter(|_| found.next().is_none())
 }
 
-/// Pixels that a region covers, as far as its outlines do not overlap.
+/// Pixels that a region covers, where its outlines do not overlap.
 fn area(region: &Region) -> f64 {
     match region {
         Region::Runs { counts, .. } => counts.iter().skip(1).step_by(2).sum::<u64>() as f64,

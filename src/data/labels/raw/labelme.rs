@@ -14,7 +14,7 @@ use std::path::Path;
 /// Corners of the polygon that stands for a circle: its area is 0.1 % smaller.
 const CORNERS: usize = 80;
 /// LabelMe's own names for pixels without a label.
-const UNLABELLED: [&str; 2] = ["__ignore__", "_background_"];
+const UNLABELLED_NAMES: [&str; 2] = ["__ignore__", "_background_"];
 
 /// The file. Unknown keys are ignored.
 #[derive(Deserialize)]
@@ -71,7 +71,7 @@ pub(super) fn read(
 }
 
 fn is_unlabelled(label: &str) -> bool {
-    is_void(label) || UNLABELLED.contains(&label.trim())
+    is_void(label) || UNLABELLED_NAMES.contains(&label.trim())
 }
 
 impl File {

@@ -1,12 +1,12 @@
 //! Raw labels as segmenters write them: which of the formats a folder has, and what its maps say.
 
 mod ade20k;
-mod coco;
 pub(crate) mod coco_instances;
+mod coco_panoptic;
 mod drawing;
 pub(crate) mod labelme;
 mod masks;
-mod named;
+mod own_classes;
 
 use self::drawing::Drawing;
 use super::label_map::expect_file;
@@ -35,8 +35,8 @@ pub(crate) struct RawLabels {
 enum Source {
     Grey,
     /// Grey maps of ids of the class table beside them.
-    Named(named::OwnClasses),
-    Coco(coco::Panoptic),
+    Named(own_classes::OwnClasses),
+    Coco(coco_panoptic::Panoptic),
     /// With the class id of each class of ADE20K.
     Ade20k(Vec<Option<u16>>),
     Masks,
@@ -120,7 +120,7 @@ pub(crate) fn needs_classes(
     options: &LoadOptions,
     files: &[RawFile],
 ) -> Option<&'static str> {
-    let is_named = named::table(dir, &folder(dir, options, files.first()?.path)).is_some();
+    let is_named = own_classes::table(dir, &folder(dir, options, files.first()?.path)).is_some();
     let is_grey = options.association == Association::None
         && format_of(dir, options, files) == RawFormat::Grey;
     (is_grey && !is_named).then_some(SEGMENTS_HELP)
@@ -153,7 +153,7 @@ fn format_of(dir: &Path, options: &LoadOptions, files: &[RawFile]) -> RawFormat 
         return RawFormat::Grey;
     };
     match file.png_color() {
-        Some((_, 2 | 6)) if coco::find(&folder(dir, options, first)).is_some() => {
+        Some((_, 2 | 6)) if coco_panoptic::find(&folder(dir, options, first)).is_some() => {
             RawFormat::CocoPanoptic
         }
         Some((_, 2 | 3 | 6)) if ade20k::matches(&file) => RawFormat::Ade20k,
@@ -199,9 +199,9 @@ impl RawLabels {
         let source = match format_of(dir, options, files) {
             RawFormat::Auto | RawFormat::Grey if segments => Source::Grey,
             RawFormat::Auto | RawFormat::Grey => {
-                let table = named::table(dir, &folder(dir, options, first));
+                let table = own_classes::table(dir, &folder(dir, options, first));
                 match table
-                    .map(|file| named::OwnClasses::read(&file, classes))
+                    .map(|file| own_classes::OwnClasses::read(&file, classes))
                     .transpose()?
                 {
                     Some((own, known)) => {
@@ -212,7 +212,8 @@ impl RawLabels {
                 }
             }
             RawFormat::CocoPanoptic => {
-                let panoptic = coco::Panoptic::read(&folder(dir, options, first), classes)?;
+                let panoptic =
+                    coco_panoptic::Panoptic::read(&folder(dir, options, first), classes)?;
                 vocabulary = Some(panoptic.vocabulary.clone());
                 Source::Coco(panoptic)
             }
