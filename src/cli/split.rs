@@ -10,11 +10,11 @@ use coseg::files::{names, own};
 use std::path::{Path, PathBuf};
 
 const HELP: &str = "\
-Each block is a folder with one small file, block.json, which `coseg train --data` reads as a scene: the photos of the block, and
-its part of the initial cloud. Nothing is copied: the scene folder must stay where it is. A block has a core, which is its own, and
-a margin of a fifth of its size on each side. It has the photos taken there, and those of which a quarter shows its core. Borders
-are placed so that about equally many training cameras stand in each block. `coseg merge` puts the trained blocks together.
-docs/scale.md has more.
+Each block is a folder with one small file, block.json, which `coseg train --data` reads as a scene: the photos of the block,
+and its part of the initial cloud. Nothing is copied: the scene folder must stay where it is. A block has a core, which is its
+own, and a margin of a fifth of its size on each side. It has the photos taken there, and those of which a quarter shows its
+core. Borders are placed so that about equally many training cameras stand in each block. `coseg merge` puts the trained blocks
+together. docs/scale.md has more.
 
 Examples:
   coseg split --data scenes/house --blocks 3x2 --out blocks

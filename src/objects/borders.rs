@@ -19,6 +19,8 @@ pub struct BlockObjects<'a> {
     pub means: &'a [[f32; 3]],
     /// One id for each.
     pub labels: &'a [u16],
+    /// The Gaussians that stay: an object without any gets no id.
+    pub kept: &'a [u32],
     /// What the ids of this block mean.
     pub classes: &'a Classes,
 }
@@ -57,8 +59,10 @@ pub fn join_objects(
     let mut sets = QuickUnionUf::<UnionBySize>::new(entries.len());
     for (pair, rows) in shared {
         for one in overlapping(blocks, *pair, rows)? {
-            let [a, b] = one.map(|object| entries.get(&object));
-            if a.map(|class| class.object_of) == b.map(|class| class.object_of) {
+            let [Some(a), Some(b)] = one.map(|object| entries.get(&object)) else {
+                continue;
+            };
+            if a.object_of == b.object_of {
                 sets.union(numbers[&one[0]], numbers[&one[1]]);
             }
         }
@@ -74,54 +78,68 @@ pub fn join_objects(
             sets.union(first, numbers[object]);
         }
     }
-    let roots: BTreeSet<usize> = (0..entries.len()).map(|i| sets.find(i)).collect();
-    ensure!(roots.len() < usize::from(u16::MAX), limit "objects of all blocks"; found "{}", roots.len();
+    let mut root = |object: Of| Some(sets.find(*numbers.get(&object)?));
+    let mut present = BTreeSet::new();
+    for (number, block) in blocks.iter().enumerate() {
+        let ids: BTreeSet<u16> = block
+            .kept
+            .iter()
+            .map(|&row| block.labels[row as usize])
+            .collect();
+        present.extend(ids.into_iter().filter_map(|id| root((number, id))));
+    }
+    ensure!(present.len() < usize::from(u16::MAX), limit "objects of all blocks"; found "{}", present.len();
         expected "{}", u16::MAX - 1; help "merge fewer blocks, or give a segmentation of larger things");
-    let ignore = blocks.first().map_or(0, |block| block.classes.ignore);
-    Ok(numbered(
-        &entries,
-        &mut |object| sets.find(numbers[&object]),
-        (blocks.len(), ignore),
-    ))
-}
-
-/// Ids and names of the sets of `entries`; `root` tells the set of an object.
-fn numbered(
-    entries: &BTreeMap<Of, &Class>,
-    root: &mut dyn FnMut(Of) -> usize,
-    (blocks, ignore): (usize, u16),
-) -> JoinedObjects {
     let mut joined = JoinedObjects {
-        ids: vec![BTreeMap::new(); blocks],
+        ids: vec![BTreeMap::new(); blocks.len()],
         classes: Classes {
             entries: Vec::new(),
-            ignore,
+            ignore: blocks.first().map_or(0, |block| block.classes.ignore),
         },
         joined: 0,
     };
-    let mut id_of: HashMap<usize, u16> = HashMap::new();
-    let mut counts: HashMap<String, usize> = HashMap::new();
-    let mut free = (0..=u16::MAX).filter(|id| *id != ignore);
-    if ignore != 0 {
-        free.next();
-    }
-    for (object, class) in entries {
-        let set = root(*object);
-        let known = id_of.get(&set).copied();
-        joined.joined += usize::from(known.is_some());
-        let id = known.unwrap_or_else(|| free.next().unwrap_or(u16::MAX));
-        if known.is_none() {
-            id_of.insert(set, id);
-            joined.classes.entries.push(Class {
-                id,
-                name: renumbered(class, &mut counts),
-                color: class_color(id),
-                object_of: class.object_of,
-            });
+    let mut numbering = Numbering::default();
+    for (&object, class) in &entries {
+        let set = root(object).filter(|set| present.contains(set));
+        if let Some(set) = set {
+            joined.add(object, class, set, &mut numbering);
         }
-        joined.ids[object.0].insert(object.1, id);
     }
-    joined
+    Ok(joined)
+}
+
+/// Ids and numbers in names that were given.
+#[derive(Default)]
+struct Numbering {
+    id_of: HashMap<usize, u16>,
+    counts: HashMap<String, usize>,
+}
+
+impl JoinedObjects {
+    /// Adds an object of a block that belongs to a set.
+    fn add(&mut self, (block, own): Of, class: &Class, set: usize, numbering: &mut Numbering) {
+        let count = numbering.id_of.len();
+        let id = *numbering.id_of.entry(set).or_insert_with(|| {
+            // There are fewer than u16 has ids.
+            let id = 1 + count as u16;
+            if id < self.classes.ignore || self.classes.ignore == 0 {
+                id
+            } else {
+                id + 1
+            }
+        });
+        self.ids[block].insert(own, id);
+        if numbering.id_of.len() == count {
+            self.joined += 1;
+            return;
+        }
+        self.classes.entries.push(Class {
+            id,
+            name: renumbered(class, &mut numbering.counts),
+            color: class_color(id),
+            object_of: class.object_of,
+        });
+    }
 }
 
 /// The name of an object of a block with a number that is its own in all blocks: `chair 7` for `chair 2`.
@@ -221,29 +239,36 @@ mod tests {
             (3, "table 2", thing(5)),
             (4, "floor", floor),
         ]);
-        // A row of Gaussians: ten of the table, five of the cup; the blocks place theirs a little apart.
+        // A row of Gaussians: ten of the table, five of the cup, five of the floor; the blocks place theirs a little apart.
         let row = |shift: f32| {
-            (0..15)
+            (0..20)
                 .map(|i| [i as f32 + shift, 0.0, 0.0])
                 .collect::<Vec<_>>()
         };
-        let (means, others) = (row(0.0), row(0.1));
-        let labels: Vec<u16> = (0..15).map(|i| if i < 10 { 1 } else { 2 }).collect();
-        // The right block takes two of the table for the cup.
-        let their: Vec<u16> = (0..15).map(|i| if i < 8 { 2 } else { 1 }).collect();
+        let (means, mut others) = (row(0.0), row(0.1));
+        let labels: Vec<u16> = (0..20).map(|i| [1, 1, 2, 3][i / 5]).collect();
+        // The right block takes two of the table for the cup, and has another table far away.
+        let mut their: Vec<u16> = (0..20)
+            .map(|i| if i < 8 { 2 } else { [1, 4][i / 15] })
+            .collect();
+        others.push([100.0, 0.0, 0.0]);
+        their.push(3);
+        let all = || (0..20).collect::<Vec<u32>>();
+        let rows: Vec<u32> = (0..21).collect();
         let blocks = [
             BlockObjects {
                 means: &means,
                 labels: &labels,
+                kept: &rows[..20],
                 classes: &left,
             },
             BlockObjects {
                 means: &others,
                 labels: &their,
+                kept: &rows,
                 classes: &right,
             },
         ];
-        let all = || (0..15).collect::<Vec<u32>>();
         let joined = join_objects(&blocks, &[([0, 1], [all(), all()])]).expect("joined");
         let names: Vec<&str> = joined.classes.entries.iter().map(|c| &*c.name).collect();
         assert_eq!(names, ["table 1", "cup 1", "floor", "table 2"]);
@@ -252,6 +277,16 @@ mod tests {
             BTreeMap::from([(1, 2), (2, 1), (3, 4), (4, 3)])
         );
         assert_eq!(joined.joined, 3);
+        // An object of which no Gaussian stays has no id.
+        let without = [
+            blocks[0],
+            BlockObjects {
+                kept: &rows[..20],
+                ..blocks[1]
+            },
+        ];
+        let joined = join_objects(&without, &[([0, 1], [all(), all()])]).expect("joined");
+        assert_eq!((joined.classes.len(), joined.ids[1].get(&3)), (3, None));
         // Nothing is joined across a border without shared Gaussians, but for the floor.
         let apart = join_objects(&blocks, &[]).expect("joined");
         assert_eq!((apart.classes.len(), apart.joined), (6, 1));

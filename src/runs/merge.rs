@@ -76,7 +76,7 @@ pub fn merge(runs: &[PathBuf]) -> Result<Merged> {
         .iter()
         .any(|part| part.config.data.association != Association::None);
     let (ids, classes, joined) = if is_labelled && are_objects {
-        objects(&parts)?
+        objects(&parts, &kept)?
     } else {
         (Vec::new(), classes(&parts)?, None)
     };
@@ -153,17 +153,21 @@ impl Part {
     fn open(dir: &Path) -> Result<(Self, DVec3)> {
         let run = RunFolder::existing(dir)?;
         let config = run.config(&[])?;
-        let folder = config.data.dir.clone().unwrap_or_default();
-        let Some(block) = Block::in_folder(&folder)? else {
+        let help = "leave it out, or put the folder of the block back";
+        let Some(folder) = &config.data.dir else {
+            bail!(argument "RUN"; found "{}, a run on the built-in room", dir.display();
+                expected "a run on a block of `coseg split`"; help "{help}");
+        };
+        let Some(block) = Block::in_folder(folder)? else {
             bail!(argument "RUN"; found "{}, trained on {}, where no {BLOCK} is", dir.display(), folder.display();
-                expected "a run on a block of `coseg split`"; help "leave it out, or put the folder of the block back");
+                expected "a run on a block of `coseg split`"; help "{help}");
         };
         let scene = run.file(SCENE);
         let ply = ply::read(&scene, &Limits::default())?;
         let classes = run.classes()?;
         let part = Self {
             run: dir.to_owned(),
-            scene: block.scene_folder(&folder)?,
+            scene: block.scene_folder(folder)?,
             config,
             block,
             places: ply.gaussians.positions(ply.origin),
@@ -238,8 +242,9 @@ fn classes(parts: &[Part]) -> Result<Classes> {
 /// For each part the new ids of its objects, all objects, and how many were joined.
 type Objects = (Vec<BTreeMap<u16, u16>>, Classes, Option<usize>);
 
-fn objects(parts: &[Part]) -> Result<Objects> {
-    let of_parts = parts.iter().map(|part| BlockObjects {
+fn objects(parts: &[Part], kept: &[Vec<u32>]) -> Result<Objects> {
+    let of_parts = parts.iter().zip(kept).map(|(part, kept)| BlockObjects {
+        kept,
         means: &part.gaussians.means,
         labels: part.labels.as_deref().unwrap_or_default(),
         classes: &part.classes,
