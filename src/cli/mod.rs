@@ -18,6 +18,7 @@ mod held_out;
 mod interrupt;
 mod label;
 mod labelled;
+mod merge;
 mod object_scene;
 mod objects;
 mod progress;
@@ -26,6 +27,7 @@ mod render;
 mod render_path;
 mod select;
 mod separate;
+mod split;
 pub mod terminal;
 mod train;
 mod values;
@@ -91,6 +93,8 @@ Examples:
   coseg edit --scene runs/living --out without.ply --remove sofa
   coseg export --scene runs/living --out living.spz
   coseg prune --scene runs/living --data scenes/living --out small --within 0.1
+  coseg split --data scenes/house --blocks 3x2 blocks of a scene that is larger than a machine
+  coseg merge --out runs/house runs/?_?        one scene of their runs
   coseg bench --run runs/living                speed on this machine
   coseg compare configs/tables/table1.toml --data-root scenes --out runs/table1
 
@@ -131,6 +135,10 @@ pub enum Command {
     Export(export::ExportArgs),
     /// Leave out the Gaussians that the photos of a scene do not need
     Prune(prune::PruneArgs),
+    /// Split a scene into overlapping blocks that are trained one by one
+    Split(split::SplitArgs),
+    /// Put the trained blocks of a scene together
+    Merge(merge::MergeArgs),
     /// Measure speed, error and memory on this machine
     Bench(bench::BenchArgs),
     /// Make a table of variants on equal Gaussians, as a plan states it
@@ -158,6 +166,8 @@ impl Command {
             Self::Edit(_) => &["edit"],
             Self::Export(_) => &["export"],
             Self::Prune(_) => &["prune"],
+            Self::Split(_) => &["split"],
+            Self::Merge(_) => &["merge"],
             Self::Bench(_) => &["bench"],
             Self::Compare(_) => &["compare"],
             Self::Completions(_) => &[],
@@ -184,6 +194,8 @@ impl Command {
             Self::Edit(args) => args.run(),
             Self::Export(args) => args.run(),
             Self::Prune(args) => args.run(),
+            Self::Split(args) => args.run(),
+            Self::Merge(args) => args.run(),
             Self::Bench(args) => args.run(),
             Self::Completions(args) => args.run(),
         };

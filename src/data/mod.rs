@@ -3,6 +3,7 @@
 pub(crate) mod bilinear;
 pub mod mask;
 
+pub mod blocks;
 pub mod builtin;
 pub(crate) mod diagnostics;
 pub mod formats;

@@ -1,6 +1,7 @@
 //! Labels of Gaussians: association of segments across views, votes over raw labels, stored identities, label rendering, edits.
 
 mod association;
+mod borders;
 mod calibration;
 mod coloring;
 mod editing;
@@ -19,6 +20,7 @@ mod superpoints;
 mod vote;
 
 pub use self::association::{Association, Group, associate};
+pub use self::borders::{BlockObjects, JoinedObjects, join_objects};
 pub use self::calibration::{Calibration, LabelErrors};
 pub use self::coloring::color_apart;
 pub use self::editing::{Edited, Editing};

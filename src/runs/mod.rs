@@ -1,6 +1,7 @@
 //! Run folders and scene files, and what commands do with them: their names, checks of what is written, training, votes, edits.
 
 mod folder;
+mod merge;
 mod object_edits;
 mod object_scene;
 mod scene_file;
@@ -8,6 +9,7 @@ mod training;
 mod vote;
 
 pub use self::folder::{IDENTITIES, RENDERS, REPORT, RunFolder, StartedRun, identities_beside};
+pub use self::merge::{Merged, merge};
 pub use self::object_edits::{ObjectEdits, turn};
 pub use self::object_scene::{
     ObjectScene, check_output, has_table, scene_output, without_labels, write_classes, write_scene,

@@ -14,6 +14,7 @@ mod pipeline;
 mod raster;
 mod reconstruction;
 mod report;
+mod runs;
 mod segmentation;
 mod segmenter;
 mod splat;

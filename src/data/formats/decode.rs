@@ -18,7 +18,7 @@ use std::sync::Arc;
 
 impl Listing {
     /// World direction that points up.
-    fn up(&self) -> DVec3 {
+    pub fn up(&self) -> DVec3 {
         if self.z_up {
             return DVec3::Z;
         }
@@ -125,6 +125,10 @@ impl Listing {
                 "{}: {left_out} points of the initial cloud are left out: they lie {MAX_STRAY} times as far out as half of all points",
                 self.file.display()
             );
+        }
+        if let Some(region) = &self.region {
+            let frames: Vec<&Frame> = self.frames.iter().collect();
+            region.thin(&mut points, &frames, origin);
         }
         Ok(points)
     }

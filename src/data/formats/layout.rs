@@ -5,6 +5,7 @@ use super::listing::Listing;
 use super::{colmap, replica, scannet, transforms};
 use crate::config::Layout;
 use crate::data::LoadOptions;
+use crate::data::blocks::Block;
 use crate::data::labels::map_geometry::MapGeometries;
 use crate::data::photos::{HEIC_HELP, is_heic, is_photo, is_video};
 use crate::error::{Error, Result, ensure, invalid};
@@ -35,6 +36,10 @@ pub(super) fn find(dir: &Path, options: &LoadOptions) -> Result<Option<Layout>> 
         "give the folder that holds the photos and their cameras, not a file"
     };
     ensure!(dir.is_dir(), dir, "scene"; found "a file"; expected "a scene folder"; help "{help}");
+    if let Some(block) = Block::in_folder(dir)? {
+        let (scene, options) = block.whole(dir, options)?;
+        return find(&scene, &options);
+    }
     let layout = match options.layout {
         Layout::Auto => detect(dir, options)?,
         named => Some(named),
@@ -163,8 +168,11 @@ fn expect_raw_labels(dir: &Path, options: &LoadOptions) -> Result<()> {
     Ok(())
 }
 
-/// Lists the frames of a folder of any layout. Faults of single frames go to `problems`.
+/// Lists the frames of a folder of any layout, or of a block of one. Faults of single frames go to `problems`.
 pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
+    if let Some(block) = Block::in_folder(dir)? {
+        return block.list(dir, options, problems);
+    }
     let folder = Folder {
         dir,
         options,

@@ -5,6 +5,7 @@ use super::folder::{Folder, Problems};
 use super::frame::Frame;
 use super::label_folder::choose_raw_files;
 use crate::config::Layout;
+use crate::data::blocks::Region;
 use crate::data::labels::map_geometry::MapGeometries;
 use crate::data::labels::raw::{self, RawFile, RawLabels};
 use crate::data::{Classes, Limits, LoadOptions, Split};
@@ -36,6 +37,8 @@ pub(crate) struct Listing {
     pub resample_labels: bool,
     /// The initial cloud.
     pub cloud: Cloud,
+    /// The region of a block, where the folder is one: the cloud is thinned out outside it.
+    pub region: Option<Region>,
     /// Whether +z is up in the world; else the cameras tell.
     pub z_up: bool,
     /// Sentences on what is left out or assumed.
@@ -88,6 +91,7 @@ impl Listing {
             geometries: MapGeometries::default(),
             resample_labels: false,
             cloud: Cloud::None,
+            region: None,
             z_up: false,
             notices: Vec::new(),
         }

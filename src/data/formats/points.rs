@@ -40,11 +40,16 @@ impl Points {
         // Where half of all points lie in one place, nobody knows.
         let is_kept = |p: &[f32; 3]| most == 0.0 || distance(p) <= most;
         let kept: Vec<bool> = self.positions.iter().map(is_kept).collect();
+        self.retain(&kept);
+        count - self.len()
+    }
+
+    /// Keeps those points for which `kept` says so.
+    pub(crate) fn retain(&mut self, kept: &[bool]) {
         let mut keeps = kept.iter();
         self.positions.retain(|_| *keeps.next().unwrap_or(&true));
         let mut keeps = kept.iter();
         self.colors.retain(|_| *keeps.next().unwrap_or(&true));
-        count - self.len()
     }
 
     /// Reads element `vertex` of a PLY file: `x y z` (any scalar type) and `red green blue`.

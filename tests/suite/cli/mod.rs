@@ -24,6 +24,7 @@ pub mod render_path;
 pub mod render_settings;
 pub mod select;
 pub mod separate;
+pub mod split;
 pub mod train;
 pub mod view;
 pub mod views;

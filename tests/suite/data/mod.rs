@@ -2,6 +2,7 @@
 
 pub mod annotations;
 pub mod blender;
+pub mod blocks;
 pub mod broken_colmap;
 pub mod broken_masks;
 pub mod broken_transforms;

@@ -1,0 +1,254 @@
+//! The file of a block, and the scene folder that it stands for.
+
+use super::{Grid, Region};
+use crate::config::{DataConfig, Layout};
+use crate::data::formats::folder::Problems;
+use crate::data::formats::layout;
+use crate::data::formats::listing::Listing;
+use crate::data::{LoadOptions, Split};
+use crate::error::{Error, Result, bail, ensure};
+use crate::files::{self, atomic};
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::path::{Component, Path, PathBuf};
+
+/// The name of the file in the folder of a block.
+pub const BLOCK: &str = "block.json";
+/// The version of the file.
+const VERSION: u32 = 1;
+const EXPECTED: &str = "a block that `coseg split` wrote";
+const AGAIN: &str = "split the scene again";
+
+/// A block of a scene. Its region follows from the grid and its place there, so that blocks of one grid cover space once.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Block {
+    version: u32,
+    /// The scene folder, absolute or relative to that of the block.
+    pub scene: PathBuf,
+    /// How the scene folder was read.
+    pub reading: Reading,
+    /// All blocks.
+    pub grid: Grid,
+    /// Column and row of this block.
+    pub index: [usize; 2],
+    /// Names of its training frames.
+    pub train: Vec<String>,
+    /// Names of its held-out frames.
+    pub test: Vec<String>,
+}
+
+/// What decides on the frames of a scene folder and on their splits.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reading {
+    /// As [`LoadOptions::layout`], never `auto`.
+    pub layout: Layout,
+    /// As [`LoadOptions::transforms`].
+    pub transforms: String,
+    /// As [`LoadOptions::images`].
+    pub images: String,
+    /// As [`LoadOptions::stride`].
+    pub stride: usize,
+    /// As [`LoadOptions::max_frames`].
+    pub max_frames: usize,
+}
+
+impl Reading {
+    pub(super) fn of(options: &LoadOptions, layout: Layout) -> Self {
+        Self {
+            layout,
+            transforms: options.transforms.clone(),
+            images: options.images.clone(),
+            stride: options.stride,
+            max_frames: options.max_frames,
+        }
+    }
+
+    /// Makes `config` read the whole scene in folder `dir` as it was split.
+    pub fn apply(&self, dir: PathBuf, config: &mut DataConfig) {
+        config.dir = Some(dir);
+        config.layout = self.layout;
+        config.transforms.clone_from(&self.transforms);
+        config.images.clone_from(&self.images);
+        config.stride = self.stride;
+        config.max_frames = self.max_frames;
+    }
+
+    /// How the scene is listed to find the frames of a block, of which `options` may take fewer. Other names of files count if
+    /// they are not the usual ones, for instance those of other labels.
+    fn options(&self, options: &LoadOptions) -> LoadOptions {
+        let usual = LoadOptions::default();
+        let name = |given: &String, usual: &String, own: &String| {
+            if given == usual { own } else { given }.clone()
+        };
+        LoadOptions {
+            layout: self.layout,
+            transforms: name(&options.transforms, &usual.transforms, &self.transforms),
+            images: name(&options.images, &usual.images, &self.images),
+            stride: self.stride,
+            max_frames: self.max_frames,
+            ..options.clone()
+        }
+    }
+}
+
+impl Block {
+    pub(super) fn new(
+        scene: PathBuf,
+        reading: Reading,
+        grid: Grid,
+        index: [usize; 2],
+        [train, test]: [Vec<String>; 2],
+    ) -> Self {
+        Self {
+            version: VERSION,
+            scene,
+            reading,
+            grid,
+            index,
+            train,
+            test,
+        }
+    }
+
+    /// Column and row, as the folder is called.
+    pub fn name(&self) -> String {
+        let [column, row] = self.index;
+        format!("{column}_{row}")
+    }
+
+    /// What it is trained on.
+    pub fn region(&self) -> Region {
+        self.grid.extended(self.index)
+    }
+
+    /// The block in the folder `dir`; `None` where the folder has no such file.
+    ///
+    /// # Errors
+    /// As [`Block::read`].
+    pub fn in_folder(dir: &Path) -> Result<Option<Self>> {
+        let file = dir.join(BLOCK);
+        match file.try_exists() {
+            Ok(true) => Self::read(&file).map(Some),
+            _ => Ok(None),
+        }
+    }
+
+    /// Reads the file of a block.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Input`] for another version, and for fields that are missing, unknown or contradict each other.
+    pub fn read(file: &Path) -> Result<Self> {
+        #[derive(Deserialize)]
+        struct Versioned {
+            version: u32,
+        }
+        let Versioned { version } = files::json(file, EXPECTED)?;
+        ensure!(version == VERSION, file, "version"; found "{version}"; expected "{VERSION}"; help "{AGAIN} with this program");
+        let block: Self = files::json(file, EXPECTED)?;
+        if let Some((field, expected)) = block.grid.fault() {
+            bail!(file, "grid.{field}"; found "other values"; expected "{expected}"; help "{AGAIN}");
+        }
+        let [column, row] = block.index;
+        let [columns, rows] = block.grid.counts;
+        ensure!(column < columns && row < rows, file, "index"; found "{column}, {row}";
+            expected "a column below {columns} and a row below {rows}"; help "{AGAIN}");
+        Ok(block)
+    }
+
+    /// Writes the file into the folder `dir`, with a relative path to the scene where both are below one folder.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Argument`] for a file that the running command did not write.
+    pub fn write(&self, dir: &Path) -> Result<()> {
+        std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "create", e))?;
+        let scene = relative(&self.scene, dir).unwrap_or_else(|| self.scene.clone());
+        let block = Self {
+            scene,
+            ..self.clone()
+        };
+        atomic::write_json(dir.join(BLOCK), &block)
+    }
+
+    /// The folder of the whole scene, where this block is that of the folder `dir`.
+    ///
+    /// # Errors
+    /// [`Error::Missing`] where there is none; [`Error::Input`] for one that is a block itself.
+    pub fn scene_folder(&self, dir: &Path) -> Result<PathBuf> {
+        let scene = dir.join(&self.scene);
+        if !scene.is_dir() {
+            let help = format!(
+                "{} names it: put it there, or {AGAIN}",
+                dir.join(BLOCK).display()
+            );
+            return Err(Error::missing("folder", scene, help));
+        }
+        ensure!(!scene.join(BLOCK).exists(), dir.join(BLOCK), "scene"; found "{}, a block itself", self.scene.display();
+            expected "the folder of a whole scene"; help "{AGAIN}");
+        Ok(scene.canonicalize().unwrap_or(scene))
+    }
+
+    /// How the whole scene is read, and its folder.
+    pub(crate) fn whole(
+        &self,
+        dir: &Path,
+        options: &LoadOptions,
+    ) -> Result<(PathBuf, LoadOptions)> {
+        Ok((self.scene_folder(dir)?, self.reading.options(options)))
+    }
+
+    /// Lists the frames of the block in folder `dir`; of these, `options` may take fewer.
+    pub(crate) fn list(
+        &self,
+        dir: &Path,
+        options: &LoadOptions,
+        problems: &mut Problems,
+    ) -> Result<Listing> {
+        let (scene, whole) = self.whole(dir, options)?;
+        let mut listing = layout::list(&scene, &whole, problems)?;
+        let train = self.train.iter().map(|name| (&**name, Split::Train));
+        let test = self.test.iter().map(|name| (&**name, Split::Test));
+        let mut splits: HashMap<&str, Split> = train.chain(test).collect();
+        listing.frames.retain_mut(|frame| {
+            let split = splits.remove(&*frame.name);
+            frame.split = split.unwrap_or(frame.split);
+            split.is_some()
+        });
+        if let Some(name) = splits.keys().min() {
+            problems.push(crate::error::invalid!(dir.join(BLOCK), "train, test";
+                found "{name} and {} other frames that {} does not have", splits.len() - 1, listing.file.display();
+                expected "frames of the scene"; help "{AGAIN}: it has changed"));
+        }
+        let given: Vec<_> = listing
+            .frames
+            .iter()
+            .map(|frame| Some(frame.split))
+            .collect();
+        let mut picked = vec![false; given.len()];
+        options
+            .pick(&given)
+            .iter()
+            .for_each(|(i, _)| picked[*i] = true);
+        let mut picked = picked.into_iter();
+        listing.frames.retain(|_| picked.next().unwrap_or(true));
+        listing.region = Some(self.region());
+        Ok(listing)
+    }
+}
+
+/// `to` as seen from the folder `from`, where both are below one folder that is not the root.
+fn relative(to: &Path, from: &Path) -> Option<PathBuf> {
+    let [to, from] = [to.canonicalize().ok()?, from.canonicalize().ok()?];
+    let same = to.components().zip(from.components());
+    let shared = same.take_while(|(a, b)| a == b).count();
+    let named = to
+        .components()
+        .take(shared)
+        .filter(|part| matches!(part, Component::Normal(_)));
+    if named.count() == 0 {
+        return None;
+    }
+    let up = from.components().skip(shared).map(|_| Component::ParentDir);
+    Some(up.chain(to.components().skip(shared)).collect())
+}

@@ -1,0 +1,107 @@
+//! Which frames belong to which block.
+
+use super::visibility::Cloud;
+use super::{Block, Grid, Reading};
+use crate::data::formats::folder::Problems;
+use crate::data::formats::frame::Frame;
+use crate::data::formats::layout;
+use crate::data::formats::listing::Listing;
+use crate::data::options::evenly;
+use crate::data::{LoadOptions, Points, Split};
+use crate::error::{Result, ensure};
+use crate::files;
+use glam::DVec3;
+use rayon::prelude::*;
+use std::path::Path;
+
+/// A block has the frames in which its core fills at least this share of the photo, and those taken in its region.
+const MIN_SHARE: f64 = 0.25;
+/// Points of the initial cloud that are looked at, at most.
+const MAX_POINTS: usize = 200_000;
+
+/// A block that was planned and is not written yet.
+#[derive(Clone, Debug)]
+pub struct PlannedBlock {
+    /// The block; its [`Block::scene`] is an absolute path.
+    pub block: Block,
+    /// Points of the initial cloud that its training starts from.
+    pub points: usize,
+}
+
+/// Splits the scene in folder `dir` into `counts` columns and rows of blocks. Photos are not decoded, unless the initial cloud has
+/// to be made of depth images.
+///
+/// # Errors
+/// As [`crate::data::load`] for the list of frames and the cloud; [`crate::Error::Argument`] for a folder that is a block itself, and
+/// as [`Grid::new`].
+pub fn split(dir: &Path, options: &LoadOptions, counts: [usize; 2]) -> Result<Vec<PlannedBlock>> {
+    ensure!(Block::in_folder(dir)?.is_none(), argument "--data"; found "{}, a block", dir.display();
+        expected "a whole scene"; help "split the scene into more blocks");
+    let mut problems = Problems::default();
+    let mut listing = layout::list(dir, options, &mut problems)?;
+    problems.first()?;
+    listing.check_sizes(&options.limits)?;
+    let train = listing
+        .frames
+        .iter()
+        .filter(|frame| frame.split == Split::Train);
+    let places: Vec<DVec3> = train.map(|frame| frame.camera.center).collect();
+    let grid = Grid::new(counts, &places, listing.up())?;
+    let origin = listing.origin();
+    let points = listing.points(origin, &options.limits)?;
+    let members = members(&listing, &points, origin, &grid);
+    let scene = files::absolute(dir)?;
+    let reading = Reading::of(options, listing.layout);
+    let frames = std::mem::take(&mut listing.frames);
+    let planned = grid.indices().zip(&members).map(|(index, members)| {
+        let names = |split: Split| {
+            let of_split = members
+                .iter()
+                .map(|&i| &frames[i])
+                .filter(|frame| frame.split == split);
+            of_split.map(|frame| frame.name.clone()).collect()
+        };
+        let mut start = points.clone();
+        let shown: Vec<_> = members.iter().map(|&i| &frames[i]).collect();
+        grid.extended(index).thin(&mut start, &shown, origin);
+        PlannedBlock {
+            block: Block::new(
+                scene.clone(),
+                reading.clone(),
+                grid.clone(),
+                index,
+                [names(Split::Train), names(Split::Test)],
+            ),
+            points: start.len(),
+        }
+    });
+    Ok(planned.collect())
+}
+
+/// For each block of the grid the frames that belong to it, by number.
+fn members(listing: &Listing, points: &Points, origin: DVec3, grid: &Grid) -> Vec<Vec<usize>> {
+    let chosen = evenly(points.len(), MAX_POINTS).into_iter();
+    let world = |i: usize| DVec3::from(points.positions[i].map(f64::from)) + origin;
+    let cloud = Cloud::new(chosen.map(world), grid);
+    let regions: Vec<_> = grid.indices().map(|index| grid.extended(index)).collect();
+    let blocks_of = |frame: &Frame| -> Vec<bool> {
+        let shares = cloud.shares(&frame.camera);
+        let belongs = regions
+            .iter()
+            .zip(shares)
+            .map(|(region, share)| share >= MIN_SHARE || region.contains(frame.camera.center));
+        belongs.collect()
+    };
+    let mut of_frames = Vec::new();
+    listing
+        .frames
+        .par_iter()
+        .map(blocks_of)
+        .collect_into_vec(&mut of_frames);
+    let of_block = |block: usize| {
+        (0..of_frames.len())
+            .filter(|&i| of_frames[i][block])
+            .collect()
+    };
+    (0..grid.len()).map(of_block).collect()
+}

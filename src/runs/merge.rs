@@ -1,0 +1,338 @@
+//! The runs of the blocks of a scene as one scene.
+
+use super::{
+    CAMERAS, CLASSES, CONFIG, IDENTITIES, RunFolder, SCENE, identities_beside, write_classes,
+};
+use crate::config::{Association, Config};
+use crate::data::blocks::{BLOCK, Block};
+use crate::data::formats::transforms;
+use crate::data::{self, Classes, Limits, NamedCamera, read_cameras};
+use crate::error::{Result, bail, ensure};
+use crate::files::lock::Lock;
+use crate::files::{atomic, own};
+use crate::objects::{BlockObjects, Identities, join_objects};
+use crate::splat::{Gaussians, ply};
+use glam::DVec3;
+use std::collections::{BTreeMap, HashSet};
+use std::path::{Path, PathBuf};
+
+/// A run on a block.
+struct Part {
+    run: PathBuf,
+    config: Config,
+    block: Block,
+    /// The folder of the whole scene.
+    scene: PathBuf,
+    gaussians: Gaussians,
+    /// Centres of the Gaussians in the world.
+    places: Vec<DVec3>,
+    labels: Option<Vec<u16>>,
+    classes: Classes,
+    identities: Option<Identities>,
+    cameras: Vec<NamedCamera>,
+}
+
+/// A scene that was put together.
+#[derive(Clone, Debug)]
+pub struct Merged {
+    /// The Gaussians of all cores, in the order of blocks.
+    pub gaussians: Gaussians,
+    /// What was subtracted from every position.
+    pub origin: DVec3,
+    /// One id for each, where the runs have labels.
+    pub labels: Option<Vec<u16>>,
+    /// What the ids mean.
+    pub classes: Classes,
+    /// Scores of each Gaussian for each class, where all runs have some.
+    pub identities: Option<Identities>,
+    /// The cameras of all runs, each once.
+    pub cameras: Vec<NamedCamera>,
+    /// The settings of the first run, for the whole scene.
+    pub config: Config,
+    /// For each block its name, how many of its Gaussians lie in its core, and all of them.
+    pub blocks: Vec<(String, [usize; 2])>,
+    /// How many objects of blocks were joined with one of another block; `None` where labels are classes.
+    pub joined: Option<usize>,
+}
+
+/// Puts the scenes of `runs` together, which were trained on all blocks of one split, each on one. Each block gives the Gaussians
+/// whose centres lie in its core. Ids that association gave are joined over the borders, see [`join_objects`].
+///
+/// # Errors
+/// [`crate::Error::Argument`] naming a run that is of no block or of another split, a block that is missing or there twice;
+/// [`crate::Error::Input`] for class tables that contradict each other; those of reading the runs.
+pub fn merge(runs: &[PathBuf]) -> Result<Merged> {
+    let parts = opened(runs)?;
+    check_complete(&parts)?;
+    let origin = parts[0].1;
+    let mut parts: Vec<Part> = parts
+        .into_iter()
+        .map(|(part, own)| part.moved(own - origin))
+        .collect();
+    parts.sort_by_key(|part| part.block.index);
+    let kept: Vec<Vec<u32>> = parts.iter().map(Part::core).collect();
+    let is_labelled = parts.iter().all(|part| part.labels.is_some());
+    let are_objects = parts
+        .iter()
+        .any(|part| part.config.data.association != Association::None);
+    let (ids, classes, joined) = if is_labelled && are_objects {
+        objects(&parts, &kept)?
+    } else {
+        (Vec::new(), classes(&parts)?, None)
+    };
+    let id = |part: usize, id: u16| match ids.get(part) {
+        Some(ids) => ids.get(&id).copied().unwrap_or(classes.ignore),
+        None => id,
+    };
+    let labels = is_labelled.then(|| {
+        let labels = parts
+            .iter()
+            .zip(&kept)
+            .enumerate()
+            .flat_map(|(i, (part, rows))| {
+                let labels = part.labels.as_deref().unwrap_or_default();
+                rows.iter().map(move |&row| (i, labels[row as usize]))
+            });
+        labels.map(|(part, label)| id(part, label)).collect()
+    });
+    let mut config = parts[0].config.clone();
+    let scene = parts[0].scene.clone();
+    parts[0].block.reading.apply(scene, &mut config.data);
+    let mut names = HashSet::new();
+    let cameras = parts.iter().flat_map(|part| &part.cameras);
+    let cameras = cameras.filter(|camera| names.insert(&camera.name)).cloned();
+    let count =
+        |(part, rows): (&Part, &Vec<u32>)| (part.block.name(), [rows.len(), part.gaussians.len()]);
+    Ok(Merged {
+        gaussians: gaussians(&parts, &kept),
+        origin,
+        labels,
+        identities: identities(&parts, &kept, &classes, &id),
+        cameras: cameras.collect(),
+        config,
+        blocks: parts.iter().zip(&kept).map(count).collect(),
+        joined,
+        classes,
+    })
+}
+
+/// The runs, and the origin of each.
+fn opened(runs: &[PathBuf]) -> Result<Vec<(Part, DVec3)>> {
+    ensure!(!runs.is_empty(), argument "RUN"; found "nothing"; expected "the runs of all blocks"; help "name their folders");
+    runs.iter().map(|run| Part::open(run)).collect()
+}
+
+/// Refuses runs of different splits, and blocks that are missing or there twice.
+fn check_complete(parts: &[(Part, DVec3)]) -> Result<()> {
+    let first = &parts[0].0;
+    let mut found: BTreeMap<[usize; 2], &Path> = BTreeMap::new();
+    for (part, _) in parts {
+        let run = part.run.display();
+        ensure!(part.scene == first.scene && part.block.grid == first.block.grid && part.block.reading == first.block.reading,
+            argument "RUN"; found "{run}, a run on a block of another split than {}", first.run.display();
+            expected "blocks of one split"; help "name the runs of one split");
+        if let Some(other) = found.insert(part.block.index, &part.run) {
+            bail!(argument "RUN"; found "{} and {run}, two runs on block {}", other.display(), part.block.name();
+                expected "each block once"; help "leave one of the two out");
+        }
+    }
+    let missing = first
+        .block
+        .grid
+        .indices()
+        .filter(|index| !found.contains_key(index));
+    let missing: Vec<String> = missing
+        .map(|[column, row]| format!("{column}_{row}"))
+        .collect();
+    ensure!(missing.is_empty(), argument "RUN"; found "no run on {}", missing.join(", ");
+        expected "all {} blocks", first.block.grid.len(); help "train the blocks that are missing, and name their runs too");
+    Ok(())
+}
+
+impl Part {
+    fn open(dir: &Path) -> Result<(Self, DVec3)> {
+        let run = RunFolder::existing(dir)?;
+        let config = run.config(&[])?;
+        let help = "leave it out, or put the folder of the block back";
+        let Some(folder) = &config.data.dir else {
+            bail!(argument "RUN"; found "{}, a run on the built-in room", dir.display();
+                expected "a run on a block of `coseg split`"; help "{help}");
+        };
+        let Some(block) = Block::in_folder(folder)? else {
+            bail!(argument "RUN"; found "{}, trained on {}, where no {BLOCK} is", dir.display(), folder.display();
+                expected "a run on a block of `coseg split`"; help "{help}");
+        };
+        let scene = run.file(SCENE);
+        let ply = ply::read(&scene, &Limits::default())?;
+        let classes = run.classes()?;
+        let part = Self {
+            run: dir.to_owned(),
+            scene: block.scene_folder(folder)?,
+            config,
+            block,
+            places: ply.gaussians.positions(ply.origin),
+            identities: identities_beside(&scene, ply.gaussians.len(), classes.len())?,
+            cameras: read_cameras(&run.file(CAMERAS), None)?,
+            gaussians: ply.gaussians,
+            labels: ply.labels,
+            classes,
+        };
+        Ok((part, ply.origin))
+    }
+
+    /// With centres moved by `offset`.
+    fn moved(mut self, offset: DVec3) -> Self {
+        if offset != DVec3::ZERO {
+            for mean in &mut self.gaussians.means {
+                *mean = (DVec3::from(mean.map(f64::from)) + offset)
+                    .as_vec3()
+                    .to_array();
+            }
+        }
+        self
+    }
+
+    /// The Gaussians of the core.
+    fn core(&self) -> Vec<u32> {
+        let is_own = |(_, place): &(u32, &DVec3)| self.block.grid.cell(**place) == self.block.index;
+        (0..)
+            .zip(&self.places)
+            .filter(is_own)
+            .map(|(row, _)| row)
+            .collect()
+    }
+}
+
+/// The Gaussians `kept` of all parts.
+fn gaussians(parts: &[Part], kept: &[Vec<u32>]) -> Gaussians {
+    let degree = parts.iter().map(|part| part.gaussians.sh_degree).max();
+    let mut all = Gaussians {
+        sh_degree: degree.unwrap_or(0),
+        ..Gaussians::default()
+    };
+    for (part, rows) in parts.iter().zip(kept) {
+        let more = part.gaussians.select(rows).with_sh_degree(all.sh_degree);
+        all.means.extend(more.means);
+        all.log_scales.extend(more.log_scales);
+        all.rotations.extend(more.rotations);
+        all.opacity_logits.extend(more.opacity_logits);
+        all.sh.extend(more.sh);
+    }
+    all
+}
+
+/// The classes of all parts. An id must have the same name in all of them.
+fn classes(parts: &[Part]) -> Result<Classes> {
+    let ignore = parts[0].classes.ignore;
+    let mut entries = BTreeMap::new();
+    for part in parts {
+        let file = part.run.join(CLASSES);
+        ensure!(part.classes.is_empty() || part.classes.ignore == ignore, &file, "unlabelled id"; found "{}", part.classes.ignore;
+            expected "{ignore}, as in {}", parts[0].run.display(); help "train the blocks on one class table");
+        for class in &part.classes.entries {
+            let known = entries.entry(class.id).or_insert_with(|| class.clone());
+            ensure!(known.name == class.name, &file, "id {}", class.id; found "{}", class.name;
+                expected "{}, as in another block", known.name; help "train the blocks on one class table");
+        }
+    }
+    let entries = entries.into_values().collect();
+    Ok(Classes { entries, ignore })
+}
+
+/// For each part the new ids of its objects, all objects, and how many were joined.
+type Objects = (Vec<BTreeMap<u16, u16>>, Classes, Option<usize>);
+
+fn objects(parts: &[Part], kept: &[Vec<u32>]) -> Result<Objects> {
+    let of_parts = parts.iter().zip(kept).map(|(part, kept)| BlockObjects {
+        kept,
+        means: &part.gaussians.means,
+        labels: part.labels.as_deref().unwrap_or_default(),
+        classes: &part.classes,
+    });
+    let mut shared = Vec::new();
+    for (j, b) in parts.iter().enumerate() {
+        for (i, a) in parts[..j].iter().enumerate() {
+            let regions = [a.block.region(), b.block.region()];
+            let inside = |part: &Part| -> Vec<u32> {
+                let in_both = |(_, place): &(u32, &DVec3)| {
+                    regions.iter().all(|region| region.contains(**place))
+                };
+                (0..)
+                    .zip(&part.places)
+                    .filter(in_both)
+                    .map(|(row, _)| row)
+                    .collect()
+            };
+            shared.push(([i, j], [inside(a), inside(b)]));
+        }
+    }
+    let joined = join_objects(&of_parts.collect::<Vec<_>>(), &shared)?;
+    Ok((joined.ids, joined.classes, Some(joined.joined)))
+}
+
+/// The scores of the Gaussians `kept` for `classes`. A class that a block does not know is as unlikely as its unlikeliest.
+fn identities(
+    parts: &[Part],
+    kept: &[Vec<u32>],
+    classes: &Classes,
+    id: &dyn Fn(usize, u16) -> u16,
+) -> Option<Identities> {
+    let mut scores = Vec::new();
+    for (i, (part, rows)) in parts.iter().zip(kept).enumerate() {
+        let own = part.identities.as_ref()?;
+        let column = |class: &data::Class| classes.index(id(i, class.id));
+        let columns: Vec<Option<usize>> = part.classes.entries.iter().map(column).collect();
+        for &row in rows {
+            let own = &own.scores[row as usize * own.classes..][..own.classes];
+            let lowest = own.iter().copied().fold(f32::INFINITY, f32::min);
+            let start = scores.len();
+            scores.resize(
+                start + classes.len(),
+                if lowest.is_finite() { lowest } else { 0.0 },
+            );
+            for (column, score) in columns.iter().zip(own) {
+                if let Some(column) = column {
+                    let to: &mut f32 = &mut scores[start + column];
+                    *to = to.max(*score);
+                }
+            }
+        }
+    }
+    Some(Identities {
+        scores,
+        classes: classes.len(),
+    })
+}
+
+impl Merged {
+    /// Refuses a folder that holds files of a scene, or files that the running command did not write.
+    ///
+    /// # Errors
+    /// [`crate::Error::Argument`].
+    pub fn check_output(out: &Path) -> Result<()> {
+        data::check_outputs("--out", &[out], None)?;
+        let files = [SCENE, CLASSES, CAMERAS, IDENTITIES, CONFIG];
+        files.iter().try_for_each(|name| own::check(out.join(name)))
+    }
+
+    /// Writes it into the folder `out` as `coseg train` writes a scene: `coseg eval` scores it.
+    ///
+    /// # Errors
+    /// [`crate::Error::Io`]; as [`ply::write`].
+    pub fn write(&self, out: &Path) -> Result<()> {
+        let _lock = Lock::new(out)?;
+        ply::write(
+            &out.join(SCENE),
+            &self.gaussians,
+            self.origin,
+            self.labels.as_deref(),
+        )?;
+        write_classes(&self.classes, &out.join(CLASSES))?;
+        transforms::write_cameras(&out.join(CAMERAS), &self.cameras)?;
+        match &self.identities {
+            Some(identities) => identities.write(&out.join(IDENTITIES))?,
+            None => atomic::remove(out.join(IDENTITIES))?,
+        }
+        atomic::write_bytes(out.join(CONFIG), self.config.to_toml()?.as_bytes())
+    }
+}

@@ -1,0 +1,3 @@
+//! Tests of `coseg::runs`.
+
+pub mod merge;
