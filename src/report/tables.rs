@@ -59,9 +59,8 @@ pub(super) fn scores(report: &Report<'_>) -> Markup {
         "mIoU pooled, %",
         "mIoU per view, %",
         "accuracy, %",
-        "iterations",
+        "steps (+ fine-tuning)",
         "learning rate",
-        "steps of fine-tuning",
         "time",
     ];
     let body = html! {
@@ -69,21 +68,29 @@ pub(super) fn scores(report: &Report<'_>) -> Markup {
             tr.ours[*row == Variant::Ours] {
                 (row_name(*row))
                 @for (pick, best) in columns.iter().zip(best) { (share(pick(&scores.pixels), best)) }
-                td { (or_dash(scores.iterations.map(|n| thousands(n as u64)))) }
+                td { (or_dash(steps(scores))) }
                 td { (or_dash(scores.learning_rate.map(|rate| rate.to_string()))) }
-                td { (or_dash(scores.fine_tuning_steps.map(|n| thousands(n as u64)))) }
                 td { (or_dash(scores.seconds.map(duration))) }
             }
             @if let Some(s) = scores.void_left_out {
                 tr.quiet {
                     th scope="row" { (swatch(color(*row))) (row.title()) ", unlabelled left out" }
                     (shares(&[s.miou, s.miou_per_view, s.accuracy]))
-                    td { "–" } td { "–" } td { "–" } td { "–" }
+                    td { "–" } td { "–" } td { "–" }
                 }
             }
         }
     };
     table(&head, body)
+}
+
+/// The steps of a trained variant, and those of its fine-tuning.
+fn steps(scores: &VariantScores) -> Option<String> {
+    let trained = thousands(scores.iterations? as u64);
+    Some(match scores.fine_tuning_steps {
+        Some(steps) => format!("{trained} + {}", thousands(steps as u64)),
+        None => trained,
+    })
 }
 
 /// The reviews of the number of Gaussians; nothing where there was none.
