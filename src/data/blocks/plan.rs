@@ -1,5 +1,6 @@
 //! Which frames belong to which block.
 
+use super::region::MAX_POINTS;
 use super::visibility::Cloud;
 use super::{Block, Grid, Reading};
 use crate::data::formats::folder::Problems;
@@ -16,9 +17,6 @@ use std::path::Path;
 
 /// A block has the frames in which its core fills at least this share of the photo, and those taken in its region.
 const MIN_SHARE: f64 = 0.25;
-/// Points of the initial cloud that are looked at, at most.
-const MAX_POINTS: usize = 200_000;
-
 /// A block that was planned and is not written yet.
 #[derive(Clone, Debug)]
 pub struct PlannedBlock {
@@ -82,7 +80,7 @@ pub fn split(dir: &Path, options: &LoadOptions, counts: [usize; 2]) -> Result<Ve
 fn members(listing: &Listing, points: &Points, origin: DVec3, grid: &Grid) -> Vec<Vec<usize>> {
     let chosen = evenly(points.len(), MAX_POINTS).into_iter();
     let world = |i: usize| DVec3::from(points.positions[i].map(f64::from)) + origin;
-    let cloud = Cloud::new(chosen.map(world), grid);
+    let cloud = Cloud::new(chosen.map(world).collect(), grid);
     let regions: Vec<_> = grid.indices().map(|index| grid.extended(index)).collect();
     let blocks_of = |frame: &Frame| -> Vec<bool> {
         let shares = cloud.shares(&frame.camera);

@@ -1,12 +1,14 @@
 //! A rectangle of the floor, of any height.
 
+use super::visibility::nearest;
 use crate::data::Points;
 use crate::data::formats::frame::Frame;
+use crate::data::options::evenly;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-/// Of the points outside a region, every so many is a start for Gaussians that its photos show.
-const THINNED: usize = 4;
+/// Points of the initial cloud that photos are looked at with, at most.
+pub(super) const MAX_POINTS: usize = 200_000;
 
 /// A rectangle of the floor, of any height, half open: its low sides belong to it. Sides may be infinite.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,25 +29,19 @@ impl Region {
     }
 
     /// Leaves out points, relative to `origin`, that training on the frames of this region does not start from. All points of the
-    /// region stay. Outside it every fourth one stays that some frame shows: without any, Gaussians of the region would take the
-    /// place of what the photos show behind it.
+    /// region stay. Outside it those stay that are the nearest in a part of a photo: without any, Gaussians of the region would
+    /// take the place of what the photos show behind it.
     pub(crate) fn thin(&self, points: &mut Points, frames: &[&Frame], origin: DVec3) {
-        let is_kept = |(i, position): (usize, &[f32; 3])| {
-            let world = DVec3::from(position.map(f64::from)) + origin;
-            self.contains(world)
-                || i.is_multiple_of(THINNED) && frames.iter().any(|frame| shows(frame, world))
-        };
-        let mut kept = Vec::new();
-        let positions = points.positions.par_iter().enumerate();
-        positions.map(is_kept).collect_into_vec(&mut kept);
+        let world = |i: usize| DVec3::from(points.positions[i].map(f64::from)) + origin;
+        let mut kept: Vec<bool> = (0..points.len()).map(|i| self.contains(world(i))).collect();
+        let chosen = evenly(points.len(), MAX_POINTS);
+        let places: Vec<DVec3> = chosen.iter().map(|&i| world(i)).collect();
+        let mut seen = Vec::new();
+        let shown = frames
+            .par_iter()
+            .map(|frame| nearest(&frame.camera, &places));
+        shown.collect_into_vec(&mut seen);
+        seen.iter().flatten().for_each(|&i| kept[chosen[i]] = true);
         points.retain(&kept);
     }
-}
-
-/// Whether a world point lies in the picture of a frame.
-fn shows(frame: &Frame, world: DVec3) -> bool {
-    let camera = &frame.camera;
-    camera.project(world).is_some_and(|(u, v, _)| {
-        (0.0..camera.width as f64).contains(&u) && (0.0..camera.height as f64).contains(&v)
-    })
 }
