@@ -50,7 +50,7 @@ pub struct ExportArgs {
     /// File to write, or a folder for one file an object
     #[arg(long, value_name = "FILE|DIR")]
     out: PathBuf,
-    /// Format of the files in a folder: ply, compressed-ply, points-ply, spz, las, laz, sog or glb [default: ply]
+    /// Files in a folder: ply, compressed-ply, points-ply, spz, las, laz, sog or glb [default: ply]
     #[arg(long, value_enum, hide_possible_values = true)]
     format: Option<FileFormat>,
     /// Export only these objects, ids or names; may be repeated
