@@ -218,7 +218,7 @@ impl Provenance {
     }
 }
 
-/// What one provenance has otherwise than another.
+/// A difference between two provenances.
 pub(crate) enum Difference {
     /// A setting by its dotted key. The values are JSON texts.
     Setting {

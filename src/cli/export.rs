@@ -24,7 +24,7 @@ With a file name the scene becomes that file; with a folder each object becomes 
   .compressed.ply  compressed PLY of PlayCanvas and SuperSplat
   .spz             SPZ of Niantic, version 3
   .points.ply      a point cloud: the centres with colour, opacity and label
-  .las .laz        the same for programs of surveyors; a label is the point source id, and 64 less than the classification
+  .las .laz        the same for surveying software; labels are point source ids, and up to 191 classification = 64 + label
   .sog .glb        through splat-transform, where it is on the PATH; labels are lost
 
 A .spz or .compressed.ply gets its labels in a file beside it, NAME.labels.json. --scene of all commands reads both formats

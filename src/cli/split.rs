@@ -19,7 +19,7 @@ together. docs/scale.md has more.
 Examples:
   coseg split --data scenes/house --blocks 3x2 --out blocks
   coseg train --data blocks/0_0 --out runs/0_0      # and so on: split prints a line for each block
-  coseg merge --out runs/house runs/?_?";
+  coseg merge --out runs/house runs/*_*";
 
 /// Arguments of `coseg split`.
 #[derive(Args, Debug)]

@@ -90,11 +90,15 @@ pub fn join_objects(
     }
     ensure!(present.len() < usize::from(u16::MAX), limit "objects of all blocks"; found "{}", present.len();
         expected "{}", u16::MAX - 1; help "merge fewer blocks, or give a segmentation of larger things");
+    let mut tables = blocks
+        .iter()
+        .map(|block| block.classes)
+        .filter(|classes| !classes.is_empty());
     let mut joined = JoinedObjects {
         ids: vec![BTreeMap::new(); blocks.len()],
         classes: Classes {
             entries: Vec::new(),
-            ignore: blocks.first().map_or(0, |block| block.classes.ignore),
+            ignore: tables.next().map_or(0, |classes| classes.ignore),
         },
         joined: 0,
     };

@@ -62,14 +62,15 @@ pub struct Merged {
 /// [`crate::Error::Argument`] naming a run that is of no block or of another split, a block that is missing or there twice;
 /// [`crate::Error::Input`] for class tables that contradict each other; those of reading the runs.
 pub fn merge(runs: &[PathBuf]) -> Result<Merged> {
-    let parts = opened(runs)?;
+    let mut parts = opened(runs)?;
+    parts.sort_by_key(|(part, _)| part.block.index);
     check_complete(&parts)?;
+    check_alike(&parts)?;
     let origin = parts[0].1;
-    let mut parts: Vec<Part> = parts
+    let parts: Vec<Part> = parts
         .into_iter()
         .map(|(part, own)| part.moved(own - origin))
         .collect();
-    parts.sort_by_key(|part| part.block.index);
     let kept: Vec<Vec<u32>> = parts.iter().map(Part::core).collect();
     let is_labelled = parts.iter().all(|part| part.labels.is_some());
     let are_objects = parts
@@ -149,6 +150,38 @@ fn check_complete(parts: &[(Part, DVec3)]) -> Result<()> {
     Ok(())
 }
 
+/// Refuses runs that differ in a setting that counts for the whole scene, or of which only some have labels.
+fn check_alike(parts: &[(Part, DVec3)]) -> Result<()> {
+    let first = &parts[0].0;
+    for (part, _) in parts {
+        let [run, other] = [&part.run, &first.run].map(|run| run.display());
+        let [now, then] = [part, first].map(|part| &part.config);
+        let differs = [
+            (
+                "data.association",
+                now.data.association != then.data.association,
+            ),
+            (
+                "data.raw_labels",
+                now.data.raw_labels != then.data.raw_labels,
+            ),
+            (
+                "data.transforms",
+                now.data.transforms != then.data.transforms,
+            ),
+            ("raster", now.raster != then.raster),
+        ];
+        if let Some((key, _)) = differs.iter().find(|(_, differs)| *differs) {
+            bail!(argument "RUN"; found "{run}, whose settings of {key} are not those of {other}";
+                expected "runs with the same settings"; help "train this block again with the settings of the others");
+        }
+        ensure!(part.labels.is_some() == first.labels.is_some(), argument "RUN";
+            found "{run} and {other}, of which only one has labels"; expected "labels in all runs, or in none";
+            help "train the blocks without labels again, with raw labels");
+    }
+    Ok(())
+}
+
 impl Part {
     fn open(dir: &Path) -> Result<(Self, DVec3)> {
         let run = RunFolder::existing(dir)?;
@@ -165,6 +198,12 @@ impl Part {
         let scene = run.file(SCENE);
         let ply = ply::read(&scene, &Limits::default())?;
         let classes = run.classes()?;
+        let cameras = read_cameras(&run.file(CAMERAS), None)?;
+        let names: HashSet<&String> = block.train.iter().chain(&block.test).collect();
+        if let Some(camera) = cameras.iter().find(|camera| !names.contains(&camera.name)) {
+            bail!(argument "RUN"; found "{}, trained on {}, which {} does not have", dir.display(), camera.name, folder.join(BLOCK).display();
+                expected "a run on the block as it is"; help "the scene was split anew since: train the block again");
+        }
         let part = Self {
             run: dir.to_owned(),
             scene: block.scene_folder(folder)?,
@@ -172,7 +211,7 @@ impl Part {
             block,
             places: ply.gaussians.positions(ply.origin),
             identities: identities_beside(&scene, ply.gaussians.len(), classes.len())?,
-            cameras: read_cameras(&run.file(CAMERAS), None)?,
+            cameras,
             gaussians: ply.gaussians,
             labels: ply.labels,
             classes,
@@ -194,12 +233,14 @@ impl Part {
 
     /// The Gaussians of the core.
     fn core(&self) -> Vec<u32> {
-        let is_own = |(_, place): &(u32, &DVec3)| self.block.grid.cell(**place) == self.block.index;
-        (0..)
-            .zip(&self.places)
-            .filter(is_own)
-            .map(|(row, _)| row)
-            .collect()
+        self.rows(|place| self.block.grid.cell(place) == self.block.index)
+    }
+
+    /// The Gaussians whose places `is_wanted` accepts.
+    fn rows(&self, is_wanted: impl Fn(DVec3) -> bool) -> Vec<u32> {
+        let rows = (0..).zip(&self.places);
+        let wanted = rows.filter(|(_, place)| is_wanted(**place));
+        wanted.map(|(row, _)| row).collect()
     }
 }
 
@@ -223,12 +264,14 @@ fn gaussians(parts: &[Part], kept: &[Vec<u32>]) -> Gaussians {
 
 /// The classes of all parts. An id must have the same name in all of them.
 fn classes(parts: &[Part]) -> Result<Classes> {
-    let ignore = parts[0].classes.ignore;
+    let first = parts.iter().find(|part| !part.classes.is_empty());
+    let first = first.unwrap_or(&parts[0]);
+    let ignore = first.classes.ignore;
     let mut entries = BTreeMap::new();
     for part in parts {
         let file = part.run.join(CLASSES);
         ensure!(part.classes.is_empty() || part.classes.ignore == ignore, &file, "unlabelled id"; found "{}", part.classes.ignore;
-            expected "{ignore}, as in {}", parts[0].run.display(); help "train the blocks on one class table");
+            expected "{ignore}, as in {}", first.run.display(); help "train the blocks on one class table");
         for class in &part.classes.entries {
             let known = entries.entry(class.id).or_insert_with(|| class.clone());
             ensure!(known.name == class.name, &file, "id {}", class.id; found "{}", class.name;
@@ -253,15 +296,11 @@ fn objects(parts: &[Part], kept: &[Vec<u32>]) -> Result<Objects> {
     for (j, b) in parts.iter().enumerate() {
         for (i, a) in parts[..j].iter().enumerate() {
             let regions = [a.block.region(), b.block.region()];
+            if !regions[0].meets(&regions[1]) {
+                continue;
+            }
             let inside = |part: &Part| -> Vec<u32> {
-                let in_both = |(_, place): &(u32, &DVec3)| {
-                    regions.iter().all(|region| region.contains(**place))
-                };
-                (0..)
-                    .zip(&part.places)
-                    .filter(in_both)
-                    .map(|(row, _)| row)
-                    .collect()
+                part.rows(|place| regions.iter().all(|region| region.contains(place)))
             };
             shared.push(([i, j], [inside(a), inside(b)]));
         }

@@ -65,12 +65,13 @@ impl Reading {
         }
     }
 
-    /// Makes `config` read the whole scene in folder `dir` as it was split.
+    /// Makes `config` read the whole scene in folder `dir` as it was split. Names of files stay if they are not the usual ones.
     pub fn apply(&self, dir: PathBuf, config: &mut DataConfig) {
+        let usual = LoadOptions::default();
         config.dir = Some(dir);
         config.layout = self.layout;
-        config.transforms.clone_from(&self.transforms);
-        config.images.clone_from(&self.images);
+        config.transforms = named(&config.transforms, &usual.transforms, &self.transforms);
+        config.images = named(&config.images, &usual.images, &self.images);
         config.stride = self.stride;
         config.max_frames = self.max_frames;
     }
@@ -79,18 +80,20 @@ impl Reading {
     /// they are not the usual ones, for instance those of other labels.
     fn options(&self, options: &LoadOptions) -> LoadOptions {
         let usual = LoadOptions::default();
-        let name = |given: &String, usual: &String, own: &String| {
-            if given == usual { own } else { given }.clone()
-        };
         LoadOptions {
             layout: self.layout,
-            transforms: name(&options.transforms, &usual.transforms, &self.transforms),
-            images: name(&options.images, &usual.images, &self.images),
+            transforms: named(&options.transforms, &usual.transforms, &self.transforms),
+            images: named(&options.images, &usual.images, &self.images),
             stride: self.stride,
             max_frames: self.max_frames,
             ..options.clone()
         }
     }
+}
+
+/// The name that is given, or `own` where it is the usual one.
+fn named(given: &str, usual: &str, own: &str) -> String {
+    if given == usual { own } else { given }.to_owned()
 }
 
 impl Block {
@@ -129,10 +132,9 @@ impl Block {
     /// As [`Block::read`].
     pub fn in_folder(dir: &Path) -> Result<Option<Self>> {
         let file = dir.join(BLOCK);
-        match file.try_exists() {
-            Ok(true) => Self::read(&file).map(Some),
-            _ => Ok(None),
-        }
+        let is_there = file.try_exists();
+        let is_there = is_there.map_err(|e| Error::io(&file, "look at", e))?;
+        is_there.then(|| Self::read(&file)).transpose()
     }
 
     /// Reads the file of a block.
@@ -217,7 +219,7 @@ impl Block {
         });
         if let Some(name) = splits.keys().min() {
             problems.push(crate::error::invalid!(dir.join(BLOCK), "train, test";
-                found "{name} and {} other frames that {} does not have", splits.len() - 1, listing.file.display();
+                found "{} frames that {} does not have, such as {name}", splits.len(), listing.file.display();
                 expected "frames of the scene"; help "{AGAIN}: it has changed"));
         }
         let given: Vec<_> = listing

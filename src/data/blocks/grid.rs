@@ -68,7 +68,10 @@ impl Grid {
             let inside = places
                 .iter()
                 .filter(|place| grid.column(place[0]) == column);
-            let inside = inside.map(|place| place[1]).collect();
+            let inside: Vec<f64> = inside.map(|place| place[1]).collect();
+            ensure!(inside.len() >= MIN_CAMERAS * rows,
+                argument "--blocks"; found "{} training cameras in column {column}: many stand in one line", inside.len();
+                expected "at least {MIN_CAMERAS} cameras for each block"; help "ask for fewer blocks, or for 1x{}", columns * rows);
             grid.rows.push(quantiles(inside, rows));
         }
         grid.check_cameras(cameras)?;

@@ -17,6 +17,7 @@ use std::path::Path;
 
 /// A block has the frames in which its core fills at least this share of the photo, and those taken in its region.
 const MIN_SHARE: f64 = 0.25;
+
 /// A block that was planned and is not written yet.
 #[derive(Clone, Debug)]
 pub struct PlannedBlock {

@@ -28,6 +28,11 @@ impl Region {
         at.cmpge(self.low).all() && at.cmplt(self.high).all()
     }
 
+    /// Whether both have points in common. The axes must be the same.
+    pub fn meets(&self, other: &Self) -> bool {
+        self.low.cmplt(other.high).all() && other.low.cmplt(self.high).all()
+    }
+
     /// Leaves out points, relative to `origin`, that training on the frames of this region does not start from. All points of the
     /// region stay. Outside it those stay that are the nearest in a part of a photo: without any, Gaussians of the region would
     /// take the place of what the photos show behind it.

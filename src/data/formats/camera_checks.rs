@@ -55,7 +55,7 @@ pub(crate) fn posed(
     let rows = pose.transpose().to_cols_array();
     if let Some(i) = rows.iter().position(|value| !is_coordinate(*value)) {
         bail!(path, "{field}"; found "{:?} in row {}, column {}", rows[i], i / 4, i % 4;
-            expected "finite numbers (f32)"; help "export the pose again, or drop the frame");
+            expected "finite numbers, no larger than places may be"; help "export the pose again, or drop the frame");
     }
     let last = pose.row(3);
     ensure!(last.abs_diff_eq(DVec4::W, 1e-6), path, "{field}"; found "last row {:?}", last.to_array();

@@ -219,7 +219,16 @@ fn requests_that_make_no_sense_are_refused() {
     }
     let same = vec![DVec3::ONE; 40];
     let error = Grid::new([2, 1], &same, DVec3::Z).unwrap_err();
+    assert_names(&error, &["0 training cameras in column 0", "in one line"]);
+    let error = Grid::new([1, 2], &same, DVec3::Z).unwrap_err();
     assert_names(&error, &["0 training cameras in block 0_0", "one place"]);
+    // All cameras have one x: columns cannot divide them, rows can.
+    let line: Vec<DVec3> = (0..40)
+        .map(|i| DVec3::new(1.0, f64::from(i), 0.0))
+        .collect();
+    let error = Grid::new([2, 2], &line, DVec3::Z).unwrap_err();
+    assert_names(&error, &["0 training cameras in column 0", "1x4"]);
+    assert_eq!(Grid::new([1, 4], &line, DVec3::Z).unwrap().len(), 4);
     let few = small_scene::scene();
     assert_names(
         &split(few.path(), &options, [1, 1]).unwrap_err(),

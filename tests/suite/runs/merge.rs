@@ -177,6 +177,13 @@ fn runs_with_other_origins_come_to_one_place() {
     });
     ply::write(&file, &ply.gaussians, shift, ply.labels.as_deref()).unwrap();
     let merged = merge(&runs).unwrap();
+    // The order of the runs makes no difference.
+    let reversed: Vec<PathBuf> = runs.iter().rev().cloned().collect();
+    let other = merge(&reversed).unwrap();
+    assert_eq!(
+        (&other.gaussians, other.origin),
+        (&merged.gaussians, merged.origin)
+    );
     let (gaussians, labels) = scene();
     let (found, _) = sorted(&merged.gaussians, merged.labels.as_ref().unwrap());
     assert_eq!(found.len(), labels.len());

@@ -61,6 +61,9 @@ impl Place<'_> {
     }
 }
 
+/// Characters of a fault that an error shows.
+const MAX_SHOWN: usize = 120;
+
 /// What serde makes of `value`, which is called `name` in messages; `expected` describes it there.
 pub(super) fn parsed<T: DeserializeOwned>(
     path: &Path,
@@ -73,7 +76,9 @@ pub(super) fn parsed<T: DeserializeOwned>(
             Some(_) => error.path().to_string(),
             None => "fields".to_owned(),
         };
-        invalid!(path, "{name}{field}"; found "{}", error.inner(); expected "{expected}";
+        // A value of the file may be long.
+        let found: String = error.inner().to_string().chars().take(MAX_SHOWN).collect();
+        invalid!(path, "{name}{field}"; found "{found}"; expected "{expected}";
             help "correct the field, or export the cameras again")
     })
 }
