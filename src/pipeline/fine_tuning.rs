@@ -2,25 +2,23 @@
 //!
 //! A decoder gives Gaussians with similar features the same label. That corrects wrong labels, but loses details that only the
 //! labels of a Gaussian itself show. So the scores of every Gaussian become free parameters, and learn the raw labels in one step
-//! for each training view, at least 300. The rate falls, so that the last views have no more to say than the others. That is enough to
-//! move a boundary where all views agree, and too little to learn errors that last. Where labels name frequent classes too often in
-//! all views, they are errors that last, and nothing is fine-tuned.
+//! for each training view, at least 100. That is enough to move a boundary where all views agree, and too little to learn errors
+//! that last. Where labels name frequent classes too often in all views, they are errors that last, and nothing is fine-tuned.
 
 use super::train_decoder::TrainingPlan;
 use crate::segmentation::loss::LabelLoss;
 
 /// Steps, at least.
-const STEPS: usize = 300;
-/// Sum of the learning rates of all steps, which is about how far Adam moves a score whose labels all agree. Scores of classes that have
-/// nothing in their favour begin 6.2 below those of certain ones. A sum of 5 gains less where errors are independent, one of 10 learns
-/// errors that last (docs/measured.md).
-const REACH: f64 = 7.5;
+const STEPS: usize = 100;
+/// Sum of the learning rates of all steps, which bounds how far Adam moves a score. Scores of classes that have nothing in their
+/// favour begin 6.2 below those of certain ones: more would turn certain Gaussians too.
+const REACH: f64 = 5.0;
 
 /// How scores are fine-tuned.
 pub(super) struct FineTuning {
-    /// Cross-entropy on raw labels, at a falling rate.
+    /// Cross-entropy on raw labels, at a constant rate.
     pub plan: TrainingPlan,
-    /// Learning rate of the first step.
+    /// Learning rate.
     pub rate: f64,
 }
 
@@ -34,11 +32,10 @@ impl FineTuning {
                 warmup: 0,
                 least_recall: 0.0,
                 iterations,
-                decay: true,
+                decay: false,
                 ..plan.clone()
             },
-            // The mean of a falling rate is half of the first one.
-            rate: 2.0 * REACH / iterations as f64,
+            rate: REACH / iterations as f64,
         }
     }
 }

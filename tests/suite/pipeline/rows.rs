@@ -96,7 +96,7 @@ fn fine_tuned_gaussians_agree_better_with_the_raw_labels_in_their_pixels() {
         terms.map(|(v, p)| f64::from(v * p.ln())).sum::<f64>() / votes.iter().sum::<f32>() as f64
     };
     let (tuned, decoded) = (run(true), run(false));
-    assert_eq!(tuned.rows[0].fine_tuning_steps, Some(300));
+    assert_eq!(tuned.rows[0].fine_tuning_steps, Some(100));
     assert_eq!(decoded.rows[0].fine_tuning_steps, None);
     let gain = likelihood(&tuned) - likelihood(&decoded);
     assert!(gain > 0.01, "{gain}");
