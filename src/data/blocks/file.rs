@@ -10,6 +10,7 @@ use crate::error::{Error, Result, bail, ensure};
 use crate::files::{self, atomic};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
+use std::io::ErrorKind;
 use std::path::{Component, Path, PathBuf};
 
 /// The name of the file in the folder of a block.
@@ -132,8 +133,11 @@ impl Block {
     /// As [`Block::read`].
     pub fn in_folder(dir: &Path) -> Result<Option<Self>> {
         let file = dir.join(BLOCK);
-        let is_there = file.try_exists();
-        let is_there = is_there.map_err(|e| Error::io(&file, "look at", e))?;
+        let is_there = match file.try_exists() {
+            // `dir` is a file.
+            Err(error) if error.kind() == ErrorKind::NotADirectory => false,
+            is_there => is_there.map_err(|e| Error::io(&file, "look at", e))?,
+        };
         is_there.then(|| Self::read(&file)).transpose()
     }
 
