@@ -1,6 +1,7 @@
 //! Folders that commands may write into: none that holds a scene's own files.
 
 use super::LoadOptions;
+use super::blocks::Block;
 use super::formats::folder::Problems;
 use super::formats::frame::Frame;
 use super::formats::layout;
@@ -53,7 +54,7 @@ pub fn check_output_file(
     let place = absolute(file);
     let own = files_read(dir, options)
         .into_iter()
-        .chain([dir.join("classes.json")]);
+        .chain([whole(dir).join("classes.json")]);
     ensure!(own.map(|file| absolute(&file)).all(|file| file != place),
         argument "{option}"; found "{}, a file of the scene", file.display();
         expected "another file"; help "name a new file");
@@ -85,7 +86,16 @@ fn folders_read(dir: &Path, options: &LoadOptions) -> BTreeSet<PathBuf> {
         .filter(|file| file.is_dir())
         .map(PathBuf::as_path);
     let parents = files.iter().filter_map(|file| file.parent());
-    folders.chain(parents).chain([dir]).map(absolute).collect()
+    let whole = whole(dir);
+    let scenes = [dir, &whole];
+    folders.chain(parents).chain(scenes).map(absolute).collect()
+}
+
+/// The folder of the whole scene, where `dir` is a block of one; else `dir`. Faults of a block are reported where it is loaded.
+fn whole(dir: &Path) -> PathBuf {
+    let block = Block::in_folder(dir).ok().flatten();
+    let scene = block.and_then(|block| block.scene_folder(dir).ok());
+    scene.unwrap_or_else(|| dir.to_owned())
 }
 
 /// Photos, label maps, masks and the initial cloud of the scene in folder `dir`.

@@ -4,7 +4,7 @@ use super::{
     CAMERAS, CLASSES, CONFIG, IDENTITIES, RunFolder, SCENE, identities_beside, write_classes,
 };
 use crate::config::{Association, Config};
-use crate::data::blocks::{BLOCK, Block};
+use crate::data::blocks::{BLOCK, Block, block_name};
 use crate::data::formats::transforms;
 use crate::data::{self, Classes, Limits, NamedCamera, read_cameras};
 use crate::error::{Result, bail, ensure};
@@ -142,9 +142,7 @@ fn check_complete(parts: &[(Part, DVec3)]) -> Result<()> {
         .grid
         .indices()
         .filter(|index| !found.contains_key(index));
-    let missing: Vec<String> = missing
-        .map(|[column, row]| format!("{column}_{row}"))
-        .collect();
+    let missing: Vec<String> = missing.map(block_name).collect();
     ensure!(missing.is_empty(), argument "RUN"; found "no run on {}", missing.join(", ");
         expected "all {} blocks", first.block.grid.len(); help "train the blocks that are missing, and name their runs too");
     Ok(())

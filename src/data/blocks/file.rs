@@ -1,6 +1,6 @@
 //! The file of a block, and the scene folder that it stands for.
 
-use super::{Grid, Region};
+use super::{Grid, Region, block_name};
 use crate::config::{DataConfig, Layout};
 use crate::data::formats::folder::Problems;
 use crate::data::formats::layout;
@@ -116,10 +116,9 @@ impl Block {
         }
     }
 
-    /// Column and row, as the folder is called.
+    /// Its name, see [`block_name`].
     pub fn name(&self) -> String {
-        let [column, row] = self.index;
-        format!("{column}_{row}")
+        block_name(self.index)
     }
 
     /// What it is trained on.

@@ -84,8 +84,7 @@ impl Grid {
             let count = cameras.iter().filter(|camera| self.cell(**camera) == index);
             let count = count.count();
             if count < MIN_CAMERAS {
-                let [column, row] = index;
-                bail!(argument "--blocks"; found "{count} training cameras in block {column}_{row}: many stand in one place";
+                bail!(argument "--blocks"; found "{count} training cameras in block {}: many stand in one place", block_name(index);
                     expected "at least {MIN_CAMERAS} cameras for each block"; help "ask for fewer blocks");
             }
         }
@@ -174,6 +173,11 @@ impl Grid {
             ..core
         }
     }
+}
+
+/// The name of the block at a column and a row, which its folder has.
+pub fn block_name([column, row]: [usize; 2]) -> String {
+    format!("{column}_{row}")
 }
 
 /// Two horizontal directions: the two world axes that are farthest from `up`, in their order, without their slope.

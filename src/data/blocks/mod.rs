@@ -10,6 +10,6 @@ mod region;
 mod visibility;
 
 pub use self::file::{BLOCK, Block, Reading};
-pub use self::grid::Grid;
+pub use self::grid::{Grid, block_name};
 pub use self::plan::{PlannedBlock, split};
 pub use self::region::Region;

@@ -3,50 +3,31 @@
 use crate::support::hall::hall;
 use crate::support::program::{fails, listed, succeeds, utf8};
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+/// The arguments that split the scene in `data`.
+fn split<'a>(data: &'a Path, counts: &'a str, out: &'a Path) -> [&'a str; 7] {
+    let [data, out] = [data, out].map(utf8);
+    ["split", "--data", data, "--blocks", counts, "--out", out]
+}
 
 #[test]
 fn blocks_are_trained_and_merged() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
-    hall(&at("hall"), false);
-    let split = |counts: &str| {
-        [
-            "split",
-            "--data",
-            utf8(&at("hall")),
-            "--blocks",
-            counts,
-            "--out",
-            utf8(&at("blocks")),
-        ]
-        .map(str::to_owned)
-    };
-    let words = |words: &[String]| {
-        words
-            .iter()
-            .map(String::as_str)
-            .collect::<Vec<_>>()
-            .join("\n")
-    };
-    let run = |arguments: &[String]| succeeds(&words(arguments).lines().collect::<Vec<_>>());
-    let said = run(&split("2x1"));
-    assert!(
-        said.contains("0_0: ")
-            && said.contains(&format!(
-                "coseg train --data {}",
-                at("blocks/1_0").display()
-            )),
-        "{said}"
-    );
-    assert_eq!(listed(&at("blocks")), ["0_0", "1_0"]);
+    let (scene, blocks) = (at("hall"), at("blocks"));
+    hall(&scene, false);
+    let said = succeeds(&split(&scene, "2x1", &blocks));
+    let line = format!("coseg train --data {}", blocks.join("1_0").display());
+    assert!(said.contains("0_0: ") && said.contains(&line), "{said}");
+    assert_eq!(listed(&blocks), ["0_0", "1_0"]);
     // Again, over its own files.
-    assert_eq!(run(&split("2x1")), said);
-    let refused =
-        |arguments: &[String], code| fails(&words(arguments).lines().collect::<Vec<_>>(), code);
-    assert!(refused(&split("1x1"), 1).contains("block 1_0 of another split"));
-    assert!(refused(&split("0x2"), 1).contains("--blocks"));
-    refused(&split("2"), 2);
+    assert_eq!(succeeds(&split(&scene, "2x1", &blocks)), said);
+    let message = fails(&split(&scene, "1x1", &blocks), 1);
+    assert!(message.contains("block 1_0 of another split"), "{message}");
+    let message = fails(&split(&scene, "0x2", &blocks), 1);
+    assert!(message.contains("--blocks"), "{message}");
+    fails(&split(&scene, "2", &blocks), 2);
     let runs: Vec<PathBuf> = ["0_0", "1_0"].map(|name| at("runs").join(name)).into();
     for (name, run) in ["0_0", "1_0"].iter().zip(&runs) {
         let data = at("blocks").join(name);
@@ -74,15 +55,22 @@ fn blocks_are_trained_and_merged() {
         said.contains("0_0: ") && said.contains("are in the core"),
         "{said}"
     );
-    for file in [
-        "scene.ply",
-        "classes.json",
+    let written = [
         "cameras.json",
+        "classes.json",
         "config.toml",
         "identities.safetensors",
-    ] {
-        assert!(merged.join(file).is_file(), "{file}");
-    }
+        "scene.ply",
+    ];
+    assert_eq!(listed(&merged), written);
+    // Again, over its own files.
+    succeeds(&[
+        "merge",
+        "--out",
+        utf8(&merged),
+        utf8(&runs[0]),
+        utf8(&runs[1]),
+    ]);
     let scores = succeeds(&["eval", utf8(&merged)]);
     assert!(scores.contains("3 held-out views"), "{scores}");
     let message = fails(&["merge", "--out", utf8(&merged), utf8(&runs[1])], 1);
@@ -93,32 +81,19 @@ fn blocks_are_trained_and_merged() {
 fn files_of_others_stay() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
-    hall(&at("hall"), false);
-    let split = |out: &str| {
-        let out = at(out);
-        fails(
-            &[
-                "split",
-                "--data",
-                utf8(&at("hall")),
-                "--blocks",
-                "2x1",
-                "--out",
-                utf8(&out),
-            ],
-            1,
-        )
-    };
+    let scene = at("hall");
+    hall(&scene, false);
+    let refused = |out: &str| fails(&split(&scene, "2x1", &at(out)), 1);
     fs::create_dir_all(at("blocks/1_0")).unwrap();
     fs::write(at("blocks/1_0/block.json"), "mine").unwrap();
-    let message = split("blocks");
+    let message = refused("blocks");
     assert!(
         message.contains("1_0/block.json, which this command did not write"),
         "{message}"
     );
     assert_eq!(fs::read(at("blocks/1_0/block.json")).unwrap(), b"mine");
     assert!(!at("blocks/0_0").exists(), "nothing is written");
-    assert!(split("hall").contains("holds files of a scene"));
+    assert!(refused("hall").contains("holds files of a scene"));
     fs::create_dir_all(at("merged")).unwrap();
     fs::write(at("merged/config.toml"), "mine").unwrap();
     let message = fails(&["merge", "--out", utf8(&at("merged")), "run"], 1);

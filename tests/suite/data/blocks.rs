@@ -5,7 +5,7 @@ use crate::support::hall::{ALONG, ROW, hall};
 use crate::support::program::read_json;
 use crate::support::{colmap, small_scene};
 use coseg::data::blocks::{BLOCK, Block, Grid, PlannedBlock, split};
-use coseg::data::{LoadOptions, Split, check, info, load};
+use coseg::data::{LoadOptions, Split, check, check_output_file, info, load};
 use glam::DVec3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -329,4 +329,14 @@ fn a_broken_block_names_its_field() {
     refuses(String::new(), &["block.json: line"]);
     fs::write(&file, good.to_string()).unwrap();
     load(&dir, &options).unwrap();
+}
+
+#[test]
+fn files_of_the_whole_scene_are_none_to_write_over() {
+    let folder = blocks(false);
+    let block = folder.path().join("blocks/0_0");
+    let options = LoadOptions::default();
+    let table = folder.path().join("hall/classes.json");
+    let error = check_output_file("--out", &table, (&block, &options)).unwrap_err();
+    assert_names(&error, &["--out", "classes.json", "a file of the scene"]);
 }
