@@ -2,7 +2,8 @@
 
 use super::lists::tile_counts;
 use super::pixel::{
-    Four, PATCH, PATCHES, SPLAT_FOURS, pixel, reaches_patch, rule, splat_four, take,
+    Four, Light, PATCH, PATCHES, Pixel, Rule, SPLAT_FOURS, pixel, reaches_patch, rule, splat_four,
+    take,
 };
 use super::prepare::Prepared;
 use super::view::BACKGROUND;
@@ -34,12 +35,156 @@ pub(super) fn four_values(values: &[f32], id: usize, channel: u32, channels: u32
     four
 }
 
+/// The Gaussians that a cube has loaded.
+#[derive(CubeType)]
+struct Batch {
+    splats: Shared<[Four]>,
+    values: Shared<[Four]>,
+}
+
+/// What the units of a cube tell each other. Each has three slots: one is written while another is read and the third is cleared.
+#[derive(CubeType)]
+struct Signals {
+    /// Whether some unit still blends.
+    live: Shared<[Atomic<u32>]>,
+    /// The Gaussians of the batch that may show in each patch: a bit for each.
+    masks: Shared<[Atomic<u32>]>,
+}
+
+#[cube]
+fn clear_slot(signals: &Signals, slot: usize, unit: usize) {
+    if unit == 0 {
+        signals.live[slot].store(0u32);
+    }
+    if unit < MASKS {
+        signals.masks[slot * MASKS + unit].store(0u32);
+    }
+}
+
+/// Loads `count` Gaussians of the list from `at` on, with the channels from `first_channel` on.
+#[cube]
+fn load_batch(
+    batch: &mut Batch,
+    gaussians: &[u32],
+    splats: &[f32],
+    values: &[f32],
+    at: usize,
+    count: usize,
+    first_channel: u32,
+    channels: u32,
+    #[comptime] fours: usize,
+) {
+    let mut k = UNIT_POS as usize;
+    while k < count * SPLAT_FOURS {
+        let id = gaussians[at + k / SPLAT_FOURS] as usize;
+        batch.splats[k] = splat_four(splats, id, k % SPLAT_FOURS);
+        k += UNITS as usize;
+    }
+    k = UNIT_POS as usize;
+    while k < count * fours {
+        let id = gaussians[at + k / fours] as usize;
+        let channel = first_channel + 4u32 * (k % fours) as u32;
+        batch.values[k] = four_values(values, id, channel, channels);
+        k += UNITS as usize;
+    }
+}
+
+/// Notes in `slot` which of the `count` Gaussians from `at` on may show in which patch of the tile.
+#[cube]
+fn mark_patches(
+    signals: &Signals,
+    slot: usize,
+    gaussians: &[u32],
+    splats: &[f32],
+    at: usize,
+    count: usize,
+    tile: usize,
+    width: u32,
+    height: u32,
+) {
+    // Neighbouring units ask for different patches, whose words do not get in each other's way.
+    let unit = UNIT_POS as usize;
+    let patch = unit % PATCHES;
+    let bit = unit / PATCHES;
+    #[unroll]
+    for word in 0..WORDS {
+        let j = word * 32 + bit;
+        if j < count {
+            let id = gaussians[at + j] as usize;
+            if reaches_patch(splats, id, tile, patch as u32, width, height) {
+                signals.masks[slot * MASKS + word * PATCHES + patch].fetch_or(1u32 << bit as u32);
+            }
+        }
+    }
+}
+
+/// Blends the Gaussians of the batch that may show in the unit's patch, front to back, until no light passes.
+#[cube]
+fn blend_batch(
+    sums: &mut Array<Four>,
+    light: &mut Light,
+    batch: &Batch,
+    signals: &Signals,
+    slot: usize,
+    own: &Pixel,
+    rule: &Rule,
+    #[comptime] fours: usize,
+) {
+    let patch = UNIT_POS as usize / PATCH;
+    #[unroll]
+    for word in 0..WORDS {
+        let mut mask = signals.masks[slot * MASKS + word * PATCHES + patch].load();
+        while mask != 0u32 && !light.blocked {
+            let j = word * 32 + mask.trailing_zeros() as usize;
+            mask &= mask - 1u32;
+            let taken = take(&batch.splats, j, own.x, own.y, light.t, rule);
+            if taken.shows {
+                if taken.next <= rule.t_min {
+                    light.blocked = true;
+                } else {
+                    let weight = Four::new(taken.alpha * light.t);
+                    #[unroll]
+                    for k in 0..fours {
+                        sums[k] += weight * batch.values[j * fours + k];
+                    }
+                    light.t = taken.next;
+                }
+            }
+        }
+    }
+}
+
+/// Writes a block of channels of a pixel, with the background behind the first three.
+#[cube]
+fn write_pixel(
+    image: &mut [f32],
+    sums: &Array<Four>,
+    t: f32,
+    view: &[f32],
+    index: usize,
+    channels: u32,
+    first_channel: u32,
+    #[comptime] block: usize,
+) {
+    #[unroll]
+    for k in 0..block {
+        let channel = first_channel + k as u32;
+        if channel < channels {
+            let mut value = sums[k / 4].extract_dynamic(k % 4);
+            if channel < 3u32 {
+                value += t * view[BACKGROUND + channel as usize];
+            }
+            image[index * channels as usize + channel as usize] = value;
+        }
+    }
+}
+
 #[cube(launch)]
 fn blend_tiles(
     ranges: &[u32],
     gaussians: &[u32],
     splats: &[f32],
-    all_values: &[f32],
+    values: &[f32],
     view: &[f32],
     image: &mut [f32],
     transmittance: &mut [f32],
@@ -57,113 +202,77 @@ fn blend_tiles(
     }
     let unit = UNIT_POS as usize;
     let fours = comptime![block.div_ceil(4)];
-    let mut batch = Shared::<[Four]>::new_slice(BATCH * SPLAT_FOURS);
-    let mut values = Shared::<[Four]>::new_slice(BATCH * fours);
-    // Whether some unit still blends: written to one slot while another is read and the third is cleared.
-    let live = Shared::<[Atomic<u32>]>::new_slice(3usize);
-    // The Gaussians that may show in each patch, in the same slots.
-    let masks = Shared::<[Atomic<u32>]>::new_slice(3 * MASKS);
-    let patch = unit / PATCH;
+    let mut batch = Batch {
+        splats: Shared::<[Four]>::new_slice(BATCH * SPLAT_FOURS),
+        values: Shared::<[Four]>::new_slice(BATCH * fours),
+    };
+    let signals = Signals {
+        live: Shared::<[Atomic<u32>]>::new_slice(3usize),
+        masks: Shared::<[Atomic<u32>]>::new_slice(3 * MASKS),
+    };
     let rule = rule(view);
     let own = pixel(tile, UNIT_POS, width, height);
-    let mut done = !own.inside;
-    let mut t = 1.0f32;
+    let mut light = Light {
+        t: 1.0f32,
+        blocked: !own.inside,
+    };
     let mut sums = Array::<Four>::new(fours);
     #[unroll]
     for k in 0..fours {
         sums[k] = Four::new(0.0f32);
     }
-    if unit == 0 {
-        live[0].store(0u32);
-    }
-    if unit < MASKS {
-        masks[unit].store(0u32);
-    }
+    clear_slot(&signals, 0usize, unit);
     sync_cube();
-    let mut at = ranges[2 * tile];
-    let end = ranges[2 * tile + 1];
-    let mut slot = 0u32;
+
+    let mut at = ranges[2 * tile] as usize;
+    let end = ranges[2 * tile + 1] as usize;
+    let mut slot = 0usize;
     while at < end {
-        let count = min(end - at, BATCH as u32);
-        let mut k = unit;
-        while k < count as usize * SPLAT_FOURS {
-            let id = gaussians[at as usize + k / SPLAT_FOURS] as usize;
-            batch[k] = splat_four(splats, id, k % SPLAT_FOURS);
-            k += UNITS as usize;
-        }
-        k = unit;
-        while k < count as usize * fours {
-            let id = gaussians[at as usize + k / fours] as usize;
-            let channel = first_channel + 4u32 * (k % fours) as u32;
-            values[k] = four_values(all_values, id, channel, channels);
-            k += UNITS as usize;
-        }
-        let next_slot = ((slot + 1u32) % 3u32) as usize;
-        if unit == 0 {
-            live[next_slot].store(0u32);
-        }
-        if unit < MASKS {
-            masks[next_slot * MASKS + unit].store(0u32);
-        }
-        #[unroll]
-        for word in 0..WORDS {
-            // Neighbouring units ask for different patches, whose words do not get in each other's way.
-            let bit = unit / PATCHES;
-            let j = word * 32 + bit;
-            if j < count as usize {
-                let id = gaussians[at as usize + j] as usize;
-                if reaches_patch(splats, id, tile, (unit % PATCHES) as u32, width, height) {
-                    masks[slot as usize * MASKS + word * PATCHES + unit % PATCHES]
-                        .fetch_or(1u32 << bit as u32);
-                }
-            }
-        }
+        let count = min(end - at, BATCH);
+        let next_slot = (slot + 1) % 3;
+        load_batch(
+            &mut batch,
+            gaussians,
+            splats,
+            values,
+            at,
+            count,
+            first_channel,
+            channels,
+            fours,
+        );
+        clear_slot(&signals, next_slot, unit);
+        mark_patches(
+            &signals, slot, gaussians, splats, at, count, tile, width, height,
+        );
         sync_cube();
-        #[unroll]
-        for word in 0..WORDS {
-            let mut mask = masks[slot as usize * MASKS + word * PATCHES + patch].load();
-            while mask != 0u32 && !done {
-                let j = word * 32 + mask.trailing_zeros() as usize;
-                mask &= mask - 1u32;
-                let taken = take(&batch, j, own.x, own.y, t, &rule);
-                if taken.shows {
-                    if taken.next <= rule.t_min {
-                        done = true;
-                    } else {
-                        let weight = Four::new(taken.alpha * t);
-                        #[unroll]
-                        for k in 0..fours {
-                            sums[k] += weight * values[j * fours + k];
-                        }
-                        t = taken.next;
-                    }
-                }
-            }
-        }
-        if !done {
-            live[slot as usize].store(1u32);
+        blend_batch(
+            &mut sums, &mut light, &batch, &signals, slot, &own, &rule, fours,
+        );
+        if !light.blocked {
+            signals.live[slot].store(1u32);
         }
         sync_cube();
         at += count;
-        if live[slot as usize].load() == 0u32 {
+        if signals.live[slot].load() == 0u32 {
             at = end;
         }
-        slot = (slot + 1u32) % 3u32;
+        slot = next_slot;
     }
+
     if own.inside {
-        #[unroll]
-        for k in 0..block {
-            let channel = first_channel + k as u32;
-            if channel < channels {
-                let mut value = sums[k / 4].extract_dynamic(k % 4);
-                if channel < 3u32 {
-                    value += t * view[BACKGROUND + channel as usize];
-                }
-                image[own.index * channels as usize + channel as usize] = value;
-            }
-        }
+        write_pixel(
+            image,
+            &sums,
+            light.t,
+            view,
+            own.index,
+            channels,
+            first_channel,
+            block,
+        );
         if comptime![with_transmittance] {
-            transmittance[own.index] = t;
+            transmittance[own.index] = light.t;
         }
     }
 }

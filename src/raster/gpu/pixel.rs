@@ -54,6 +54,15 @@ pub(super) struct Pixel {
     pub index: usize,
 }
 
+/// What passes the Gaussians that a pixel has blended.
+#[derive(CubeType, Clone, Copy)]
+pub(super) struct Light {
+    /// The transmittance T.
+    pub t: f32,
+    /// Whether blending has ended.
+    pub blocked: bool,
+}
+
 /// A patch of [`PATCH_WIDTH`] x [`PATCH_HEIGHT`] pixels belongs to neighbouring units: as many as run in step on most devices.
 pub(super) const PATCH: usize = PATCH_WIDTH * PATCH_HEIGHT;
 pub(super) const PATCH_WIDTH: usize = 8;
