@@ -6,10 +6,11 @@
 //! rows of a Gaussian are neighbours, and a second kernel adds them. So there are no float atomics, and the bits are the same every
 //! time. Everything is linear in the gradient of the image, so that channels come in blocks, and the moments of the blocks add up.
 
+use super::backward_sums::{clear_rows, sum_patches, write_rows};
 use super::blend::four_values;
 use super::pixel::{
-    Four, PATCH, PATCH_HEIGHT, PATCH_WIDTH, PATCHES, PATCHES_ACROSS, SPLAT_FOURS, pixel,
-    reaches_patch, rule, splat_four, take,
+    Four, Light, PATCH, PATCHES, Pixel, Rule, SPLAT_FOURS, pixel, reaches_patch, rule, splat_four,
+    take,
 };
 use super::project::SPLAT;
 use crate::backend::gpu::{Gpu, UNITS};
@@ -21,12 +22,12 @@ pub(super) const MOMENTS: usize = 6;
 /// of the inverse width: `|g u|`, `|g (v dv - slope u du)|`.
 pub(super) const ABSOLUTE_MOMENTS: usize = 8;
 /// Gaussians that a cube takes together.
-const BATCH: usize = 8;
+pub(super) const BATCH: usize = 8;
 /// Gaussians that a cube loads at a time: waiting for memory takes longer than computing a batch. Shared memory of 32 KB has room
 /// for these beside 12 channels.
 const LOADED: usize = 3 * BATCH;
 /// Units that sum for one Gaussian.
-const LANES: usize = UNITS as usize / BATCH;
+pub(super) const LANES: usize = UNITS as usize / BATCH;
 /// They are as many as the pixels of a patch.
 const _: () = assert!(LANES == PATCH);
 /// Channels that make one block on every device: sums of absolute values of more are not sums over blocks.
@@ -51,35 +52,173 @@ pub(super) fn widest(gpu: &Gpu, moments: usize) -> usize {
     fits.clamp(COMMON_BLOCK_CHANNELS, WIDEST[usize::from(moments == 0)])
 }
 
-/// How a projected Gaussian lies in the image: `u = du (x - slope y)` and `v = dv y` of a pixel that is `x` and `y` from its centre.
+/// Gaussians of the tile's list that a cube has loaded.
 #[derive(CubeType)]
-struct Axes {
-    slope: f32,
-    du: f32,
-    dv: f32,
+pub(super) struct Loaded {
+    pub splats: Shared<[Four]>,
+    pub values: Shared<[Four]>,
+    pub entries: Shared<[u32]>,
+    /// Whether a Gaussian may show in a patch.
+    pub reached: Shared<[u32]>,
 }
 
-/// Adds to the moments what a pixel with the gradient `g`, `x` and `y` from the centre, contributes.
+/// What the units of a cube leave for each other.
+#[derive(CubeType)]
+pub(super) struct Exchange {
+    /// The gradient of the image at each pixel.
+    pub d_pixels: Shared<[Four]>,
+    /// `alpha' T` and, for the moments, g of each pixel of a batch; then sums of lanes.
+    pub pairs: Shared<[f32]>,
+    /// Whether a Gaussian of the batch contributes to a pixel of a patch.
+    pub touched: Shared<[Atomic<u32>]>,
+    /// Whether some unit still blends: one slot is written while another is read and the third is cleared.
+    pub live: Shared<[Atomic<u32>]>,
+}
+
+/// dL/dS . S + dL/dT T of what lies behind the Gaussians so far.
+#[derive(CubeType)]
+struct Behind {
+    rest: f32,
+}
+
+/// The rows of one pass: a slab of the entries of all tiles.
+#[derive(CubeType, Clone, Copy)]
+pub(super) struct Slab {
+    pub first: u32,
+    pub end: u32,
+}
+
+/// Loads the gradient of a block of channels at the unit's pixel, for itself and for the others. Gives its part of dL/dS . S.
 #[cube]
-fn add_moments(
-    sums: &mut Array<f32>,
-    g: f32,
-    x: f32,
-    y: f32,
-    axes: &Axes,
+fn load_gradient(
+    d_own: &mut Array<Four>,
+    exchange: &mut Exchange,
+    image: &[f32],
+    d_image: &[f32],
+    own: &Pixel,
+    channels: u32,
+    first_channel: u32,
+    #[comptime] block: usize,
+    #[comptime] moments: usize,
+) -> f32 {
+    let units = comptime![UNITS as usize];
+    let end_channel = min(first_channel + block as u32, channels);
+    let mut product = 0.0f32;
+    #[unroll]
+    for k in 0..comptime![block.div_ceil(4)] {
+        let mut four = Four::new(0.0f32);
+        #[unroll]
+        for part in 0..4usize {
+            let channel = first_channel + (4 * k + part) as u32;
+            if own.inside && channel < end_channel {
+                let i = own.index * channels as usize + channel as usize;
+                let d = d_image[i];
+                four.insert_dynamic(part, d);
+                if comptime![moments > 0] {
+                    product += d * image[i];
+                }
+            }
+        }
+        d_own[k] = four;
+        exchange.d_pixels[k * units + UNIT_POS as usize] = four;
+    }
+    product
+}
+
+/// Loads `count` Gaussians of the tile's list from `at` on.
+#[cube]
+fn load_gaussians(
+    loaded: &mut Loaded,
+    gaussians: &[u32],
+    entries: &[u32],
+    splats: &[f32],
+    values: &[f32],
+    at: usize,
+    count: usize,
+    tile: usize,
+    width: u32,
+    height: u32,
+    channels: u32,
+    first_channel: u32,
+    #[comptime] fours: usize,
     #[comptime] moments: usize,
 ) {
-    let u = axes.du * (x - axes.slope * y);
-    let v = axes.dv * y;
-    sums[0] += g;
-    sums[1] += g * u;
-    sums[2] += g * v;
-    sums[3] += g * u * u;
-    sums[4] += g * u * v;
-    sums[5] += g * v * v;
-    if comptime![moments == ABSOLUTE_MOMENTS] {
-        sums[6] += (g * u).abs();
-        sums[7] += (g * (v * axes.dv - axes.slope * (u * axes.du))).abs();
+    let unit = UNIT_POS as usize;
+    if unit < count * SPLAT_FOURS {
+        let id = gaussians[at + unit / SPLAT_FOURS] as usize;
+        loaded.splats[unit] = splat_four(splats, id, unit % SPLAT_FOURS);
+    }
+    if comptime![moments > 0] && unit < count * fours {
+        let id = gaussians[at + unit / fours] as usize;
+        let channel = first_channel + 4u32 * (unit % fours) as u32;
+        loaded.values[unit] = four_values(values, id, channel, channels);
+    }
+    if unit < count {
+        loaded.entries[unit] = entries[at + unit];
+    }
+    if unit < LOADED * PATCHES {
+        let mut reaches = false;
+        if unit / PATCHES < count {
+            let id = gaussians[at + unit / PATCHES] as usize;
+            reaches = reaches_patch(splats, id, tile, (unit % PATCHES) as u32, width, height);
+        }
+        loaded.reached[unit] = u32::cast_from(reaches);
+    }
+}
+
+/// Blends the batch that starts at `first` into the unit's pixel and leaves `alpha' T` and g of each Gaussian.
+#[cube]
+fn blend_batch(
+    light: &mut Light,
+    behind: &mut Behind,
+    exchange: &mut Exchange,
+    loaded: &Loaded,
+    first: usize,
+    d_own: &Array<Four>,
+    own: &Pixel,
+    rule: &Rule,
+    #[comptime] fours: usize,
+    #[comptime] moments: usize,
+) {
+    let unit = UNIT_POS as usize;
+    let units = comptime![UNITS as usize];
+    let patch = unit / PATCH;
+    for j in 0..BATCH {
+        let mut weight = 0.0f32;
+        let mut g = 0.0f32;
+        let reached = loaded.reached[(first + j) * PATCHES + patch] > 0u32;
+        if reached && !light.blocked {
+            let taken = take(&loaded.splats, first + j, own.x, own.y, light.t, rule);
+            if taken.shows {
+                if taken.next <= rule.t_min {
+                    light.blocked = true;
+                } else {
+                    let alpha = taken.alpha;
+                    weight = alpha * light.t;
+                    if comptime![moments > 0] {
+                        let mut d = 0.0f32;
+                        #[unroll]
+                        for k in 0..fours {
+                            d += d_own[k].dot(loaded.values[(first + j) * fours + k]);
+                        }
+                        let share = weight * d;
+                        behind.rest -= share;
+                        // No gradient passes the cap.
+                        if alpha < rule.alpha_max {
+                            g = share - behind.rest * (alpha / (1.0f32 - alpha));
+                        }
+                    }
+                    light.t = taken.next;
+                    exchange.touched[j * PATCHES + patch].store(1u32);
+                }
+            }
+        }
+        if reached {
+            exchange.pairs[j * units + unit] = weight;
+            if comptime![moments > 0] {
+                exchange.pairs[(BATCH + j) * units + unit] = g;
+            }
+        }
     }
 }
 
@@ -89,7 +228,7 @@ pub(super) fn tiles_backward(
     gaussians: &[u32],
     entries: &[u32],
     splats: &[f32],
-    all_values: &[f32],
+    values: &[f32],
     view: &[f32],
     image: &[f32],
     d_image: &[f32],
@@ -118,137 +257,104 @@ pub(super) fn tiles_backward(
     let rounds = comptime![columns.div_ceil(pairs_of(moments) / UNITS as usize)];
     let together = comptime![columns.div_ceil(rounds)];
     let fours = comptime![block.div_ceil(4)];
-    let mut loaded = Shared::<[Four]>::new_slice(LOADED * SPLAT_FOURS);
-    let mut values = Shared::<[Four]>::new_slice(LOADED * fours);
-    let mut d_pixels = Shared::<[Four]>::new_slice(units * fours);
-    let mut pairs = Shared::<[f32]>::new_slice(comptime![pairs_of(moments)]);
-    let mut loaded_entries = Shared::<[u32]>::new_slice(LOADED);
-    // Whether a Gaussian may show in a patch, and whether it contributes to a pixel of the patch.
-    let mut reached = Shared::<[u32]>::new_slice(LOADED * PATCHES);
-    let touched = Shared::<[Atomic<u32>]>::new_slice(BATCH * PATCHES);
-    let live = Shared::<[Atomic<u32>]>::new_slice(3usize);
+    let mut loaded = Loaded {
+        splats: Shared::<[Four]>::new_slice(LOADED * SPLAT_FOURS),
+        values: Shared::<[Four]>::new_slice(LOADED * fours),
+        entries: Shared::<[u32]>::new_slice(LOADED),
+        reached: Shared::<[u32]>::new_slice(LOADED * PATCHES),
+    };
+    let mut exchange = Exchange {
+        d_pixels: Shared::<[Four]>::new_slice(units * fours),
+        pairs: Shared::<[f32]>::new_slice(comptime![pairs_of(moments)]),
+        touched: Shared::<[Atomic<u32>]>::new_slice(BATCH * PATCHES),
+        live: Shared::<[Atomic<u32>]>::new_slice(3usize),
+    };
+    let slab = Slab {
+        first: first_entry,
+        end: end_entry,
+    };
     let rule = rule(view);
     let own = pixel(tile, UNIT_POS, width, height);
-    let mut done = !own.inside;
-    let mut t = 1.0f32;
-    // The rest of dL/dS . S + dL/dT T after the Gaussians so far.
-    let mut rest = 0.0f32;
+    let origin = pixel(tile, 0u32, width, height);
+    let mut light = Light {
+        t: 1.0f32,
+        blocked: !own.inside,
+    };
     let mut d_own = Array::<Four>::new(fours);
-    #[unroll]
-    for k in 0..fours {
-        let mut four = Four::new(0.0f32);
-        #[unroll]
-        for part in 0..4usize {
-            let channel = first_channel + (4 * k + part) as u32;
-            if own.inside && channel < min(first_channel + block as u32, channels) {
-                let i = own.index * channels as usize + channel as usize;
-                let d = d_image[i];
-                four.insert_dynamic(part, d);
-                if comptime![moments > 0] {
-                    rest += d * image[i];
-                }
-            }
-        }
-        d_own[k] = four;
-        d_pixels[k * units + unit] = four;
-    }
+    let mut behind = Behind {
+        rest: load_gradient(
+            &mut d_own,
+            &mut exchange,
+            image,
+            d_image,
+            &own,
+            channels,
+            first_channel,
+            block,
+            moments,
+        ),
+    };
     if comptime![with_transmittance] && own.inside {
-        rest += d_transmittance[own.index] * transmittance[own.index];
+        behind.rest += d_transmittance[own.index] * transmittance[own.index];
     }
     if unit == 0 {
-        live[0].store(0u32);
+        exchange.live[0].store(0u32);
     }
     if unit < BATCH * PATCHES {
-        touched[unit].store(0u32);
+        exchange.touched[unit].store(0u32);
     }
-    let patch = unit / PATCH;
-    // The pixels that this unit sums over: the same one of every patch.
-    let member = unit / LANES;
-    let lane = unit % LANES;
-    let origin = pixel(tile, 0u32, width, height);
-    let lane_x = origin.x + f32::cast_from((lane % PATCH_WIDTH) as u32);
-    let lane_y = origin.y + f32::cast_from((lane / PATCH_WIDTH) as u32);
 
-    let mut at = ranges[2 * tile];
-    let mut end = ranges[2 * tile + 1];
-    let mut slot = 0u32;
+    let mut at = ranges[2 * tile] as usize;
+    let mut end = ranges[2 * tile + 1] as usize;
+    let mut slot = 0usize;
     while at < end {
         // Entries of a tile ascend: those beyond the slab are another pass's, and of those before it only what they leave of the
         // light counts.
-        if entries[at as usize] >= end_entry {
+        if entries[at] >= slab.end {
             end = at;
         }
-        let count = min(end - at, LOADED as u32) as usize;
-        if unit < count * SPLAT_FOURS {
-            let id = gaussians[at as usize + unit / SPLAT_FOURS] as usize;
-            loaded[unit] = splat_four(splats, id, unit % SPLAT_FOURS);
-        }
-        if comptime![moments > 0] && unit < count * fours {
-            let id = gaussians[at as usize + unit / fours] as usize;
-            let channel = first_channel + 4u32 * (unit % fours) as u32;
-            values[unit] = four_values(all_values, id, channel, channels);
-        }
-        if unit < count {
-            loaded_entries[unit] = entries[at as usize + unit];
-        }
-        if unit < LOADED * PATCHES {
-            let mut reaches = false;
-            if unit / PATCHES < count {
-                let id = gaussians[at as usize + unit / PATCHES] as usize;
-                reaches = reaches_patch(splats, id, tile, (unit % PATCHES) as u32, width, height);
-            }
-            reached[unit] = u32::cast_from(reaches);
-        }
+        let count = min(end - at, LOADED);
+        load_gaussians(
+            &mut loaded,
+            gaussians,
+            entries,
+            splats,
+            values,
+            at,
+            count,
+            tile,
+            width,
+            height,
+            channels,
+            first_channel,
+            fours,
+            moments,
+        );
         sync_cube();
 
         let mut first = 0usize;
         while first < count {
             let members = min(count - first, BATCH);
-            let before_slab = loaded_entries[first + members - 1] < first_entry;
-            let in_slab = !before_slab && loaded_entries[first] < end_entry;
-            let next_slot = (slot + 1u32) % 3u32;
+            let before_slab = loaded.entries[first + members - 1] < slab.first;
+            let in_slab = !before_slab && loaded.entries[first] < slab.end;
+            let next_slot = (slot + 1) % 3;
             if unit == 0 {
-                live[next_slot as usize].store(0u32);
+                exchange.live[next_slot].store(0u32);
             }
-            for j in 0..BATCH {
-                let mut weight = 0.0f32;
-                let mut g = 0.0f32;
-                let reached = reached[(first + j) * PATCHES + patch] > 0u32;
-                if reached && !done {
-                    let taken = take(&loaded, first + j, own.x, own.y, t, &rule);
-                    if taken.shows {
-                        if taken.next <= rule.t_min {
-                            done = true;
-                        } else {
-                            let alpha = taken.alpha;
-                            weight = alpha * t;
-                            if comptime![moments > 0] {
-                                let mut d = 0.0f32;
-                                #[unroll]
-                                for k in 0..fours {
-                                    d += d_own[k].dot(values[(first + j) * fours + k]);
-                                }
-                                let share = weight * d;
-                                rest -= share;
-                                // No gradient passes the cap.
-                                if alpha < rule.alpha_max {
-                                    g = share - rest * (alpha / (1.0f32 - alpha));
-                                }
-                            }
-                            t = taken.next;
-                            touched[j * PATCHES + patch].store(1u32);
-                        }
-                    }
-                }
-                if reached {
-                    pairs[j * units + unit] = weight;
-                    if comptime![moments > 0] {
-                        pairs[(BATCH + j) * units + unit] = g;
-                    }
-                }
-            }
-            if !done {
-                live[slot as usize].store(1u32);
+            blend_batch(
+                &mut light,
+                &mut behind,
+                &mut exchange,
+                &loaded,
+                first,
+                &d_own,
+                &own,
+                &rule,
+                fours,
+                moments,
+            );
+            if !light.blocked {
+                exchange.live[slot].store(1u32);
             }
             sync_cube();
 
@@ -258,88 +364,34 @@ pub(super) fn tiles_backward(
                 for k in 0..rounds * together {
                     sums[k] = 0.0f32;
                 }
-                let mut value_sums = Array::<Four>::new(fours);
-                #[unroll]
-                for k in 0..fours {
-                    value_sums[k] = Four::new(0.0f32);
-                }
-                let splat = loaded[(first + member) * SPLAT_FOURS];
-                let axes = Axes {
-                    slope: splat.extract(2usize),
-                    du: splat.extract(3usize),
-                    dv: loaded[(first + member) * SPLAT_FOURS + 1].extract(0usize),
-                };
-                let dx = lane_x - splat.extract(0usize);
-                let dy = lane_y - splat.extract(1usize);
-                for i in 0..PATCHES {
-                    if touched[member * PATCHES + i].load() > 0u32 {
-                        let at_pixel = i * PATCH + lane;
-                        if comptime![moments > 0] {
-                            let g = pairs[(BATCH + member) * units + at_pixel];
-                            let row =
-                                dy + f32::cast_from(((i / PATCHES_ACROSS) * PATCH_HEIGHT) as u32);
-                            let column =
-                                dx + f32::cast_from(((i % PATCHES_ACROSS) * PATCH_WIDTH) as u32);
-                            add_moments(&mut sums, g, column, row, &axes, moments);
-                        }
-                        let weight = Four::new(pairs[member * units + at_pixel]);
-                        #[unroll]
-                        for k in 0..fours {
-                            value_sums[k] += weight * d_pixels[k * units + at_pixel];
-                        }
-                    }
-                }
-                #[unroll]
-                for k in 0..block {
-                    sums[moments + k] = value_sums[k / 4].extract_dynamic(k % 4);
-                }
-                #[unroll]
-                for round in 0..rounds {
-                    sync_cube();
-                    #[unroll]
-                    for k in 0..together {
-                        pairs[k * units + unit] = sums[round * together + k];
-                    }
-                    sync_cube();
-                    let sum_of = unit / together;
-                    let column = round * together + unit % together;
-                    if sum_of < members && column < columns {
-                        let mut sum = 0.0f32;
-                        for i in 0..LANES {
-                            // Each unit starts elsewhere, so that no two of a warp meet in a memory bank.
-                            sum += pairs
-                                [(unit % together) * units + sum_of * LANES + (i + unit) % LANES];
-                        }
-                        let entry = loaded_entries[first + sum_of];
-                        if entry >= first_entry && entry < end_entry {
-                            rows[(entry - first_entry) as usize * columns + column] = sum;
-                        }
-                    }
-                }
+                sum_patches(
+                    &mut sums, &exchange, &loaded, first, &origin, block, moments,
+                );
+                write_rows(
+                    rows,
+                    &mut exchange,
+                    &sums,
+                    &loaded,
+                    first,
+                    members,
+                    &slab,
+                    columns,
+                    together,
+                );
             }
             if unit < BATCH * PATCHES {
-                touched[unit].store(0u32);
+                exchange.touched[unit].store(0u32);
             }
             first += members;
-            let going = live[slot as usize].load();
+            let going = exchange.live[slot].load();
             slot = next_slot;
             sync_cube();
             if going == 0u32 {
-                // No light reaches the rest of the list.
-                let from = at as usize + first;
-                let left = (end as usize - from) * columns;
-                let mut k = unit;
-                while k < left {
-                    let entry = entries[from + k / columns];
-                    if entry >= first_entry && entry < end_entry {
-                        rows[(entry - first_entry) as usize * columns + k % columns] = 0.0f32;
-                    }
-                    k += units;
-                }
+                clear_rows(rows, entries, at + first, end, &slab, columns);
                 end = at;
                 first = count;
             }
         }
-        at += count as u32;
+        at += count;
     }
 }

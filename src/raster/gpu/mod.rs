@@ -10,6 +10,7 @@
 //! memory), 1 GiB at most: more entries go through in slabs. Sums of absolute values add 8 for each Gaussian and tile entry.
 
 mod backward;
+mod backward_sums;
 mod blend;
 mod ewa;
 mod frozen;

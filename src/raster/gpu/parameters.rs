@@ -1,7 +1,7 @@
 //! From the sums over pixels to the gradients of the parameters: one unit for each Gaussian.
 
 use super::backward::ABSOLUTE_MOMENTS;
-use super::ewa::{Unit, ewa, offset_from_camera, rows_cross, to_camera};
+use super::ewa::{Ewa, Unit, ewa, offset_from_camera, rows_cross, to_camera};
 use super::inputs::Inputs;
 use super::project::{ProjectedScene, SPLAT};
 use super::vec3::{Vec3, add_scaled, cross, dot, read3, scaled, vec3, write3};
@@ -29,6 +29,46 @@ fn write_rotation(to: &mut [f32], i: usize, q: &Unit, d0: &Vec3, d1: &Vec3, d2: 
     to[4 * i + 1] = select(whole, (gx - x * along) / by, 0.0f32);
     to[4 * i + 2] = select(whole, (gy - y * along) / by, 0.0f32);
     to[4 * i + 3] = select(whole, (gz - z * along) / by, 0.0f32);
+}
+
+#[cube]
+fn write_zeros(to: &mut [f32], at: usize, #[comptime] count: usize) {
+    #[unroll]
+    for k in 0..count {
+        to[at + k] = 0.0f32;
+    }
+}
+
+/// Writes the gradient of the mean from those of the projected centre and of the rows of J; `p` is the mean in the camera's frame.
+#[cube]
+fn write_mean(
+    to: &mut [f32],
+    i: usize,
+    view: &[f32],
+    p: &Vec3,
+    e: &Ewa,
+    d_x: f32,
+    d_y: f32,
+    d_jx: &Vec3,
+    d_jy: &Vec3,
+) {
+    // J holds f / z and, where x/z is not clamped, x/z.
+    let forward = read3(view, AXES + 6);
+    let (fx, fy) = (view[FOCAL] / p.z, view[FOCAL + 1] / p.z);
+    let d_ratio_x = view[FOCAL] * d_x - e.inside_x * fx * dot(d_jx, &forward);
+    let d_ratio_y = view[FOCAL + 1] * d_y - e.inside_y * fy * dot(d_jy, &forward);
+    let d_px = d_ratio_x / p.z;
+    let d_py = d_ratio_y / p.z;
+    let d_pz =
+        -(dot(d_jx, &e.jx) + dot(d_jy, &e.jy)) / p.z - d_px * (p.x / p.z) - d_py * (p.y / p.z);
+    let right = read3(view, AXES);
+    let down = read3(view, AXES + 3);
+    let d_mean = add_scaled(
+        &add_scaled(&scaled(d_px, &right), d_py, &down),
+        d_pz,
+        &forward,
+    );
+    write3(to, 3 * i, &d_mean);
 }
 
 #[cube(launch)]
@@ -59,18 +99,11 @@ fn parameters_backward(
         terminate!();
     }
     if radii[i] == 0u32 {
-        let none = vec3(0.0f32, 0.0f32, 0.0f32);
-        write3(d_means, 3 * i, &none);
-        write3(d_log_scales, 3 * i, &none);
-        #[unroll]
-        for k in 0..4usize {
-            d_rotations[4 * i + k] = 0.0f32;
-        }
-        d_logits[i] = 0.0f32;
-        #[unroll]
-        for k in 0..screen {
-            d_screen[screen * i + k] = 0.0f32;
-        }
+        write_zeros(d_means, 3 * i, 3usize);
+        write_zeros(d_log_scales, 3 * i, 3usize);
+        write_zeros(d_rotations, 4 * i, 4usize);
+        write_zeros(d_logits, i, 1usize);
+        write_zeros(d_screen, screen * i, screen);
         terminate!();
     }
     let (slope, du, dv) = (
@@ -110,23 +143,7 @@ fn parameters_backward(
     let d_r2 = add_scaled(&scaled(a.z, &e.jx), b.z, &e.jy);
     write_rotation(d_rotations, i, &e.unit, &d_r0, &d_r1, &d_r2);
 
-    // J holds f / z and, where x/z is not clamped, x/z.
-    let forward = read3(view, AXES + 6);
-    let (fx, fy) = (view[FOCAL] / p.z, view[FOCAL + 1] / p.z);
-    let d_ratio_x = view[FOCAL] * d_x - e.inside_x * fx * dot(&d_jx, &forward);
-    let d_ratio_y = view[FOCAL + 1] * d_y - e.inside_y * fy * dot(&d_jy, &forward);
-    let d_px = d_ratio_x / p.z;
-    let d_py = d_ratio_y / p.z;
-    let d_pz =
-        -(dot(&d_jx, &e.jx) + dot(&d_jy, &e.jy)) / p.z - d_px * (p.x / p.z) - d_py * (p.y / p.z);
-    let right = read3(view, AXES);
-    let down = read3(view, AXES + 3);
-    let d_mean = add_scaled(
-        &add_scaled(&scaled(d_px, &right), d_py, &down),
-        d_pz,
-        &forward,
-    );
-    write3(d_means, 3 * i, &d_mean);
+    write_mean(d_means, i, view, &p, &e, d_x, d_y, &d_jx, &d_jy);
     // The derivative of ln(sigmoid(x)) is sigmoid(-x).
     let logit = logits[i];
     let small = (-logit.abs()).exp();
