@@ -6,7 +6,7 @@
 //! rows of a Gaussian are neighbours, and a second kernel adds them. So there are no float atomics, and the bits are the same every
 //! time. Everything is linear in the gradient of the image, so that channels come in blocks, and the moments of the blocks add up.
 
-use super::backward_sums::{clear_rows, sum_patches, write_rows};
+use super::backward_sums::{clear_rows, write_sums};
 use super::blend::four_values;
 use super::pixel::{
     Four, Light, PATCH, PATCHES, Pixel, Rule, SPLAT_FOURS, pixel, reaches_patch, rule, splat_four,
@@ -39,7 +39,7 @@ const _: () = assert!(LOADED.is_multiple_of(BATCH) && LOADED * PATCHES <= UNITS 
 const _: () = assert!(LOADED * WIDEST[0] / 4 <= UNITS as usize);
 
 /// Floats that all units of a cube leave for each other: alpha' T and, for the moments, g of every pixel of a batch.
-const fn pairs_of(moments: usize) -> usize {
+pub(super) const fn pairs_of(moments: usize) -> usize {
     (if moments > 0 { 2 } else { 1 }) * BATCH * UNITS as usize
 }
 
@@ -253,9 +253,6 @@ pub(super) fn tiles_backward(
     let unit = UNIT_POS as usize;
     let columns = comptime![moments + block];
     let units = comptime![UNITS as usize];
-    // Columns that are summed together where the pairs were, and how often that is.
-    let rounds = comptime![columns.div_ceil(pairs_of(moments) / UNITS as usize)];
-    let together = comptime![columns.div_ceil(rounds)];
     let fours = comptime![block.div_ceil(4)];
     let mut loaded = Loaded {
         splats: Shared::<[Four]>::new_slice(LOADED * SPLAT_FOURS),
@@ -359,24 +356,16 @@ pub(super) fn tiles_backward(
             sync_cube();
 
             if in_slab {
-                let mut sums = Array::<f32>::new(rounds * together);
-                #[unroll]
-                for k in 0..rounds * together {
-                    sums[k] = 0.0f32;
-                }
-                sum_patches(
-                    &mut sums, &exchange, &loaded, first, &origin, block, moments,
-                );
-                write_rows(
+                write_sums(
                     rows,
                     &mut exchange,
-                    &sums,
                     &loaded,
                     first,
                     members,
+                    &origin,
                     &slab,
-                    columns,
-                    together,
+                    block,
+                    moments,
                 );
             }
             if unit < BATCH * PATCHES {

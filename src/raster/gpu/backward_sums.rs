@@ -1,6 +1,6 @@
 //! Backward pass over the tiles: sums over the pixels of a tile, and the rows that they go to.
 
-use super::backward::{ABSOLUTE_MOMENTS, BATCH, Exchange, LANES, Loaded, Slab};
+use super::backward::{ABSOLUTE_MOMENTS, BATCH, Exchange, LANES, Loaded, Slab, pairs_of};
 use super::pixel::{
     Four, PATCH, PATCH_HEIGHT, PATCH_WIDTH, PATCHES, PATCHES_ACROSS, Pixel, SPLAT_FOURS,
 };
@@ -46,9 +46,9 @@ fn contains(slab: &Slab, entry: u32) -> bool {
 
 /// Sums the columns of one Gaussian of the batch over the unit's pixels: the same lane of every patch.
 #[cube]
-pub(super) fn sum_patches(
+fn sum_patches(
     sums: &mut Array<f32>,
-    exchange: &Exchange,
+    exchange: &mut Exchange,
     loaded: &Loaded,
     first: usize,
     origin: &Pixel,
@@ -98,7 +98,7 @@ pub(super) fn sum_patches(
 
 /// Adds the sums of the lanes and writes the rows of the batch's `members` Gaussians. All units take part.
 #[cube]
-pub(super) fn write_rows(
+fn write_rows(
     rows: &mut [f32],
     exchange: &mut Exchange,
     sums: &Array<f32>,
@@ -134,6 +134,34 @@ pub(super) fn write_rows(
             }
         }
     }
+}
+
+/// Sums over the pixels of the tile for the `members` Gaussians of the batch that starts at `first`, and writes their rows.
+#[cube]
+pub(super) fn write_sums(
+    rows: &mut [f32],
+    exchange: &mut Exchange,
+    loaded: &Loaded,
+    first: usize,
+    members: usize,
+    origin: &Pixel,
+    slab: &Slab,
+    #[comptime] block: usize,
+    #[comptime] moments: usize,
+) {
+    let columns = comptime![moments + block];
+    // Columns that are summed together where the pairs were, and how often that is.
+    let rounds = comptime![columns.div_ceil(pairs_of(moments) / UNITS as usize)];
+    let together = comptime![columns.div_ceil(rounds)];
+    let mut sums = Array::<f32>::new(rounds * together);
+    #[unroll]
+    for k in 0..rounds * together {
+        sums[k] = 0.0f32;
+    }
+    sum_patches(&mut sums, exchange, loaded, first, origin, block, moments);
+    write_rows(
+        rows, exchange, &sums, loaded, first, members, slab, columns, together,
+    );
 }
 
 /// Writes zeros to the rows of the list's entries `from..end`, which no light reaches.
