@@ -4,7 +4,7 @@ use super::densify::{Densification, reset_opacity};
 use crate::backend::device::{read, upload};
 use crate::error::{Error, Result};
 use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step};
-use crate::raster::{RasterInput, SplatTensors};
+use crate::raster::RasterInput;
 use crate::splat::Gaussians;
 use burn::tensor::{Bool, Device, Gradients, Int, Tensor, TensorData};
 use std::sync::Arc;
@@ -68,43 +68,6 @@ pub struct Parameters {
     state: [AdamTensors<2>; 5],
 }
 
-/// Handles on the parameters, for one pass.
-#[derive(Clone, Debug)]
-pub struct Leaves {
-    /// The geometry.
-    pub splats: SplatTensors,
-    /// `[N, K, 3]`.
-    pub sh: Tensor<3>,
-}
-
-impl Leaves {
-    /// What renders them in colour.
-    pub fn input(&self, active_sh_degree: usize) -> RasterInput {
-        let splats = self.splats.clone();
-        RasterInput {
-            means: splats.means,
-            log_scales: splats.log_scales,
-            rotations: splats.rotations,
-            opacity_logits: splats.opacity_logits,
-            sh: Some(self.sh.clone()),
-            active_sh_degree,
-            features: None,
-            screen: None,
-        }
-    }
-
-    /// The gradients of these leaves, which are dropped: they share the buffers of the parameters.
-    pub fn gradients(self, gradients: &mut Gradients) -> ParameterGradients {
-        ParameterGradients([
-            gradient(self.splats.means, gradients),
-            gradient(self.splats.log_scales, gradients),
-            gradient(self.splats.rotations, gradients),
-            gradient(self.splats.opacity_logits, gradients),
-            gradient(self.sh, gradients),
-        ])
-    }
-}
-
 /// The gradient of `leaf`, `[N, width]`; zeros where it has none.
 fn gradient<const D: usize>(leaf: Tensor<D>, gradients: &mut Gradients) -> Tensor<2> {
     let dims = leaf.dims();
@@ -117,6 +80,18 @@ fn gradient<const D: usize>(leaf: Tensor<D>, gradients: &mut Gradients) -> Tenso
 pub struct ParameterGradients([Tensor<2>; 5]);
 
 impl ParameterGradients {
+    /// Those of `leaves`, which are dropped: they share the buffers of the parameters.
+    pub fn of(leaves: RasterInput, gradients: &mut Gradients) -> Self {
+        let sh = leaves.sh.expect("parameters have SH");
+        Self([
+            gradient(leaves.means, gradients),
+            gradient(leaves.log_scales, gradients),
+            gradient(leaves.rotations, gradients),
+            gradient(leaves.opacity_logits, gradients),
+            gradient(sh, gradients),
+        ])
+    }
+
     /// The value of `loss`, read back together with the check that it and all gradients are finite.
     ///
     /// # Errors
@@ -178,42 +153,36 @@ impl Parameters {
         self.state[MEANS].param.dims()[0]
     }
 
-    /// The geometry.
-    pub fn splats(&self) -> SplatTensors {
-        let [means, log_scales, rotations, opacity_logits, _] =
+    /// Handles on the present values, without autodiff, to be rendered in colour.
+    pub fn values(&self, active_sh_degree: usize) -> RasterInput {
+        let [means, log_scales, rotations, opacity_logits, sh] =
             self.state.each_ref().map(|state| state.param.clone());
-        SplatTensors {
+        let (n, terms) = (self.len(), (self.sh_degree + 1).pow(2));
+        RasterInput {
             means,
             log_scales,
             rotations,
-            opacity_logits: opacity_logits.reshape([self.len()]),
+            opacity_logits: opacity_logits.reshape([n]),
+            sh: Some(sh.reshape([n, terms, 3])),
+            active_sh_degree,
+            features: None,
+            screen: None,
         }
     }
 
-    /// Handles on the present values, without autodiff.
-    pub fn values(&self) -> Leaves {
-        let coefficients = (self.sh_degree + 1).pow(2);
-        let sh = self.state[4].param.clone();
-        Leaves {
-            splats: self.splats(),
-            sh: sh.reshape([self.len(), coefficients, 3]),
-        }
-    }
-
-    /// Tracked handles on the present values.
-    pub fn leaves(&self) -> Leaves {
+    /// Tracked handles on the present values, to be rendered in colour.
+    pub fn leaves(&self, active_sh_degree: usize) -> RasterInput {
         fn tracked<const D: usize>(tensor: Tensor<D>) -> Tensor<D> {
             Tensor::from_inner(tensor).require_grad()
         }
-        let Leaves { splats, sh } = self.values();
-        Leaves {
-            splats: SplatTensors {
-                means: tracked(splats.means),
-                log_scales: tracked(splats.log_scales),
-                rotations: tracked(splats.rotations),
-                opacity_logits: tracked(splats.opacity_logits),
-            },
-            sh: tracked(sh),
+        let values = self.values(active_sh_degree);
+        RasterInput {
+            means: tracked(values.means),
+            log_scales: tracked(values.log_scales),
+            rotations: tracked(values.rotations),
+            opacity_logits: tracked(values.opacity_logits),
+            sh: values.sh.map(tracked),
+            ..values
         }
     }
 
@@ -237,15 +206,20 @@ impl Parameters {
         }
     }
 
-    /// All means, then all log-scales, rotations and opacity logits, in one readback; see
-    /// [`crate::splat::Geometry::of_values`].
+    /// The Gaussians without their colours, in one readback.
     ///
     /// # Errors
     /// [`Error::Device`] when the device does not return them.
-    pub fn geometry(&self) -> Result<Vec<f32>> {
+    pub fn geometry(&self) -> Result<Gaussians> {
         let flat = |state: &AdamTensors<2>| state.param.clone().flatten::<1>(0, 1);
         let parts = self.state[..4].iter().map(flat).collect();
-        read("geometry", Tensor::cat(parts, 0))
+        let mut rest = read("geometry", Tensor::cat(parts, 0))?;
+        let mut values = Moments::default();
+        for (values, width) in values.iter_mut().zip(widths(0)).take(4) {
+            let behind = rest.split_off(width * self.len());
+            *values = std::mem::replace(&mut rest, behind);
+        }
+        Ok(from_values(values, 0))
     }
 
     /// Keeps `rows`, with their moments.

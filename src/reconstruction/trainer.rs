@@ -5,12 +5,12 @@ use super::initialization::initial_gaussians;
 use super::optimizer::Parameters;
 use super::schedule::{Schedule, center, extent};
 use super::state::TrainerState;
-use super::targets::Targets;
 use crate::backend::device::read;
 use crate::config::Config;
-use crate::data::{Scene, Split, View};
+use crate::data::{Scene, Split, View, ViewCache};
 use crate::error::{Error, Result, bail, ensure};
 use crate::metrics::ImageScores;
+use crate::ops::PhotometricTarget;
 use crate::progress::{CurvePoint, Event, Progress, Review};
 use crate::provenance::Provenance;
 use crate::raster::{Settings, rasterize};
@@ -60,7 +60,8 @@ pub struct Trainer<'a> {
     pub(super) device: Device,
     pub(super) train: Vec<&'a View>,
     test: Vec<&'a View>,
-    pub(super) targets: Targets,
+    /// The photos as targets of the loss.
+    pub(super) targets: ViewCache<PhotometricTarget>,
     pub(super) parameters: Parameters,
     pub(super) statistics: GradientAccumulator,
     pub(super) iteration: usize,
@@ -108,7 +109,7 @@ impl<'a> Trainer<'a> {
             schedule: Schedule::new(&config.building, train.len(), size),
             extent: size,
             center: center(&train),
-            targets: Targets::new(train.len(), &device),
+            targets: ViewCache::new(train.len(), PhotometricTarget::budget(&device)),
             parameters: Parameters::new(state.gaussians, state.first, state.second, &device),
             config: config.clone(),
             checkpoint: None,
@@ -304,7 +305,7 @@ impl<'a> Trainer<'a> {
     fn score(&self, view: &View) -> Result<ImageScores> {
         let degree = self.schedule.sh_degree(self.iteration.max(1));
         let output = rasterize(
-            self.parameters.values().input(degree),
+            self.parameters.values(degree),
             &view.camera,
             &self.settings,
             self.config.raster.background,

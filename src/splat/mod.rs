@@ -4,13 +4,11 @@ pub mod camera;
 pub mod camera_path;
 
 pub mod formats;
-mod geometry;
 mod motion;
 mod order;
 pub mod ply;
 pub(crate) mod sh;
 
-pub use self::geometry::Geometry;
 pub use self::motion::Motion;
 pub use self::sh::SH_0;
 use crate::error::{Error, Result, bail, ensure};

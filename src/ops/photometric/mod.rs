@@ -89,8 +89,10 @@ impl PhotometricTarget {
         (self.pixels.height() as usize, self.pixels.width() as usize)
     }
 
-    /// Bytes that a target of this many pixels holds on `device`; on a GPU as many in host memory.
-    pub fn bytes(pixels: usize, device: &Device) -> usize {
+    /// Bytes that it holds on `device`; on a GPU as many in host memory.
+    pub fn bytes(&self, device: &Device) -> usize {
+        let (height, width) = self.size();
+        let pixels = height * width;
         if in_host_memory(device) {
             pixels * CHANNELS * (1 + 3 * size_of::<f32>())
         } else {

@@ -7,6 +7,7 @@ use super::super::train_decoder::{
     parameter_gradients, view_at,
 };
 use super::{first_parameters, linear};
+use crate::backend::device::upload;
 use crate::data::{Split, View};
 use crate::error::Result;
 use crate::features::{Reduction, SCALES, ViewFeatures};
@@ -18,7 +19,7 @@ use crate::segmentation::pixels::{LabelledPixels, constant};
 use crate::segmentation::randla::parameter;
 use burn::module::{Module, Param};
 use burn::nn::Linear;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use std::ops::ControlFlow;
 use std::time::Instant;
 
@@ -177,50 +178,40 @@ fn target(
         }
     }
     let shape = [sample.numbers.len(), SCALES * dimensions];
-    Tensor::from_data(TensorData::new(target, shape), device)
+    upload(target, shape, device)
 }
 
-/// A linear classifier of the frozen features of a field, trained on labels. It commutes with blending.
-pub struct LinearHead {
-    module: Linear,
-    /// `[N, 64]`, without autodiff.
-    features: Tensor<2>,
-}
+/// A linear classifier of the frozen features of a field, `[N, 64]` without autodiff, trained on labels. It commutes with blending.
+pub struct LinearHead(Tensor<2>);
 
 impl LinearHead {
-    /// Random weights over `field`, on an autodiff `device`.
-    pub fn new(field: &FeatureField, inputs: &Inputs, device: &Device) -> Self {
-        let mut rng = first_parameters(inputs);
-        Self {
-            module: linear(CHANNELS, inputs.scene.classes.len(), &mut rng, device),
-            features: field.features.val().inner(),
-        }
+    /// Over the features of `field`.
+    pub fn new(field: &FeatureField) -> Self {
+        Self(field.features.val().inner())
+    }
+
+    /// Random weights, on an autodiff `device`.
+    pub fn random(inputs: &Inputs, device: &Device) -> Linear {
+        let classes = inputs.scene.classes.len();
+        linear(CHANNELS, classes, &mut first_parameters(inputs), device)
     }
 }
 
 impl IdentityModel for LinearHead {
     type Module = Linear;
 
-    fn module(&self) -> &Linear {
-        &self.module
-    }
-
-    fn set_module(&mut self, module: Linear) {
-        self.module = module;
-    }
-
     fn decode(
         &mut self,
+        head: &Linear,
         _view: usize,
         visible: &[u32],
         _iteration: usize,
     ) -> Result<DecodedScores> {
-        let features = select(&self.features, visible);
-        let features = constant(features, &self.module.weight.device());
-        Ok(self.module.forward(features).into())
+        let features = constant(select(&self.0, visible), &head.weight.device());
+        Ok(head.forward(features).into())
     }
 
-    fn identities(&self, module: Linear) -> Result<Identities> {
-        identities(module.valid().forward(self.features.clone()))
+    fn identities(&self, head: Linear) -> Result<Identities> {
+        identities(head.valid().forward(self.0.clone()))
     }
 }

@@ -6,7 +6,7 @@ mod grouping;
 mod panoptic_lifting;
 
 pub use self::feature_field::{LinearHead, distil};
-pub use self::grouping::Grouping;
+pub use self::grouping::{Codes, Grouping};
 pub use self::panoptic_lifting::PanopticLifting;
 
 use super::encode::Inputs;

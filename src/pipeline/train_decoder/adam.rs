@@ -1,12 +1,12 @@
 //! The parameters of a burn module as one vector, and Adam over it.
 
-use crate::backend::device::read;
+use crate::backend::device::{read, upload};
 use crate::error::{Error, Result};
 use crate::ops::FiniteCheck;
 use crate::reconstruction::optimizer::find_non_finite;
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::optim::{AdamConfig, AdamState, AdaptiveMomentumState, Optimizer};
-use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use burn::tensor::{Device, Gradients, Tensor};
 
 /// Added to the root of the second moment.
 const EPSILON: f32 = 1e-8;
@@ -17,7 +17,7 @@ pub type NamedValues = Vec<(String, Vec<f32>)>;
 /// burn's Adam over all parameters of a module, and the mean of the parameters over the last steps.
 #[derive(Clone)]
 pub struct Adam {
-    rate: f64,
+    pub(super) rate: f64,
     steps: usize,
     /// Both moments, `[P]`; absent before the first step.
     state: Option<AdamState<1>>,
@@ -112,7 +112,7 @@ impl Adam {
 /// A vector on `device`, without autodiff.
 fn vector(values: Vec<f32>, device: &Device) -> Tensor<1> {
     let shape = [values.len()];
-    Tensor::from_data(TensorData::new(values, shape), &device.clone().inner())
+    upload(values, shape, &device.clone().inner())
 }
 
 /// The value of `loss` (`[1]`), once it and `gradient` `[P]` are known to be finite: one readback.

@@ -10,7 +10,6 @@ mod decoder_model;
 mod per_gaussian;
 mod plan;
 mod sampling;
-mod view_cache;
 mod view_input;
 mod views;
 
@@ -22,7 +21,6 @@ pub use self::per_gaussian::{Logits, PerGaussian};
 pub use self::plan::TrainingPlan;
 pub(super) use self::sampling::stratified_sample;
 pub use self::sampling::view_at;
-pub(super) use self::view_cache::ViewCache;
 pub use self::view_input::{DecoderInput, Encoded};
 pub use self::views::{TrainingViews, ViewSample};
 
@@ -81,22 +79,22 @@ pub struct Rendered<'a> {
     pub regularisation: Option<Tensor<1>>,
 }
 
-/// A model that stage two trains: parameters from which every Gaussian gets its class scores.
+/// A model that stage two trains: how every Gaussian gets its class scores from parameters.
 pub trait IdentityModel {
-    /// The module that holds the parameters.
+    /// The parameters.
     type Module: Module;
 
-    /// The parameters.
-    fn module(&self) -> &Self::Module;
-
-    /// Replaces the parameters.
-    fn set_module(&mut self, module: Self::Module);
-
-    /// Scores of the Gaussians `visible` in training view `view`.
+    /// Scores that the parameters `module` give the Gaussians `visible` in training view `view`.
     ///
     /// # Errors
     /// When a frozen input is not finite.
-    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<DecodedScores>;
+    fn decode(
+        &mut self,
+        module: &Self::Module,
+        view: usize,
+        visible: &[u32],
+        iteration: usize,
+    ) -> Result<DecodedScores>;
 
     /// The loss of an iteration, `[1]`: the CoSeg loss, unless the model has its own.
     ///
@@ -110,11 +108,12 @@ pub trait IdentityModel {
     /// The gradient of all parameters, `[P]`, from the `gradients` of a loss of what was `decoded` in `view`.
     fn gradient(
         &self,
+        module: &Self::Module,
         _view: usize,
         _decoded: &DecodedScores,
         gradients: &mut Gradients,
     ) -> Tensor<1> {
-        parameter_gradients(self.module(), gradients)
+        parameter_gradients(module, gradients)
     }
 
     /// The identities that the parameters `module` give, `[N, C]`.
@@ -125,9 +124,10 @@ pub trait IdentityModel {
 }
 
 /// A model in training.
-pub struct Training<M> {
-    /// The model.
-    pub model: M,
+pub struct Training<M: IdentityModel> {
+    model: M,
+    /// The parameters.
+    pub module: M::Module,
     adam: Adam,
     recall: ClassRecall,
     iteration: usize,
@@ -169,10 +169,11 @@ pub struct TrainingSchedule {
 pub type Evaluate<'a, M> = &'a mut dyn FnMut(&Training<M>) -> Result<Option<f64>>;
 
 impl<M: IdentityModel> Training<M> {
-    /// `model` before its first step, with scores for `classes` classes.
-    pub fn new(model: M, adam: Adam, classes: usize) -> Self {
+    /// `model` with the parameters `module` before the first step, with scores for `classes` classes.
+    pub fn new(model: M, module: M::Module, adam: Adam, classes: usize) -> Self {
         Self {
             model,
+            module,
             adam,
             recall: ClassRecall::new(classes),
             iteration: 0,
@@ -190,7 +191,12 @@ impl<M: IdentityModel> Training<M> {
 
     /// Bytes of everything that is learned.
     pub fn learnable_bytes(&self) -> usize {
-        4 * self.model.module().num_params()
+        4 * self.module.num_params()
+    }
+
+    /// Learning rate at its highest.
+    pub fn rate(&self) -> f64 {
+        self.adam.rate
     }
 
     /// Step count of Adam, its moments and the mean of the parameters, each in the order of the module's parameters.
@@ -237,7 +243,8 @@ impl<M: IdentityModel> Training<M> {
         if sample.pixels.is_empty() {
             return Ok(0.0);
         }
-        let decoded = self.model.decode(view, &sample.visible, self.iteration)?;
+        let visible = &sample.visible;
+        let decoded = (self.model).decode(&self.module, view, visible, self.iteration)?;
         let scores = sample.blended(decoded.scores.clone(), plan.blend)?;
         let coseg = self.coseg_loss(plan, &scores, &sample)?;
         let rendered = Rendered {
@@ -248,12 +255,11 @@ impl<M: IdentityModel> Training<M> {
             regularisation: decoded.regularisation.clone(),
         };
         let loss = self.model.loss(&coseg, rendered)?;
-        let gradient = self.model.gradient(view, &decoded, &mut loss.backward());
+        let gradients = &mut loss.backward();
+        let gradient = (self.model).gradient(&self.module, view, &decoded, gradients);
         let value = finite_loss(loss.inner(), &gradient)?;
-        let module = self.model.module().clone();
         let factor = plan.rate_factor(self.iteration);
-        self.model
-            .set_module(self.adam.step(module, gradient, factor));
+        self.module = self.adam.step(self.module.clone(), gradient, factor);
         Ok(value)
     }
 
@@ -282,7 +288,7 @@ impl<M: IdentityModel> Training<M> {
     /// # Errors
     /// [`Error::Device`] when the device does not return them.
     pub fn identities(&self) -> Result<Identities> {
-        let module = self.adam.averaged(self.model.module().clone());
+        let module = self.adam.averaged(self.module.clone());
         self.model.identities(module)
     }
 

@@ -5,13 +5,13 @@ use crate::backend::device::{read, upload};
 use crate::config::{Blend, SegmentationConfig};
 use crate::data::{Classes, LabelProbabilities, LabelRuns, View};
 use crate::error::Result;
-use crate::objects::Identities;
+use crate::objects::{Identities, first_largest};
 use crate::ops::select;
 use crate::raster::Settings;
 use crate::segmentation::loss::Scores;
 use crate::segmentation::pixels::{FrozenGaussians, LabelledPixels, LabelledView, PixelWeights};
 use crate::splat::Gaussians;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use rand::Rng;
 use std::sync::Arc;
 
@@ -133,9 +133,8 @@ impl<'a> TrainingViews<'a> {
     pub fn use_labels_of(&mut self, identities: &Identities, device: &Device) {
         let classes = identities.classes;
         let size = [identities.scores.len() / classes.max(1), classes];
-        let scores = TensorData::new(identities.scores.clone(), size);
         self.replaced = Some(ReplacedLabels {
-            scores: Tensor::from_data(scores, device),
+            scores: upload(identities.scores.clone(), size, device),
             labels: vec![None; self.views.len()],
         });
     }
@@ -164,57 +163,54 @@ impl<'a> TrainingViews<'a> {
     pub fn sample(&mut self, index: usize, share: f64, rng: &mut impl Rng) -> Result<ViewSample> {
         let (view, weights) = self.labelled(index)?;
         let (labels, weights) = self.labels(index, &view, weights)?;
-        let visible = view.visible;
-        if share >= 1.0 {
-            let weights = match weights {
-                Some(weights) => weights,
-                None => self.weights_of(index, &visible, &view.numbers)?,
-            };
-            let pixels = LabelledPixels::new(weights, labels.to_vec());
-            return self.with_scores(index, visible, pixels, view.numbers);
-        }
-        let drawn = stratified_sample(labels.len(), share, rng);
-        let numbers = drawn.iter().map(|&i| view.numbers[i as usize]).collect();
-        let numbers = Arc::new(numbers);
-        let weights = match weights {
-            Some(weights) => weights.at(&drawn),
-            None => self.weights_of(index, &visible, &numbers)?,
+        let drawn = (share < 1.0).then(|| stratified_sample(labels.len(), share, rng));
+        let (labels, numbers) = match &drawn {
+            Some(drawn) => {
+                let labels = drawn.iter().map(|&i| labels[i as usize]).collect();
+                let numbers = drawn.iter().map(|&i| view.numbers[i as usize]).collect();
+                (Arc::new(labels), Arc::new(numbers))
+            }
+            None => (labels, view.numbers),
         };
-        let labels = drawn.iter().map(|&i| labels[i as usize]).collect();
-        let pixels = LabelledPixels::new(weights, labels);
-        self.with_scores(index, visible, pixels, numbers)
-    }
-
-    /// A sample of `pixels`, `numbers` of view `index`, with the class probabilities that came with the raw labels, where they are
-    /// trained on and there are any.
-    fn with_scores(
-        &mut self,
-        index: usize,
-        visible: Arc<Vec<u32>>,
-        mut pixels: LabelledPixels,
-        numbers: Arc<Vec<u32>>,
-    ) -> Result<ViewSample> {
-        let view = self.views[index];
-        if let (None, Some(_), Some(file)) = (&self.replaced, &self.lookup, &view.scores)
-            && !numbers.is_empty()
-        {
-            let scores = match self.scores[index].take() {
-                Some(scores) => scores,
-                None => file.read(&self.classes)?,
-            };
-            let rows = probabilities(&scores, &pixels.labels, &numbers, self.classes.len());
-            pixels.distributions = Some(upload(
-                rows,
-                [numbers.len(), self.classes.len()],
-                &self.device,
-            ));
-            self.scores[index] = Some(scores);
-        }
+        let weights = match (weights, &drawn) {
+            (Some(weights), Some(drawn)) => weights.at(drawn),
+            (Some(weights), None) => weights,
+            (None, _) => self.weights_of(index, &view.visible, &numbers)?,
+        };
+        let pixels = LabelledPixels {
+            weights,
+            distributions: self.distributions(index, &labels, &numbers)?,
+            labels,
+        };
         Ok(ViewSample {
-            visible,
+            visible: view.visible,
             pixels,
             numbers,
         })
+    }
+
+    /// The class probabilities that came with the raw labels of the pixels `numbers` of view `index`, where they are trained on and
+    /// there are any.
+    fn distributions(
+        &mut self,
+        index: usize,
+        labels: &[u16],
+        numbers: &[u32],
+    ) -> Result<Option<Tensor<2>>> {
+        let (None, Some(_), Some(file)) = (&self.replaced, &self.lookup, &self.views[index].scores)
+        else {
+            return Ok(None);
+        };
+        if numbers.is_empty() {
+            return Ok(None);
+        }
+        let scores = match &mut self.scores[index] {
+            Some(scores) => scores,
+            none => none.insert(file.read(&self.classes)?),
+        };
+        let size = [numbers.len(), self.classes.len()];
+        let rows = probabilities(scores, labels, numbers, size[1]);
+        Ok(Some(upload(rows, size, &self.device)))
     }
 
     /// The weights of the pixels `numbers` of view `index` over the Gaussians `visible`.
@@ -323,7 +319,7 @@ fn largest_blended(
         .chunks_exact(classes.max(1))
         .zip(pixels.labels.iter());
     let label = |(row, &own): (&[f32], &u16)| {
-        let best = (0..classes).reduce(|a, b| if row[b] > row[a] { b } else { a });
+        let best = first_largest(row);
         best.filter(|&c| row[c] > 0.0).map_or(own, |c| c as u16)
     };
     Ok(rows.map(label).collect())

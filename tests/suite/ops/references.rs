@@ -7,7 +7,7 @@ use coseg::config::{Budget, BuildingConfig, Config, LabelSource, Resolution, Var
 use coseg::data::{LabelMap, Split};
 use coseg::objects::{Identities, LabelMaps, LabelRule, RenderOptions, Renderer, Votes, vote};
 use coseg::ops::{CustomOp, with_references};
-use coseg::pipeline::train_decoder::{DecoderModel, IdentityModel, Training, TrainingPlan};
+use coseg::pipeline::train_decoder::{DecoderModel, Training, TrainingPlan};
 use coseg::pipeline::{Inputs, LiftedFeatures, decoder_training, encode};
 use coseg::progress::Silent;
 use coseg::raster::{Settings, SplatTensors};
@@ -89,7 +89,7 @@ fn moments(training: &Training<DecoderModel>) -> Vec<[Vec<f32>; 2]> {
         }
     }
     let mut sizes = Sizes(Vec::new());
-    training.model.module().visit(&mut sizes);
+    training.module.visit(&mut sizes);
     let state = training.optimizer_state().expect("readable");
     let vector = |name: &str| {
         let found = state.iter().find(|(found, _)| found == name);
