@@ -1,8 +1,10 @@
-//! The two scalar types of the kernels.
+//! The two scalar types of the kernels, and the check that values are finite.
 
 use super::simd::{self, Kernel};
+use crate::error::{Error, Result};
 use ndarray::LinalgScalar;
 use num_traits::{Float, NumAssign};
+use rayon::prelude::*;
 use std::iter::Sum;
 
 /// `f32` (training) or `f64` (reference, finite differences).
@@ -89,3 +91,18 @@ macro_rules! real {
 }
 real!(f32, F32, dispatch_f32);
 real!(f64, F64, dispatch_f64);
+
+/// [`Error::NonFinite`] naming the first row of `[rows, width]` values that holds a NaN or an infinity.
+pub(crate) fn check_finite<E: Real>(name: &str, values: &[E], width: usize) -> Result<()> {
+    // Counting vectorises where stopping at the first would not.
+    let finite = values
+        .par_chunks(1 << 14)
+        .all(|chunk| chunk.iter().map(|v| u32::from(!v.is_finite())).sum::<u32>() == 0);
+    if finite {
+        return Ok(());
+    }
+    match values.iter().position(|v| !v.is_finite()) {
+        Some(at) => Err(Error::non_finite(name, at / width.max(1))),
+        None => Ok(()),
+    }
+}

@@ -1,6 +1,7 @@
 //! The Gaussians as tensors on the device, with the moments of their optimiser.
 
 use super::densify::{Densification, reset_opacity};
+use crate::backend::check_finite;
 use crate::backend::device::{read, upload};
 use crate::error::{Error, Result};
 use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step};
@@ -120,11 +121,8 @@ impl ParameterGradients {
 pub fn find_non_finite<const D: usize>(name: &str, gradient: &Tensor<D>) -> Result<()> {
     let name = format!("gradient of {name}");
     let values = read(&name, gradient.clone())?;
-    let width = (values.len() / gradient.dims()[0].max(1)).max(1);
-    match values.iter().position(|v| !v.is_finite()) {
-        Some(i) => Err(Error::non_finite(name, i / width)),
-        None => Ok(()),
-    }
+    let width = values.len() / gradient.dims()[0].max(1);
+    check_finite(&name, &values, width)
 }
 
 impl Parameters {

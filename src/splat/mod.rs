@@ -11,7 +11,8 @@ pub(crate) mod sh;
 
 pub use self::motion::Motion;
 pub use self::sh::SH_0;
-use crate::error::{Error, Result, bail, ensure};
+use crate::backend::check_finite;
+use crate::error::{Result, bail, ensure};
 
 /// A quaternion of a smaller squared length stands for no rotation.
 pub(crate) const ZERO_QUATERNION: f64 = 1e-12;
@@ -54,11 +55,8 @@ impl Gaussians {
 
     /// Median of the centres along each axis, relative to the scene origin; `None` without Gaussians. Outliers do not move it.
     pub fn median_center(&self) -> Option<[f32; 3]> {
-        let median = |axis: usize| {
-            let mut along: Vec<f32> = self.means.iter().map(|mean| mean[axis]).collect();
-            let middle = along.len() / 2;
-            *along.select_nth_unstable_by(middle, f32::total_cmp).1
-        };
+        let along = |axis: usize| self.means.iter().map(move |mean| f64::from(mean[axis]));
+        let median = |axis| median(along(axis)) as f32;
         (!self.is_empty()).then(|| [0, 1, 2].map(median))
     }
 
@@ -141,7 +139,7 @@ impl Gaussians {
     /// Checks that all lengths agree (`labels` included), that the degree is at most 3, and that every value is finite.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a length or degree; [`Error::NonFinite`] naming tensor and row.
+    /// [`crate::Error::Argument`] for a length or degree; [`crate::Error::NonFinite`] naming tensor and row.
     pub fn check(&self, labels: Option<&[u16]>) -> Result<()> {
         if self.sh_degree > 3 {
             bail!(argument "gaussians.sh_degree"; found "{}", self.sh_degree;
@@ -167,12 +165,20 @@ impl Gaussians {
             ("sh", &self.sh, 3 * self.sh_len()),
         ];
         for (name, values, width) in tensors {
-            if let Some(i) = values.iter().position(|v| !v.is_finite()) {
-                return Err(Error::non_finite(name, i / width));
-            }
+            check_finite(name, values, width)?;
         }
         Ok(())
     }
+}
+
+/// The middle one of `values` in ascending order, the upper of two; 0 without any.
+pub(crate) fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    let middle = values.len() / 2;
+    if values.is_empty() {
+        return 0.0;
+    }
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 /// The rotation of a quaternion (w, x, y, z) of any length. A quaternion of length 0 gives the identity, as in the rasterizer.

@@ -12,6 +12,8 @@ const PRIOR_WEIGHT: f64 = 1.0;
 const UNSEEN_WEIGHT: f64 = 0.1;
 /// Weights below this are rounding left over after a segment is removed.
 const MIN_WEIGHT: f32 = 1e-3;
+/// A segment and a group may belong together from this IoU on, in what the view shows of them.
+const MIN_IOU: f64 = 0.25;
 /// An unmatched segment is part of the group that claims more than this share of it.
 const MIN_CONTAINED: f64 = 0.5;
 /// Matching sums IoU in whole steps of one over this.
@@ -198,16 +200,15 @@ impl Groups {
         overlaps
     }
 
-    /// Assigns a group to each segment of a view: one to one at the largest sum of IoU, without pairs below `min_iou`.
+    /// Assigns a group to each segment of a view: one to one at the largest sum of IoU, without pairs below [`MIN_IOU`].
     /// `unmatched` says what happens to the others. All segments of a class of stuff belong to one group.
     pub fn assign<'a>(
         &mut self,
         pieces: Vec<Cow<'a, SegmentWeights>>,
-        min_iou: f64,
         unmatched: Unmatched,
     ) -> Assigned<'a> {
         let overlaps = self.overlaps(&pieces);
-        let mut groups = self.matched(&pieces, &overlaps, min_iou);
+        let mut groups = self.matched(&pieces, &overlaps);
         for (n, piece) in pieces.iter().enumerate() {
             if piece.weights.is_empty() {
                 continue;
@@ -227,12 +228,7 @@ impl Groups {
     }
 
     /// The groups of the things among `pieces`, one to one at the largest sum of IoU.
-    fn matched(
-        &self,
-        pieces: &[Cow<'_, SegmentWeights>],
-        overlaps: &Overlaps,
-        min_iou: f64,
-    ) -> Vec<Option<u32>> {
+    fn matched(&self, pieces: &[Cow<'_, SegmentWeights>], overlaps: &Overlaps) -> Vec<Option<u32>> {
         let things: Vec<usize> = (0..pieces.len())
             .filter(|&n| pieces[n].segment.thing)
             .collect();
@@ -245,7 +241,7 @@ impl Groups {
             let category = Category::from(&*pieces[n]);
             for &(group, claimed) in &overlaps.claimed[n] {
                 let iou = overlaps.iou(n, pieces[n].total, group, claimed);
-                if iou >= min_iou && self.category(group) == category {
+                if iou >= MIN_IOU && self.category(group) == category {
                     row[columns.partition_point(|column| *column < group)] =
                         (iou * IOU_STEPS) as i64;
                 }

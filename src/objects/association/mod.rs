@@ -225,7 +225,7 @@ impl AssociationInputs<'_> {
         }
         for (v, view) in slots().filter(|(_, view)| view.split == Split::Test) {
             let segments = self.segments(view)?;
-            let assigned = sweeps::assign_view(groups, &segments, &extents, sweeps::MIN_IOU);
+            let assigned = sweeps::assign_view(groups, &segments, &extents);
             maps[v] = relabel(view, &assigned)?;
             progress(1)?;
         }

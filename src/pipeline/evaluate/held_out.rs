@@ -6,7 +6,7 @@ use crate::error::Result;
 use crate::metrics::{
     InstanceScores, LabelScores, SemanticScores, Void, boundary_iou, instance_scores, label_scores,
 };
-use crate::objects::{Identities, LabelMaps, LabelRule, Semantics, has_truth};
+use crate::objects::{Identities, LabelMaps, Semantics, has_truth};
 use crate::pipeline::encode::Inputs;
 use crate::raster::SplatTensors;
 
@@ -74,8 +74,9 @@ impl<'a> HeldOut<'a> {
         if self.is_empty() {
             return Ok(HeldOutScores::default());
         }
-        let rule = LabelRule::from(&inputs.config.segmentation);
-        let maps = LabelMaps::new(identities, &inputs.scene.classes, rule);
+        let config = &inputs.config.segmentation;
+        let (source, coverage) = (config.render, config.min_coverage as f32);
+        let maps = LabelMaps::new(identities, &inputs.scene.classes, source, coverage);
         let map = |&view: &&'a View| {
             let seen = self.splats.seen_by(&view.camera, &inputs.settings);
             Ok((view, LabelRuns::from(maps.of(&seen)?)))

@@ -3,6 +3,7 @@
 use crate::data::{Points, View};
 use crate::error::{Result, in_order};
 use crate::splat::camera::{Camera, spread};
+use crate::splat::median;
 use glam::{DMat3, DVec3};
 use image::RgbImage;
 use rand::Rng;
@@ -240,11 +241,9 @@ fn focus_distance(views: &[&View]) -> f64 {
         return fallback;
     }
     let focus = a.inverse() * b + mean;
-    let mut depths: Vec<f64> = views.iter().map(|v| v.camera.to_camera(focus).z).collect();
-    depths.sort_by(f64::total_cmp);
-    let median = depths[depths.len() / 2];
-    if median.is_finite() && median > 0.1 * baseline {
-        median
+    let depth = median(views.iter().map(|v| v.camera.to_camera(focus).z));
+    if depth.is_finite() && depth > 0.1 * baseline {
+        depth
     } else {
         fallback
     }

@@ -5,7 +5,7 @@ use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::Tensor;
 use coseg::config::{Budget, BuildingConfig, Config, LabelSource, Resolution, Variant};
 use coseg::data::{LabelMap, Split};
-use coseg::objects::{Identities, LabelMaps, LabelRule, RenderOptions, Renderer, Votes, vote};
+use coseg::objects::{Identities, LabelMaps, RenderOptions, Renderer, Votes, vote};
 use coseg::ops::{CustomOp, with_references};
 use coseg::pipeline::train_decoder::{DecoderModel, Training, TrainingPlan};
 use coseg::pipeline::{Inputs, LiftedFeatures, decoder_training, encode};
@@ -155,11 +155,7 @@ fn stage_two(config: &Config) -> StageTwo {
     for view in scene.split(Split::Test) {
         let seen = splats.seen_by(&view.camera, &settings);
         for source in [LabelSource::Labels, LabelSource::Scores] {
-            let rule = LabelRule {
-                source,
-                min_coverage: 0.5,
-            };
-            let map = LabelMaps::new(&identities, &scene.classes, rule).of(&seen);
+            let map = LabelMaps::new(&identities, &scene.classes, source, 0.5).of(&seen);
             maps.push(map.expect("a map"));
         }
         let frame = renderer.frame(&view.camera).expect("a frame");
