@@ -45,15 +45,10 @@ pub trait Real:
 macro_rules! real {
     ($type:ident, $variant:ident, $dispatch:ident) => {
         impl Real for $type {
-            const RAMP: [Self; 16] = {
-                let mut ramp = [0.0; 16];
-                let mut lane = 1;
-                while lane < 16 {
-                    ramp[lane] = lane as $type;
-                    lane += 1;
-                }
-                ramp
-            };
+            const RAMP: [Self; 16] = [
+                0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0,
+                15.0,
+            ];
             #[inline(always)]
             fn of(value: f64) -> Self {
                 value as $type

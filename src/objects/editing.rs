@@ -2,7 +2,7 @@
 
 use crate::data::{Class, Classes};
 use crate::error::{Result, ensure};
-use crate::splat::{Gaussians, Motion};
+use crate::splat::{Gaussians, Motion, bounds};
 use glam::DVec3;
 use std::collections::BTreeSet;
 
@@ -39,10 +39,11 @@ impl Editing {
     /// If `labels` does not have one id for each Gaussian.
     pub fn new(gaussians: Gaussians, labels: Vec<u16>, classes: Classes) -> Self {
         assert_eq!(labels.len(), gaussians.len(), "one label for each Gaussian");
+        let corners = bounds(gaussians.positions(DVec3::ZERO).into_iter());
         Self {
             removed: vec![false; labels.len()],
             used: labels.iter().copied().collect(),
-            farthest: MAX_MOVE * diagonal(&gaussians),
+            farthest: MAX_MOVE * corners.map_or(0.0, |(low, high)| low.distance(high)),
             gaussians,
             labels,
             classes,
@@ -154,16 +155,4 @@ impl Editing {
             classes: self.classes,
         })
     }
-}
-
-/// Diagonal of the box around all centres.
-fn diagonal(gaussians: &Gaussians) -> f64 {
-    let centres = gaussians
-        .means
-        .iter()
-        .map(|mean| DVec3::from(mean.map(f64::from)));
-    let corners = centres
-        .map(|c| (c, c))
-        .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
-    corners.map_or(0.0, |(low, high)| (high - low).length())
 }

@@ -1,5 +1,6 @@
 //! Selection of one thing by a few of its Gaussians: it grows over the tree of [`Regions`].
 
+use super::largest::first_largest;
 use super::regions::Regions;
 use crate::raster::Projected;
 use std::collections::BTreeSet;
@@ -75,19 +76,14 @@ impl Regions {
         let shared: Vec<u32> = shared
             .filter(|region| chains.iter().all(|chain| chain.contains(region)))
             .collect();
-        let Some(&first) = shared.first() else {
+        let prominences = shared
+            .iter()
+            .map(|&region| self.prominences[region as usize]);
+        let Some(best) = first_largest(prominences) else {
             let alone = seeds.iter().map(|&seed| self.propose(&[seed]));
             return alone.fold(0.0, f32::max);
         };
-        let prominence = |region: u32| self.prominences[region as usize];
-        let more = |best, region| {
-            if prominence(region) > prominence(best) {
-                region
-            } else {
-                best
-            }
-        };
-        self.heights[shared.into_iter().fold(first, more) as usize]
+        self.heights[shared[best] as usize]
     }
 }
 

@@ -6,7 +6,7 @@ use crate::data::{Scene, Split};
 use crate::error::Result;
 use crate::features::{FeatureColors, Reduction, SCALES};
 use crate::metrics::ImageScores;
-use crate::progress::{Event, Progress, Viewing};
+use crate::progress::{Progress, Viewing};
 use crate::raster::Settings;
 use crate::segmentation::unprojection::{attended, unproject};
 use crate::splat::Gaussians;
@@ -218,14 +218,10 @@ fn count(
     device: &Device,
     progress: &mut dyn Progress,
 ) -> Result<Vec<u32>> {
-    progress.event(&Event::Started {
-        stage: "attendance",
-        done: 0,
-        iterations: 1,
-    });
+    let viewing = Viewing::begin(progress, "attendance", 1);
     let views = scene.split(Split::Train);
     let keep = attended(gaussians, views, &config.unprojection, settings, device)?;
-    progress.event(&Event::Finished);
+    viewing.end();
     let kept = (0..).zip(keep).filter(|(_, keep)| *keep);
     Ok(kept.map(|(index, _)| index).collect())
 }

@@ -2,7 +2,7 @@
 
 use super::encode::{Encodings, Inputs, encode, spatial_of};
 use super::evaluate::{FieldScores, HeldOut, HeldOutScores};
-use super::fine_tuning::FineTuning;
+use super::fine_tuning::fine_tuning;
 use super::label_evidence::{LabelEvidence, VOTE_FLOOR};
 use super::rivals::{Codes, Grouping, LinearHead, PanopticLifting, distil};
 use super::train_decoder::{
@@ -127,7 +127,7 @@ impl<'a> StageTwo<'a> {
 
     /// The raw labels of the held-out views.
     fn raw(&self) -> VariantOutcome {
-        let (scores, void_left_out) = self.held_out.score_raw(self.inputs);
+        let (scores, void_left_out) = self.held_out.score_raw();
         VariantOutcome {
             void_left_out,
             ..VariantOutcome::new(Variant::Raw, scores)
@@ -136,7 +136,7 @@ impl<'a> StageTwo<'a> {
 
     /// `identities` of Gaussians, from labels alone.
     fn of_identities(&self, variant: Variant, identities: Identities) -> Result<VariantOutcome> {
-        let scores = self.held_out.score(&identities, self.inputs)?;
+        let scores = self.held_out.score(&identities)?;
         Ok(VariantOutcome {
             identities: Some(identities),
             ..VariantOutcome::new(variant, scores)
@@ -252,19 +252,18 @@ impl<'a> StageTwo<'a> {
             return Ok(outcome);
         };
         self.views.use_raw_labels();
-        let fine_tuning = FineTuning::after(plan, self.views.len());
+        let (plan, rate) = &fine_tuning(plan, self.views.len());
         let model = PerGaussian(Blend::Probabilities);
         let logits = Logits::starting_at(&decoded, VOTE_FLOOR, &self.device);
-        let adam = Adam::new(fine_tuning.rate, None);
+        let adam = Adam::new(*rate, None);
         let training = Training::new(model, logits, adam, decoded.classes);
         drop(decoded);
         let schedule = TrainingSchedule {
             variant: "fine-tuning",
-            eval_every: fine_tuning.plan.iterations,
+            eval_every: plan.iterations,
             checkpoint: None,
             ..schedule(outcome.variant, self.inputs, self.checkpoints)?
         };
-        let plan = &fine_tuning.plan;
         let tuned = self.trained(outcome.variant, training, plan, &schedule, progress)?;
         outcome.identities = tuned.identities;
         outcome.scores = tuned.scores;
@@ -296,7 +295,7 @@ impl<'a> StageTwo<'a> {
         schedule: &TrainingSchedule,
         progress: &mut dyn Progress,
     ) -> Result<VariantOutcome> {
-        let (held_out, inputs) = (&self.held_out, self.inputs);
+        let held_out = &self.held_out;
         // Of the last iteration.
         let mut last: Option<(Identities, HeldOutScores)> = None;
         let mut evaluate = |training: &Training<M>| {
@@ -304,7 +303,7 @@ impl<'a> StageTwo<'a> {
                 return Ok(None);
             }
             let identities = training.identities()?;
-            let scores = held_out.score(&identities, inputs)?;
+            let scores = held_out.score(&identities)?;
             let miou = scores.miou();
             if training.iteration() == plan.iterations {
                 last = Some((identities, scores));
@@ -314,7 +313,7 @@ impl<'a> StageTwo<'a> {
         let finished = training.run(&mut self.views, plan, schedule, &mut evaluate, progress)?;
         if finished && last.is_none() {
             let identities = training.identities()?;
-            let scores = held_out.score(&identities, inputs)?;
+            let scores = held_out.score(&identities)?;
             last = Some((identities, scores));
         }
         let (identities, scores) = last.unzip();

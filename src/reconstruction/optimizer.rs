@@ -2,12 +2,12 @@
 
 use super::densify::{Densification, reset_opacity};
 use crate::backend::check_finite;
-use crate::backend::device::{read, upload};
+use crate::backend::device::{indices, read, upload};
 use crate::error::{Error, Result};
 use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step};
 use crate::raster::RasterInput;
 use crate::splat::Gaussians;
-use burn::tensor::{Bool, Device, Gradients, Int, Tensor, TensorData};
+use burn::tensor::{Bool, Device, Gradients, Tensor, TensorData};
 use std::sync::Arc;
 
 /// Names of the parameters, in the order of [`Moments`].
@@ -18,12 +18,6 @@ const MEANS: usize = 0;
 const LOG_SCALES: usize = 1;
 /// Place of the opacity logits in [`Moments`].
 pub const OPACITY: usize = 3;
-
-/// Row numbers as a tensor.
-pub(crate) fn indices(rows: &[u32], device: &Device) -> Tensor<1, Int> {
-    let values: Vec<i32> = rows.iter().map(|&row| row as i32).collect();
-    Tensor::from_data(TensorData::new(values, [rows.len()]), device)
-}
 
 /// One value for each scalar of each parameter, row-major: a first or second moment.
 pub type Moments = [Vec<f32>; 5];

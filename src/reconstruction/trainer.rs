@@ -8,7 +8,7 @@ use super::state::TrainerState;
 use crate::backend::device::read;
 use crate::config::Config;
 use crate::data::{Scene, Split, View, ViewCache};
-use crate::error::{Error, Result, bail, ensure};
+use crate::error::{Error, Result, ensure};
 use crate::metrics::ImageScores;
 use crate::ops::PhotometricTarget;
 use crate::progress::{CurvePoint, Event, Progress, Review};
@@ -208,16 +208,10 @@ impl<'a> Trainer<'a> {
         self.iteration = iteration;
         self.losses.0 += pass.loss;
         self.losses.1 += 1;
-        let review = if self.schedule.reviews(iteration) && self.parameters.len() > 0 {
-            Some(self.review()?)
-        } else {
-            None
-        };
-        let densified = if self.schedule.densifies(iteration) {
-            Some(self.densify()?)
-        } else {
-            None
-        };
+        let reviews = self.schedule.reviews(iteration) && self.parameters.len() > 0;
+        let review = reviews.then(|| self.review()).transpose()?;
+        let densifies = self.schedule.densifies(iteration);
+        let densified = densifies.then(|| self.densify()).transpose()?;
         let reset = self.schedule.resets(iteration);
         if reset {
             self.parameters.reset_opacity()?;
@@ -341,12 +335,11 @@ fn check_scene(scene: &Scene) -> Result<()> {
     scene.expect_training_views()?;
     for view in scene.split(Split::Train).chain(scene.split(Split::Test)) {
         let (width, height) = (view.image.width(), view.image.height());
-        if (width, height) != (view.camera.width, view.camera.height) {
-            let camera = &view.camera;
-            bail!(argument "data"; found "{width}x{height} pixels in view {}", view.name;
-                expected "{}x{} as its camera", camera.width, camera.height;
-                help "resize the photo or correct the intrinsics");
-        }
+        let camera = &view.camera;
+        ensure!((width, height) == (camera.width, camera.height),
+            argument "data"; found "{width}x{height} pixels in view {}", view.name;
+            expected "{}x{} as its camera", camera.width, camera.height;
+            help "resize the photo or correct the intrinsics");
         view.check_mask()?;
     }
     Ok(())

@@ -114,12 +114,12 @@ pub fn held_out_views<'a>(
     let maps: Vec<_> = identities
         .map(|identities| LabelMaps::new(identities, classes, source, coverage))
         .collect();
-    let mut pictures = Pictures::new(&outcome.gaussians, config, device)?.with_labels(&maps);
+    let pictures = Pictures::new(&outcome.gaussians, config, device)?;
     let test: Vec<&View> = outcome.scene.split(Split::Test).collect();
     let on_page: Vec<usize> = shown_of(test.len()).collect();
     let mut views = Vec::new();
     for (i, view) in test.into_iter().enumerate() {
-        let (rgb, scores, labels) = pictures.labelled(view)?;
+        let (rgb, scores, labels) = pictures.labelled(view, &maps)?;
         let labels = rows.iter().map(|row| row.variant).zip(labels).collect();
         let rendered = HeldOutView {
             view,

@@ -13,6 +13,7 @@ pub use self::motion::Motion;
 pub use self::sh::SH_0;
 use crate::backend::check_finite;
 use crate::error::{Result, bail, ensure};
+use glam::{DQuat, DVec3};
 
 /// A quaternion of a smaller squared length stands for no rotation.
 pub(crate) const ZERO_QUATERNION: f64 = 1e-12;
@@ -48,8 +49,8 @@ impl Gaussians {
     }
 
     /// World positions of the centres, `[N]`, where they are relative to `origin`.
-    pub(crate) fn positions(&self, origin: glam::DVec3) -> Vec<glam::DVec3> {
-        let world = |mean: &[f32; 3]| glam::DVec3::from(mean.map(f64::from)) + origin;
+    pub(crate) fn positions(&self, origin: DVec3) -> Vec<DVec3> {
+        let world = |mean: &[f32; 3]| DVec3::from(mean.map(f64::from)) + origin;
         self.means.iter().map(world).collect()
     }
 
@@ -171,6 +172,12 @@ impl Gaussians {
     }
 }
 
+/// Lower and upper corner of the box around `points`; `None` without any.
+pub(crate) fn bounds(points: impl Iterator<Item = DVec3>) -> Option<(DVec3, DVec3)> {
+    let corners = points.map(|p| (p, p));
+    corners.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+}
+
 /// The middle one of `values` in ascending order, the upper of two; 0 without any.
 pub(crate) fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
@@ -182,11 +189,11 @@ pub(crate) fn median(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// The rotation of a quaternion (w, x, y, z) of any length. A quaternion of length 0 gives the identity, as in the rasterizer.
-pub(crate) fn rotation(quaternion: &[f32; 4]) -> glam::DQuat {
+pub(crate) fn rotation(quaternion: &[f32; 4]) -> DQuat {
     let [w, x, y, z] = quaternion.map(f64::from);
-    let q = glam::DQuat::from_xyzw(x, y, z, w);
+    let q = DQuat::from_xyzw(x, y, z, w);
     if q.length_squared() < ZERO_QUATERNION {
-        glam::DQuat::IDENTITY
+        DQuat::IDENTITY
     } else {
         q.normalize()
     }

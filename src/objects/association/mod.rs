@@ -177,7 +177,11 @@ impl AssociationInputs<'_> {
         let assigned = sweeps::form_groups(&mut groups, &views, self.config, progress)?;
         let (kept, found) = numbered_groups(&groups, &assigned)?;
         let maps = self.maps(&mut groups, &views, &assigned, &kept, progress)?;
-        let segments = || assigned.iter().flat_map(Assigned::by_segment);
+        let segments = || {
+            assigned
+                .iter()
+                .flat_map(|view| view.by_segment().map(|of| of.1))
+        };
         let categories = kept.iter().map(|&group| groups.category(group));
         Ok(Association {
             classes: class_table(categories, &self.scene.classes),

@@ -36,10 +36,7 @@ pub(super) fn relabelled(
     };
     let mut table = vec![NO_SEGMENT; 1 << 16];
     let mut divided: HashMap<u16, Divided> = HashMap::new();
-    let mut first = 0;
-    for groups in assigned.by_segment() {
-        let pieces = &assigned.pieces[first..first + groups.len()];
-        first += groups.len();
+    for (pieces, groups) in assigned.by_segment() {
         let id = |n: usize| groups[n].map_or(NO_SEGMENT, ids);
         let largest = first_largest(pieces.iter().map(|piece| piece.total)).unwrap_or(0);
         let segment = pieces[0].segment.id;

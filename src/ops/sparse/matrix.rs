@@ -75,9 +75,7 @@ impl SparseMatrix {
     /// # Panics
     /// If a row is not below `columns`.
     pub fn selection(rows: Vec<u32>, columns: usize) -> Self {
-        let offsets = (0..=rows.len() as u32).collect();
-        let ones = vec![1.0; rows.len()];
-        Self::new(columns, offsets, rows, ones)
+        Self::row_sums(rows, 1, columns)
     }
 
     /// Sums `k` rows of an input with `columns` rows: row r sums the rows `rows[r k..(r + 1) k]`.

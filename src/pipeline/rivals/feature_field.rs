@@ -6,15 +6,16 @@ use super::super::train_decoder::{
     Adam, DecodedScores, IdentityModel, TrainingViews, ViewSample, finite_loss, identities,
     parameter_gradients, view_at,
 };
-use super::{first_parameters, linear};
+use super::first_parameters;
 use crate::backend::device::upload;
 use crate::data::{Split, View};
 use crate::error::Result;
 use crate::features::{Reduction, SCALES, ViewFeatures};
 use crate::objects::Identities;
 use crate::ops::select;
-use crate::progress::{Event, Progress};
+use crate::progress::{Event, Progress, go_on};
 use crate::random::{Purpose, stream, uniform};
+use crate::segmentation::linear::linear;
 use crate::segmentation::pixels::{LabelledPixels, constant};
 use crate::segmentation::randla::parameter;
 use burn::module::{Module, Param};
@@ -89,13 +90,7 @@ pub fn distil(
 ) -> Result<Option<Distilled>> {
     let clock = Instant::now();
     let config = inputs.config;
-    let mut advance = || {
-        if progress.stop() {
-            ControlFlow::Break(())
-        } else {
-            ControlFlow::Continue(())
-        }
-    };
+    let mut advance = || go_on(progress);
     let features = &config.features;
     let seed = config.seed;
     let reduction = Reduction::fit(inputs.scene, features, seed, inputs.device, &mut advance)?;

@@ -2,11 +2,12 @@
 
 use super::super::encode::Inputs;
 use super::super::train_decoder::{DecodedScores, IdentityModel, identities};
-use super::{first_parameters, linear};
+use super::first_parameters;
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::select;
 use crate::random::{Purpose, stream, uniform};
+use crate::segmentation::linear::linear;
 use crate::segmentation::loss::{NeighbourPairs, neighbour_divergence};
 use crate::segmentation::neighbours::without_self;
 use crate::segmentation::randla::parameter;

@@ -37,14 +37,11 @@ impl ViewSample {
             Blend::Logits => Ok(Scores::Pixels(self.pixels.blend(scores)?)),
             Blend::Probabilities => Ok(Scores::Gaussians(scores)),
         };
-        let mut scores: Vec<Scores> = predictions
-            .into_iter()
-            .map(blended)
-            .collect::<Result<_>>()?;
-        let last = scores.pop().expect("at least one prediction");
-        Ok(match scores.pop() {
-            Some(first) => Scores::Pair(Box::new([first, last])),
-            None => last,
+        let mut scores = predictions.into_iter().map(blended);
+        let first = scores.next().expect("at least one prediction")?;
+        Ok(match scores.next() {
+            Some(second) => Scores::Pair(Box::new([first, second?])),
+            None => first,
         })
     }
 }

@@ -269,7 +269,7 @@ impl<E: Real> Inputs<E> {
         } else {
             Vec::new()
         };
-        let d_features = if !call.has_features || channels == colours {
+        let d_features = if channels == colours {
             Vec::new()
         } else if colours == 0 {
             d.values
