@@ -2,7 +2,7 @@
 
 use crate::data::{Class, Classes};
 use crate::error::{Result, ensure};
-use crate::splat::{Gaussians, Motion, bounds};
+use crate::splat::{Gaussians, Motion, bounds, rows_where};
 use glam::DVec3;
 use std::collections::BTreeSet;
 
@@ -80,11 +80,8 @@ impl Editing {
 
     /// Gaussians of a label that are not removed, ascending.
     pub fn rows(&self, id: u16) -> Vec<u32> {
-        let labelled = (0..).zip(&self.labels).zip(&self.removed);
-        labelled
-            .filter(|&((_, &label), removed)| label == id && !removed)
-            .map(|((row, _), _)| row)
-            .collect()
+        let labelled = self.labels.iter().zip(&self.removed);
+        rows_where(labelled, |(&label, removed)| label == id && !removed)
     }
 
     /// The longest move that [`Editing::displace`] should be asked for, world units: 100 diagonals of the scene. Zero where all
@@ -142,11 +139,7 @@ impl Editing {
     /// # Errors
     /// [`crate::Error::Argument`], naming `what` removed them, when no Gaussian is left.
     pub fn finish(self, what: &str) -> Result<Edited> {
-        let rows: Vec<u32> = (0..)
-            .zip(&self.removed)
-            .filter(|(_, removed)| !**removed)
-            .map(|(row, _)| row)
-            .collect();
+        let rows = rows_where(&self.removed, |removed| !removed);
         ensure!(!rows.is_empty(), argument "{what}"; found "no Gaussian left"; expected "one or more";
             help "keep an object, or remove fewer");
         Ok(Edited {

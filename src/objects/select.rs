@@ -3,6 +3,7 @@
 use super::largest::first_largest;
 use super::regions::Regions;
 use crate::raster::Projected;
+use crate::splat::rows_where;
 use std::collections::BTreeSet;
 
 /// Least coverage of a pixel that shows a Gaussian.
@@ -38,9 +39,9 @@ impl Growth {
 
     /// The Gaussians that belong to the selection at `threshold`, ascending.
     pub fn rows(&self, threshold: f32) -> Vec<u32> {
-        let rows = (0..).zip(&self.thresholds);
-        let inside = rows.filter(|(_, needed)| needed.is_finite() && **needed <= threshold);
-        inside.map(|(row, _)| row).collect()
+        rows_where(&self.thresholds, |needed| {
+            needed.is_finite() && *needed <= threshold
+        })
     }
 }
 

@@ -3,7 +3,7 @@
 use super::encode::{Encodings, Inputs, encode, spatial_of};
 use super::evaluate::{FieldScores, HeldOut, HeldOutScores};
 use super::fine_tuning::fine_tuning;
-use super::label_evidence::{LabelEvidence, VOTE_FLOOR};
+use super::label_evidence::{LabelEvidence, VOTE_FLOOR, once};
 use super::rivals::{Codes, Grouping, LinearHead, PanopticLifting, distil};
 use super::train_decoder::{
     Adam, IdentityModel, Logits, PerGaussian, Training, TrainingPlan, TrainingSchedule,
@@ -229,15 +229,10 @@ impl<'a> StageTwo<'a> {
 
     /// Scores of the lifted features, computed once, where they are asked for.
     fn lifted(&self) -> Result<Option<FieldScores>> {
-        if let Some(scores) = self.lifted.get() {
-            return Ok(*scores);
+        if !self.inputs.scores_fields {
+            return Ok(None);
         }
-        let scores = if self.inputs.scores_fields {
-            FieldScores::of_lifted(self.inputs)?
-        } else {
-            None
-        };
-        Ok(*self.lifted.get_or_init(|| scores))
+        once(&self.lifted, || FieldScores::of_lifted(self.inputs)).copied()
     }
 
     /// `outcome` of a decoder trained by `plan`, after the fine-tuning that the settings ask for.
@@ -320,7 +315,7 @@ impl<'a> StageTwo<'a> {
         Ok(VariantOutcome {
             identities,
             learnable_bytes: training.learnable_bytes(),
-            rate: Some(training.rate()),
+            rate: Some(training.adam.rate),
             seconds: training.curve.last().map_or(0.0, |p| p.seconds),
             earlier_seconds: training.earlier_seconds,
             curve: training.curve,

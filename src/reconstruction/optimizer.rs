@@ -92,27 +92,39 @@ impl ParameterGradients {
     /// # Errors
     /// [`Error::NonFinite`] naming the loss, or the gradient and its first bad row.
     pub fn check(&self, loss: Tensor<1>) -> Result<f64> {
-        let mut check = FiniteCheck::default();
-        self.0.iter().for_each(|gradient| check.add(gradient));
-        let (value, finite) = check.read(loss)?;
-        if !value.is_finite() {
-            return Err(Error::non_finite("loss", 0));
-        }
-        // The search clears what was only a sum that overflowed.
-        if !finite {
-            for (name, gradient) in NAMES.iter().zip(&self.0) {
-                find_non_finite(name, gradient)?;
-            }
-        }
-        Ok(value.into())
+        let named: Vec<_> = NAMES.into_iter().zip(&self.0).collect();
+        Ok(finite_loss("loss", loss, &named)?.into())
     }
 }
 
-/// Looks at all values of a gradient.
+/// The value of `loss` (`[1]`), once it and the named `gradients` are known to be finite: one readback.
 ///
 /// # Errors
-/// [`Error::NonFinite`] naming the tensor and its first bad row.
-pub fn find_non_finite<const D: usize>(name: &str, gradient: &Tensor<D>) -> Result<()> {
+/// [`Error::NonFinite`] naming the loss, or the gradient and its first bad row; [`Error::Device`] when the device fails.
+pub fn finite_loss<const D: usize>(
+    name: &str,
+    loss: Tensor<1>,
+    gradients: &[(&str, &Tensor<D>)],
+) -> Result<f32> {
+    let mut check = FiniteCheck::default();
+    gradients
+        .iter()
+        .for_each(|(_, gradient)| check.add(gradient));
+    let (value, finite) = check.read(loss)?;
+    if !value.is_finite() {
+        return Err(Error::non_finite(name, 0));
+    }
+    // The search clears what was only a sum that overflowed.
+    if !finite {
+        for (name, gradient) in gradients {
+            find_non_finite(name, gradient)?;
+        }
+    }
+    Ok(value)
+}
+
+/// Looks at all values of a gradient.
+fn find_non_finite<const D: usize>(name: &str, gradient: &Tensor<D>) -> Result<()> {
     let name = format!("gradient of {name}");
     let values = read(&name, gradient.clone())?;
     let width = values.len() / gradient.dims()[0].max(1);

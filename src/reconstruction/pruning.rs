@@ -262,7 +262,7 @@ mod tests {
         let scene = gaussians(&photos, &Device::ndarray());
         let views = train(&photos);
         let all = without(&scene, views[0], None);
-        let n = scene.leaves.splats.opacity_logits.dims()[0];
+        let n = scene.leaves.opacity_logits.dims()[0];
         let mut mean = vec![0.0; n];
         for draw in 0..DRAWS {
             let mut rng = stream(1, Purpose::Pruning, draw);

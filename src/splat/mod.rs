@@ -178,6 +178,16 @@ pub(crate) fn bounds(points: impl Iterator<Item = DVec3>) -> Option<(DVec3, DVec
     corners.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
 }
 
+/// The numbers of the rows whose value `is_wanted` accepts, ascending.
+pub(crate) fn rows_where<T>(
+    values: impl IntoIterator<Item = T>,
+    is_wanted: impl Fn(T) -> bool,
+) -> Vec<u32> {
+    let rows = (0..).zip(values);
+    rows.filter_map(|(row, value)| is_wanted(value).then_some(row))
+        .collect()
+}
+
 /// The middle one of `values` in ascending order, the upper of two; 0 without any.
 pub(crate) fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();

@@ -6,7 +6,7 @@ use crate::data::{LabelMap, LabelRuns, View};
 use crate::error::Result;
 use crate::objects::largest::first_largest;
 use crate::raster::{Projected, Settings};
-use crate::splat::Gaussians;
+use crate::splat::{Gaussians, rows_where};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -61,9 +61,7 @@ pub(super) fn relabelled(
         height: raw.height,
         ids,
     };
-    let pixels: Vec<u32> = (0..raw.ids.len() as u32)
-        .filter(|&p| divided.contains_key(&raw.ids[p as usize]))
-        .collect();
+    let pixels = rows_where(&raw.ids, |id| divided.contains_key(id));
     if pixels.is_empty() {
         return Ok(Some(map));
     }

@@ -99,13 +99,3 @@ fn drop_negligible(
     groups.rebuild(assigned);
     Ok(())
 }
-
-/// Assigns the segments of a view that did not form the groups.
-pub(super) fn assign_view<'a>(
-    groups: &mut Groups,
-    view: &'a ViewSegments,
-    extents: &[f64],
-) -> Assigned<'a> {
-    let pieces = divided(groups, view, extents);
-    groups.assign(pieces, Unmatched::Joins)
-}

@@ -3,8 +3,8 @@
 use super::super::encode::Inputs;
 use super::super::evaluate::FieldScores;
 use super::super::train_decoder::{
-    Adam, DecodedScores, IdentityModel, TrainingViews, ViewSample, finite_loss, identities,
-    parameter_gradients, view_at,
+    Adam, DecodedScores, IdentityModel, TrainingViews, ViewSample, identities, parameter_gradients,
+    view_at,
 };
 use super::first_parameters;
 use crate::backend::device::upload;
@@ -15,6 +15,7 @@ use crate::objects::Identities;
 use crate::ops::select;
 use crate::progress::{Event, Progress, go_on};
 use crate::random::{Purpose, stream, uniform};
+use crate::reconstruction::optimizer::finite_loss;
 use crate::segmentation::linear::linear;
 use crate::segmentation::pixels::{LabelledPixels, constant};
 use crate::segmentation::randla::parameter;
@@ -134,7 +135,8 @@ pub fn distil(
             let decoded = field.at(&sample.visible, &sample.pixels)?;
             let loss = (decoded - constant(target, device)).abs().mean();
             let gradient = parameter_gradients(&field, &mut loss.backward());
-            let value = finite_loss(loss.inner(), &gradient)?;
+            let named = [("the parameters", &gradient)];
+            let value = finite_loss("segmentation loss", loss.inner(), &named)?;
             field = adam.step(field, gradient, 1.0);
             f64::from(value)
         };

@@ -13,8 +13,8 @@ mod sampling;
 mod view_input;
 mod views;
 
+pub(super) use self::adam::parameter_gradients;
 pub use self::adam::{Adam, NamedValues};
-pub(super) use self::adam::{finite_loss, parameter_gradients};
 pub use self::class_recall::ClassRecall;
 pub use self::decoder_model::{DecodedParts, DecoderModel, DecoderPlan, dropped_channels};
 pub use self::per_gaussian::{Logits, PerGaussian};
@@ -30,6 +30,7 @@ use crate::objects::Identities;
 use crate::progress::{CurvePoint, Event, Progress};
 use crate::provenance::Provenance;
 use crate::random::{Purpose, stream};
+use crate::reconstruction::optimizer::finite_loss;
 use crate::segmentation::loss::{CoSegLoss, Scores};
 use burn::module::Module;
 use burn::tensor::{Gradients, Tensor};
@@ -128,7 +129,8 @@ pub struct Training<M: IdentityModel> {
     model: M,
     /// The parameters.
     pub module: M::Module,
-    adam: Adam,
+    /// What moves them.
+    pub adam: Adam,
     recall: ClassRecall,
     iteration: usize,
     /// One point for each evaluation.
@@ -194,19 +196,6 @@ impl<M: IdentityModel> Training<M> {
         4 * self.module.num_params()
     }
 
-    /// Learning rate at its highest.
-    pub fn rate(&self) -> f64 {
-        self.adam.rate
-    }
-
-    /// Step count of Adam, its moments and the mean of the parameters, each in the order of the module's parameters.
-    ///
-    /// # Errors
-    /// [`Error::Device`] when the device does not return them.
-    pub fn optimizer_state(&self) -> Result<NamedValues> {
-        self.adam.state()
-    }
-
     /// One iteration. Returns the loss, 0 for a view without labelled pixels.
     ///
     /// # Errors
@@ -257,7 +246,8 @@ impl<M: IdentityModel> Training<M> {
         let loss = self.model.loss(&coseg, rendered)?;
         let gradients = &mut loss.backward();
         let gradient = (self.model).gradient(&self.module, view, &decoded, gradients);
-        let value = finite_loss(loss.inner(), &gradient)?;
+        let named = [("the parameters", &gradient)];
+        let value = finite_loss("segmentation loss", loss.inner(), &named)?;
         let factor = plan.rate_factor(self.iteration);
         self.module = self.adam.step(self.module.clone(), gradient, factor);
         Ok(value)

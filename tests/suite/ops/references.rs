@@ -90,7 +90,7 @@ fn moments(training: &Training<DecoderModel>) -> Vec<[Vec<f32>; 2]> {
     }
     let mut sizes = Sizes(Vec::new());
     training.module.visit(&mut sizes);
-    let state = training.optimizer_state().expect("readable");
+    let state = training.adam.state().expect("readable");
     let vector = |name: &str| {
         let found = state.iter().find(|(found, _)| found == name);
         found.expect("a moment").1.clone()
@@ -109,10 +109,9 @@ fn moments(training: &Training<DecoderModel>) -> Vec<[Vec<f32>; 2]> {
 fn stage_two(config: &Config) -> StageTwo {
     let (scene, gaussians, labels, _folder) = crate::support::plates::loaded();
     let (device, settings) = (crate::support::device(), Settings::default());
-    let lifted =
-        LiftedFeatures::of_views(&scene, &gaussians, config, &settings, &device, &mut Silent)
-            .expect("features")
-            .expect("not stopped");
+    let lifted = LiftedFeatures::of_views(&scene, &gaussians, config, &device, &mut Silent)
+        .expect("features")
+        .expect("not stopped");
     let gaussians = gaussians.select(&lifted.kept);
     let kept = lifted.kept.iter();
     let labels = kept.map(|&i| labels[i as usize]).collect();
