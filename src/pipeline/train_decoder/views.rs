@@ -3,7 +3,7 @@
 use super::sampling::stratified_sample;
 use crate::backend::device::{read, upload};
 use crate::config::{Blend, SegmentationConfig};
-use crate::data::{Classes, LabelProbabilities, LabelRuns, View};
+use crate::data::{Classes, LabelProbabilities, LabelRuns, View, ViewCache};
 use crate::error::Result;
 use crate::objects::{Identities, first_largest};
 use crate::ops::select;
@@ -65,7 +65,7 @@ pub struct TrainingViews<'a> {
     replaced: Option<ReplacedLabels>,
     classes: Classes,
     /// Class probabilities of raw labels, of the views that were used already and have them.
-    scores: Vec<Option<LabelProbabilities>>,
+    scores: ViewCache<LabelProbabilities>,
 }
 
 /// Labels of the pixels by what identities say.
@@ -73,7 +73,7 @@ struct ReplacedLabels {
     /// `[N, C]`, without autodiff.
     scores: Tensor<2>,
     /// Of the views that were used already.
-    labels: Vec<Option<Arc<Vec<u16>>>>,
+    labels: ViewCache<Vec<u16>>,
 }
 
 impl<'a> TrainingViews<'a> {
@@ -111,7 +111,7 @@ impl<'a> TrainingViews<'a> {
             lookup: None,
             min_coverage: config.min_coverage as f32,
             classes: Classes::default(),
-            scores: vec![None; views.len()],
+            scores: ViewCache::new(views.len(), usize::MAX),
             used: vec![None; views.len()],
             weights: vec![None; views.len()],
             budget: config.weight_cache_mb << 20,
@@ -132,7 +132,7 @@ impl<'a> TrainingViews<'a> {
         let size = [identities.scores.len() / classes.max(1), classes];
         self.replaced = Some(ReplacedLabels {
             scores: upload(identities.scores.clone(), size, device),
-            labels: vec![None; self.views.len()],
+            labels: ViewCache::new(self.views.len(), usize::MAX),
         });
     }
 
@@ -172,7 +172,10 @@ impl<'a> TrainingViews<'a> {
         let weights = match (weights, &drawn) {
             (Some(weights), Some(drawn)) => weights.at(drawn),
             (Some(weights), None) => weights,
-            (None, _) => self.weights_of(index, &view.visible, &numbers)?,
+            (None, _) => {
+                let camera = &self.views[index].camera;
+                (self.gaussians).weights(camera, &view.visible, numbers.clone())?
+            }
         };
         let pixels = LabelledPixels {
             weights,
@@ -201,24 +204,11 @@ impl<'a> TrainingViews<'a> {
         if numbers.is_empty() {
             return Ok(None);
         }
-        let scores = match &mut self.scores[index] {
-            Some(scores) => scores,
-            none => none.insert(file.read(&self.classes)?),
-        };
+        let read = || Ok((file.read(&self.classes)?, 0));
+        let scores = self.scores.get(index, read)?;
         let size = [numbers.len(), self.classes.len()];
-        let rows = probabilities(scores, labels, numbers, size[1]);
+        let rows = probabilities(&scores, labels, numbers, size[1]);
         Ok(Some(upload(rows, size, &self.device)))
-    }
-
-    /// The weights of the pixels `numbers` of view `index` over the Gaussians `visible`.
-    fn weights_of(
-        &self,
-        index: usize,
-        visible: &[u32],
-        numbers: &Arc<Vec<u32>>,
-    ) -> Result<PixelWeights> {
-        let camera = &self.views[index].camera;
-        self.gaussians.weights(camera, visible, numbers.clone())
     }
 
     /// The labelled, covered pixels of view `index`, and their weights at the first use and while they are kept.
@@ -251,28 +241,27 @@ impl<'a> TrainingViews<'a> {
         &mut self,
         index: usize,
         view: &LabelledView,
-        weights: Option<PixelWeights>,
+        mut weights: Option<PixelWeights>,
     ) -> Result<(Arc<Vec<u16>>, Option<PixelWeights>)> {
-        let Some(replaced) = &self.replaced else {
+        let Some(ReplacedLabels { scores, labels }) = &mut self.replaced else {
             return Ok((view.labels.clone(), weights));
         };
-        if let Some(labels) = &replaced.labels[index] {
-            return Ok((labels.clone(), weights));
-        }
-        let weights = match weights {
-            Some(weights) => weights,
-            None => self.weights_of(index, &view.visible, &view.numbers)?,
-        };
-        let pixels = LabelledPixels {
-            weights: weights.clone(),
-            labels: view.labels.clone(),
-            distributions: None,
-        };
-        let labels = Arc::new(largest_blended(&replaced.scores, &view.visible, &pixels)?);
-        if let Some(replaced) = &mut self.replaced {
-            replaced.labels[index] = Some(labels.clone());
-        }
-        Ok((labels, Some(weights)))
+        let (gaussians, camera) = (&self.gaussians, &self.views[index].camera);
+        let labels = labels.get(index, || {
+            let weights = match &mut weights {
+                Some(weights) => weights,
+                none => {
+                    none.insert(gaussians.weights(camera, &view.visible, view.numbers.clone())?)
+                }
+            };
+            let pixels = LabelledPixels {
+                weights: weights.clone(),
+                labels: view.labels.clone(),
+                distributions: None,
+            };
+            Ok((largest_blended(scores, &view.visible, &pixels)?, 0))
+        })?;
+        Ok((labels, weights))
     }
 }
 
