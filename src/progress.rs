@@ -128,16 +128,21 @@ impl<'p> Viewing<'p> {
             self.done += more;
             self.progress.event(&Event::Viewed { done: self.done });
         }
-        if self.progress.stop() {
-            ControlFlow::Break(())
-        } else {
-            ControlFlow::Continue(())
-        }
+        go_on(self.progress)
     }
 
     /// The stage is done.
     pub fn end(self) {
         self.progress.event(&Event::Finished);
+    }
+}
+
+/// Asks whether to continue.
+pub(crate) fn go_on(progress: &mut dyn Progress) -> ControlFlow<()> {
+    if progress.stop() {
+        ControlFlow::Break(())
+    } else {
+        ControlFlow::Continue(())
     }
 }
 

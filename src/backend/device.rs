@@ -3,9 +3,10 @@
 
 use crate::error::{Error, Result, invalid};
 use burn::backend::DispatchDevice;
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use serde::de::IntoDeserializer;
 use serde::{Deserialize, Serialize};
+use std::fmt::Display;
 
 /// A compute backend by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -35,7 +36,7 @@ impl BackendName {
     }
 }
 
-impl std::fmt::Display for BackendName {
+impl Display for BackendName {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         self.serialize(f)
     }
@@ -88,11 +89,17 @@ pub fn choose(name: Option<BackendName>) -> Result<(BackendName, Device)> {
             tracing::warn!("{name}: {reason}; computing with {next} instead");
         }
     }
-    Err(Error::Device {
-        device: "none".into(),
-        reason: "no backend is compiled in".into(),
-        help: "build with --features ndarray".into(),
-    })
+    let reason = "no backend is compiled in";
+    Err(unusable("none", reason, "build with --features ndarray"))
+}
+
+/// An [`Error::Device`].
+fn unusable(device: impl Display, reason: impl Into<String>, help: impl Into<String>) -> Error {
+    Error::Device {
+        device: device.to_string(),
+        reason: reason.into(),
+        help: help.into(),
+    }
 }
 
 /// The best CPU backend compiled in, else the best backend.
@@ -113,11 +120,11 @@ pub fn open_gpu() -> Result<Device> {
     let device = open(Some(BackendName::Wgpu))?;
     match missing_capability(&device) {
         None => Ok(device),
-        Some(missing) => Err(Error::Device {
-            device: BackendName::Wgpu.to_string(),
-            reason: format!("its adapter lacks what the kernels need: {missing}"),
-            help: "choose another adapter or backend".into(),
-        }),
+        Some(missing) => Err(unusable(
+            BackendName::Wgpu,
+            format!("its adapter lacks what the kernels need: {missing}"),
+            "choose another adapter or backend",
+        )),
     }
 }
 
@@ -152,11 +159,11 @@ pub fn open_hardware_gpu() -> Result<Device> {
     let device = open_gpu()?;
     match software_adapter(BackendName::Wgpu) {
         None => Ok(device),
-        Some(adapter) => Err(Error::Device {
-            device: BackendName::Wgpu.to_string(),
-            reason: format!("the only adapter is {adapter}, a software one"),
-            help: "install the GPU's Vulkan, Metal or DX12 driver".into(),
-        }),
+        Some(adapter) => Err(unusable(
+            BackendName::Wgpu,
+            format!("the only adapter is {adapter}, a software one"),
+            "install the GPU's Vulkan, Metal or DX12 driver",
+        )),
     }
 }
 
@@ -230,6 +237,12 @@ pub(crate) fn upload<const D: usize>(
     Tensor::from_data(TensorData::new(values, shape), device)
 }
 
+/// Row numbers as a tensor on `device`.
+pub(crate) fn indices(rows: &[u32], device: &Device) -> Tensor<1, Int> {
+    let values: Vec<i64> = rows.iter().map(|&row| i64::from(row)).collect();
+    Tensor::from_data(TensorData::new(values, [rows.len()]), device)
+}
+
 /// The row-major values of a tensor of f32, on the host; `what` names it.
 ///
 /// # Errors
@@ -244,11 +257,9 @@ fn host_data<const D: usize>(what: &str, tensor: Tensor<D>) -> Result<TensorData
 }
 
 fn unreadable(what: &str, reason: &dyn std::fmt::Debug) -> Error {
-    Error::Device {
-        device: "in use".into(),
-        reason: format!("reading {what} back failed: {reason:?}"),
-        help: "see whether the device has memory left, or choose a CPU backend".into(),
-    }
+    let reason = format!("reading {what} back failed: {reason:?}");
+    let help = "see whether the device has memory left, or choose a CPU backend";
+    unusable("in use", reason, help)
 }
 
 /// [`read`] of a tensor of any float type.
@@ -280,11 +291,9 @@ fn device(name: BackendName) -> Result<Device> {
                 .iter()
                 .map(ToString::to_string)
                 .collect();
-            Err(Error::Device {
-                device: other.to_string(),
-                reason: format!("not part of this build, which has {}", has.join(", ")),
-                help: format!("choose one of these, or build with --features {other}"),
-            })
+            let reason = format!("not part of this build, which has {}", has.join(", "));
+            let help = format!("choose one of these, or build with --features {other}");
+            Err(unusable(other, reason, help))
         }
     }
 }
@@ -299,11 +308,12 @@ fn cuda() -> Result<Device> {
     if found || cfg!(windows) {
         return Ok(Device::cuda(0));
     }
-    Err(Error::Device {
-        device: BackendName::Cuda.to_string(),
-        reason: "no NVIDIA driver is loaded".into(),
-        help: "install the NVIDIA driver, or choose another backend".into(),
-    })
+    let help = "install the NVIDIA driver, or choose another backend";
+    Err(unusable(
+        BackendName::Cuda,
+        "no NVIDIA driver is loaded",
+        help,
+    ))
 }
 
 /// The default wgpu device.
@@ -311,13 +321,11 @@ fn cuda() -> Result<Device> {
 fn wgpu() -> Result<Device> {
     match adapter() {
         Ok(_) => Ok(Device::wgpu(burn::tensor::DeviceKind::DefaultDevice)),
-        Err(reason) => Err(Error::Device {
-            device: BackendName::Wgpu.to_string(),
-            reason: format!("no usable adapter ({reason})"),
-            help: "install a Vulkan, Metal or DX12 driver (Debian: mesa-vulkan-drivers has a software one), or choose \
-                   another backend"
-                .into(),
-        }),
+        Err(reason) => Err(unusable(
+            BackendName::Wgpu,
+            format!("no usable adapter ({reason})"),
+            "install a Vulkan, Metal or DX12 driver (Debian: mesa-vulkan-drivers has a software one), or choose another backend",
+        )),
     }
 }
 

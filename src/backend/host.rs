@@ -36,17 +36,14 @@ impl<E: Real> HostValues<E> {
         match self {
             Self::Owned(values) => values,
             #[cfg(feature = "ndarray")]
-            Self::Shared(array) => match array.try_into_owned_nocopy() {
-                Ok(owned) => {
-                    let len = owned.len();
-                    let (values, offset) = owned.into_raw_vec_and_offset();
-                    match offset {
-                        None | Some(0) if values.len() == len => values,
-                        _ => values[offset.unwrap_or(0)..][..len].to_vec(),
-                    }
-                }
-                Err(shared) => shared.iter().cloned().collect(),
-            },
+            Self::Shared(array) => {
+                let len = array.len();
+                let (mut values, offset) = array.into_owned().into_raw_vec_and_offset();
+                // A view of a part of the buffer.
+                values.drain(..offset.unwrap_or(0));
+                values.truncate(len);
+                values
+            }
             #[cfg(feature = "flex")]
             Self::Flex(tensor) => copy_out::<burn::backend::Flex, E>(tensor), // takes the buffer over unless it is shared
         }

@@ -17,4 +17,5 @@ pub(crate) use self::host::device_of;
 pub use self::host::host_fallbacks;
 pub(crate) use self::host::real_kernel;
 pub use self::real::Real;
+pub(crate) use self::real::check_finite;
 pub(crate) use self::resident::Resident;

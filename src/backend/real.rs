@@ -1,8 +1,10 @@
-//! The two scalar types of the kernels.
+//! The two scalar types of the kernels, and the check that values are finite.
 
 use super::simd::{self, Kernel};
+use crate::error::{Error, Result};
 use ndarray::LinalgScalar;
 use num_traits::{Float, NumAssign};
+use rayon::prelude::*;
 use std::iter::Sum;
 
 /// `f32` (training) or `f64` (reference, finite differences).
@@ -43,15 +45,10 @@ pub trait Real:
 macro_rules! real {
     ($type:ident, $variant:ident, $dispatch:ident) => {
         impl Real for $type {
-            const RAMP: [Self; 16] = {
-                let mut ramp = [0.0; 16];
-                let mut lane = 1;
-                while lane < 16 {
-                    ramp[lane] = lane as $type;
-                    lane += 1;
-                }
-                ramp
-            };
+            const RAMP: [Self; 16] = [
+                0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0,
+                15.0,
+            ];
             #[inline(always)]
             fn of(value: f64) -> Self {
                 value as $type
@@ -89,3 +86,18 @@ macro_rules! real {
 }
 real!(f32, F32, dispatch_f32);
 real!(f64, F64, dispatch_f64);
+
+/// [`Error::NonFinite`] naming the first row of `[rows, width]` values that holds a NaN or an infinity.
+pub(crate) fn check_finite<E: Real>(name: &str, values: &[E], width: usize) -> Result<()> {
+    // Counting vectorises where stopping at the first would not.
+    let finite = values
+        .par_chunks(1 << 14)
+        .all(|chunk| chunk.iter().map(|v| u32::from(!v.is_finite())).sum::<u32>() == 0);
+    if finite {
+        return Ok(());
+    }
+    match values.iter().position(|v| !v.is_finite()) {
+        Some(at) => Err(Error::non_finite(name, at / width.max(1))),
+        None => Ok(()),
+    }
+}

@@ -87,8 +87,8 @@ impl AssociateArgs {
             ..Inputs::new(&scene, &ply.gaussians, &config, &device)
         };
         let views = HeldOut::new(&inputs);
-        held_out::print(&views.score_raw(&inputs).0, "held-out views, maps");
-        let rendered = views.score(&identities, &inputs)?;
+        held_out::print(&views.score_raw().0, "held-out views, maps");
+        let rendered = views.score(&identities)?;
         held_out::print(&rendered, "held-out views, rendered");
         Ok(())
     }

@@ -69,7 +69,7 @@ impl EvalArgs {
             identities_beside(&run.file(SCENE), ply.gaussians.len(), scene.classes.len())?;
         let views = image_scores(&inputs)?;
         let labels = match identities {
-            Some(identities) => Some(HeldOut::new(&inputs).score(&identities, &inputs)?),
+            Some(identities) => Some(HeldOut::new(&inputs).score(&identities)?),
             None => None,
         };
         let mean = ImageScores::mean(&views.values().copied().collect::<Vec<_>>());
@@ -131,7 +131,7 @@ fn stored_row(config: &Config) -> Option<Variant> {
 /// Scores of the rendered colours of each held-out view.
 fn image_scores(inputs: &Inputs) -> Result<BTreeMap<String, ImageScores>> {
     let bar = terminal::bar("eval", inputs.scene.split(Split::Test).count() as u64);
-    let mut pictures = Pictures::new(inputs.gaussians, inputs.config, inputs.device)?;
+    let pictures = Pictures::new(inputs.gaussians, inputs.config, inputs.device)?;
     let views = inputs.scene.split(Split::Test).map(|view| {
         let (_, scores) = pictures.of(view)?;
         bar.inc(1);

@@ -47,7 +47,7 @@ impl VoteArgs {
         ));
         let inputs = Inputs::new(&scene, &ply.gaussians, &config, &device);
         let views = HeldOut::new(&inputs);
-        let scores = views.score(&identities, &inputs)?;
+        let scores = views.score(&identities)?;
         held_out::print(&scores, &format!("{} held-out views", views.len()));
         Ok(())
     }

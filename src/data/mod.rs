@@ -11,6 +11,7 @@ pub mod labels;
 mod options;
 mod outputs;
 pub mod photos;
+mod view_cache;
 
 pub use self::diagnostics::check::{Checked, check};
 pub use self::diagnostics::info::{CameraBox, ClassShare, Info, Thumbnail, info, thumbnails};
@@ -25,6 +26,7 @@ pub use self::options::LoadOptions;
 pub use self::outputs::{check_output_file, check_outputs};
 pub use self::photos::photo::Photo;
 pub use self::photos::photo_cache::PhotoCache;
+pub(crate) use self::view_cache::ViewCache;
 
 pub use crate::files::Limits;
 

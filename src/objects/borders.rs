@@ -94,56 +94,37 @@ pub fn join_objects(
         .iter()
         .map(|block| block.classes)
         .filter(|classes| !classes.is_empty());
-    let mut joined = JoinedObjects {
-        ids: vec![BTreeMap::new(); blocks.len()],
-        classes: Classes {
-            entries: Vec::new(),
-            ignore: tables.next().map_or(0, |classes| classes.ignore),
-        },
-        joined: 0,
+    let mut classes = Classes {
+        entries: Vec::new(),
+        ignore: tables.next().map_or(0, |classes| classes.ignore),
     };
-    let mut numbering = Numbering::default();
-    for (&object, class) in &entries {
-        let set = root(object).filter(|set| present.contains(set));
-        if let Some(set) = set {
-            joined.add(object, class, set, &mut numbering);
-        }
-    }
-    Ok(joined)
-}
-
-/// Ids and numbers in names that were given.
-#[derive(Default)]
-struct Numbering {
-    id_of: HashMap<usize, u16>,
-    counts: HashMap<String, usize>,
-}
-
-impl JoinedObjects {
-    /// Adds an object of a block that belongs to a set.
-    fn add(&mut self, (block, own): Of, class: &Class, set: usize, numbering: &mut Numbering) {
-        let count = numbering.id_of.len();
-        let id = *numbering.id_of.entry(set).or_insert_with(|| {
+    let mut ids = vec![BTreeMap::new(); blocks.len()];
+    let mut id_of: HashMap<usize, u16> = HashMap::new();
+    let mut counts = HashMap::new();
+    for (&(block, own), class) in &entries {
+        let Some(set) = root((block, own)).filter(|set| present.contains(set)) else {
+            continue;
+        };
+        let id = *id_of.entry(set).or_insert_with(|| {
             // There are fewer than u16 has ids.
-            let id = 1 + count as u16;
-            if id < self.classes.ignore || self.classes.ignore == 0 {
-                id
-            } else {
-                id + 1
-            }
+            let next = 1 + classes.len() as u16;
+            let skips = classes.ignore != 0 && next >= classes.ignore;
+            let id = next + u16::from(skips);
+            classes.entries.push(Class {
+                id,
+                name: renumbered(class, &mut counts),
+                color: class_color(id),
+                object_of: class.object_of,
+            });
+            id
         });
-        self.ids[block].insert(own, id);
-        if numbering.id_of.len() == count {
-            self.joined += 1;
-            return;
-        }
-        self.classes.entries.push(Class {
-            id,
-            name: renumbered(class, &mut numbering.counts),
-            color: class_color(id),
-            object_of: class.object_of,
-        });
+        ids[block].insert(own, id);
     }
+    Ok(JoinedObjects {
+        joined: ids.iter().map(BTreeMap::len).sum::<usize>() - classes.len(),
+        ids,
+        classes,
+    })
 }
 
 /// The name of an object of a block with a number that is its own in all blocks: `chair 7` for `chair 2`.

@@ -47,10 +47,9 @@ impl Calibration {
         for row in divided.shares.chunks_exact_mut(votes.classes.max(1)) {
             divide(row, &factors);
         }
-        let winners = winners(&divided.shares, votes.classes);
         Self {
             factors,
-            log_confusion: Flux::new(&divided, &winners).log_confusion(),
+            log_confusion: Flux::new(divided.rows(), votes.classes).log_confusion(),
         }
     }
 
@@ -93,11 +92,7 @@ fn prior(votes: &PooledVotes) -> Vec<f64> {
     prior
 }
 
-/// Class of the largest value of each row, none where all are zero. Ties go to the lower index.
-fn winners(rows: &[f64], classes: usize) -> Vec<Option<usize>> {
-    rows.chunks_exact(classes.max(1)).map(winner).collect()
-}
-
+/// Class of the largest value, none where all are zero. Ties go to the lower index.
 fn winner(row: &[f64]) -> Option<usize> {
     first_largest(row).filter(|&best| row[best] > 0.0)
 }
@@ -116,26 +111,16 @@ struct Flux {
 }
 
 impl Flux {
-    fn empty(classes: usize) -> Self {
-        Self {
-            classes,
-            table: vec![0.0; classes * classes],
-        }
-    }
-
-    fn new(votes: &PooledVotes, winners: &[Option<usize>]) -> Self {
-        let mut flux = Self::empty(votes.classes);
-        for ((row, size), winner) in votes.rows().zip(winners) {
-            if let Some(winner) = winner {
-                flux.add(*winner, row, size);
+    /// Of pieces of surface with these class shares and sizes.
+    fn new<'a>(rows: impl Iterator<Item = (&'a [f64], f64)>, classes: usize) -> Self {
+        let mut table = vec![0.0; classes * classes];
+        for (row, size) in rows {
+            if let Some(winner) = winner(row) {
+                let to = &mut table[winner * classes..][..classes];
+                to.iter_mut().zip(row).for_each(|(t, s)| *t += size * s);
             }
         }
-        flux
-    }
-
-    fn add(&mut self, winner: usize, shares: &[f64], size: f64) {
-        let to = &mut self.table[winner * self.classes..][..self.classes];
-        to.iter_mut().zip(shares).for_each(|(t, s)| *t += size * s);
+        Self { classes, table }
     }
 
     fn at(&self, winner: usize, label: usize) -> f64 {
@@ -202,12 +187,7 @@ impl LabelErrors {
     /// Of the class shares `rows` of pieces of surface, `[N, C]`. Leave out those at the border of two classes: there both lose
     /// alike.
     pub fn of<'a>(rows: impl Iterator<Item = &'a [f64]>, classes: usize) -> Self {
-        let mut flux = Flux::empty(classes);
-        for row in rows {
-            if let Some(winner) = winner(row) {
-                flux.add(winner, row, 1.0);
-            }
-        }
+        let flux = Flux::new(rows.map(|row| (row, 1.0)), classes);
         let won = flux.won();
         let (mut product, mut square) = (0.0, 0.0);
         for a in 0..classes {
@@ -297,9 +277,9 @@ mod tests {
     }
 
     fn right(rows: &[f64], truth: &[usize]) -> usize {
-        let winners = winners(rows, COUNTS.len());
-        let pairs = winners.iter().zip(truth);
-        pairs.filter(|(w, t)| **w == Some(**t)).count()
+        let winners = rows.chunks_exact(COUNTS.len()).map(winner);
+        let pairs = winners.zip(truth);
+        pairs.filter(|(w, t)| *w == Some(**t)).count()
     }
 
     #[test]

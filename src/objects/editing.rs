@@ -2,7 +2,7 @@
 
 use crate::data::{Class, Classes};
 use crate::error::{Result, ensure};
-use crate::splat::{Gaussians, Motion};
+use crate::splat::{Gaussians, Motion, bounds, rows_where};
 use glam::DVec3;
 use std::collections::BTreeSet;
 
@@ -39,10 +39,11 @@ impl Editing {
     /// If `labels` does not have one id for each Gaussian.
     pub fn new(gaussians: Gaussians, labels: Vec<u16>, classes: Classes) -> Self {
         assert_eq!(labels.len(), gaussians.len(), "one label for each Gaussian");
+        let corners = bounds(gaussians.positions(DVec3::ZERO).into_iter());
         Self {
             removed: vec![false; labels.len()],
             used: labels.iter().copied().collect(),
-            farthest: MAX_MOVE * diagonal(&gaussians),
+            farthest: MAX_MOVE * corners.map_or(0.0, |(low, high)| low.distance(high)),
             gaussians,
             labels,
             classes,
@@ -79,11 +80,8 @@ impl Editing {
 
     /// Gaussians of a label that are not removed, ascending.
     pub fn rows(&self, id: u16) -> Vec<u32> {
-        let labelled = (0..).zip(&self.labels).zip(&self.removed);
-        labelled
-            .filter(|&((_, &label), removed)| label == id && !removed)
-            .map(|((row, _), _)| row)
-            .collect()
+        let labelled = self.labels.iter().zip(&self.removed);
+        rows_where(labelled, |(&label, removed)| label == id && !removed)
     }
 
     /// The longest move that [`Editing::displace`] should be asked for, world units: 100 diagonals of the scene. Zero where all
@@ -141,11 +139,7 @@ impl Editing {
     /// # Errors
     /// [`crate::Error::Argument`], naming `what` removed them, when no Gaussian is left.
     pub fn finish(self, what: &str) -> Result<Edited> {
-        let rows: Vec<u32> = (0..)
-            .zip(&self.removed)
-            .filter(|(_, removed)| !**removed)
-            .map(|(row, _)| row)
-            .collect();
+        let rows = rows_where(&self.removed, |removed| !removed);
         ensure!(!rows.is_empty(), argument "{what}"; found "no Gaussian left"; expected "one or more";
             help "keep an object, or remove fewer");
         Ok(Edited {
@@ -154,16 +148,4 @@ impl Editing {
             classes: self.classes,
         })
     }
-}
-
-/// Diagonal of the box around all centres.
-fn diagonal(gaussians: &Gaussians) -> f64 {
-    let centres = gaussians
-        .means
-        .iter()
-        .map(|mean| DVec3::from(mean.map(f64::from)));
-    let corners = centres
-        .map(|c| (c, c))
-        .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
-    corners.map_or(0.0, |(low, high)| (high - low).length())
 }

@@ -35,10 +35,6 @@ impl Object {
 /// If `labels` does not have one id for each Gaussian.
 pub fn inventory(gaussians: &Gaussians, labels: &[u16]) -> Vec<Object> {
     assert_eq!(labels.len(), gaussians.len(), "one label for each Gaussian");
-    let mut rows: BTreeMap<u16, Vec<u32>> = BTreeMap::new();
-    for (row, &id) in (0..).zip(labels) {
-        rows.entry(id).or_default().push(row);
-    }
     let object = |(id, rows): (u16, Vec<u32>)| {
         let beyond =
             ((CLIPPED_SHARE * rows.len() as f64).ceil() as usize).min((rows.len() - 1) / 2);
@@ -57,7 +53,16 @@ pub fn inventory(gaussians: &Gaussians, labels: &[u16]) -> Vec<Object> {
             high: DVec3::new(x[1], y[1], z[1]),
         }
     };
-    rows.into_iter().map(object).collect()
+    rows_by_label(labels).into_iter().map(object).collect()
+}
+
+/// The rows of each label, ascending.
+pub(super) fn rows_by_label(labels: &[u16]) -> BTreeMap<u16, Vec<u32>> {
+    let mut rows: BTreeMap<u16, Vec<u32>> = BTreeMap::new();
+    for (row, &id) in (0..).zip(labels) {
+        rows.entry(id).or_default().push(row);
+    }
+    rows
 }
 
 /// What a pixel shows.

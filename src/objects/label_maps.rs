@@ -2,32 +2,14 @@
 
 use super::Identities;
 use crate::backend::device::{read, upload};
-use crate::config::{LabelSource, SegmentationConfig};
+use crate::config::LabelSource;
 use crate::data::{Classes, LabelMap};
 use crate::error::Result;
 use crate::raster::{GaussianLabels, Largest, SplatView};
 use burn::tensor::Tensor;
 use std::sync::OnceLock;
 
-/// How label maps are rendered from identities.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LabelRule {
-    /// What is blended.
-    pub source: LabelSource,
-    /// Pixels covered by less (1 - T) show nothing.
-    pub min_coverage: f32,
-}
-
-impl From<&SegmentationConfig> for LabelRule {
-    fn from(config: &SegmentationConfig) -> Self {
-        Self {
-            source: config.render,
-            min_coverage: config.min_coverage as f32,
-        }
-    }
-}
-
-/// Identities as they are rendered by a rule, made once for any number of views.
+/// Identities as they are rendered, made once for any number of views.
 #[derive(Clone, Debug)]
 pub struct LabelMaps<'a> {
     blended: Blended<'a>,
@@ -44,9 +26,15 @@ enum Blended<'a> {
 }
 
 impl<'a> LabelMaps<'a> {
-    /// The maps of `identities` over `classes` by `rule`.
-    pub fn new(identities: &'a Identities, classes: &'a Classes, rule: LabelRule) -> Self {
-        let blended = match rule.source {
+    /// The maps of `identities` over `classes`. `source` says what is blended. Pixels covered by less than `min_coverage` (1 - T)
+    /// show nothing.
+    pub fn new(
+        identities: &'a Identities,
+        classes: &'a Classes,
+        source: LabelSource,
+        min_coverage: f32,
+    ) -> Self {
+        let blended = match source {
             LabelSource::Labels => {
                 let label = |class: Option<u16>| class.map_or(0, |c| c + 1);
                 let labels = identities.labels().into_iter().map(label).collect();
@@ -57,7 +45,7 @@ impl<'a> LabelMaps<'a> {
         Self {
             blended,
             classes,
-            min_coverage: rule.min_coverage,
+            min_coverage,
         }
     }
 

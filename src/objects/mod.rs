@@ -27,7 +27,7 @@ pub use self::editing::{Edited, Editing};
 pub use self::edits::{Edits, NewObject, Operation, Turn, VERSION as EDITS_VERSION, is_name};
 pub use self::identities::Identities;
 pub use self::inventory::{Object, Picked, inventory, pick};
-pub use self::label_maps::{LabelMaps, LabelRule};
+pub use self::label_maps::LabelMaps;
 pub(crate) use self::largest::first_largest;
 pub use self::pooled_vote::{PooledVote, PooledVotes, pooled_vote};
 pub use self::regions::Regions;

@@ -122,9 +122,8 @@ impl Renderer {
                 (pixels.rgb, pixels.transmittance, Some(pixels.labels))
             }
             None => {
-                let (image, transmittance) = view.blend(colours)?;
-                let rgb = read("a rendered view", image)?;
-                (rgb, read("a transmittance", transmittance)?, None)
+                let (rgb, transmittance) = blended(&view, colours)?;
+                (rgb, transmittance, None)
             }
         };
         for (pixel, &t) in rgb.chunks_exact_mut(3).zip(&transmittance) {
@@ -162,9 +161,7 @@ impl Renderer {
         let axis = forward.to_array().map(|v| v as f32).to_vec();
         let axis = upload(axis, [3, 1], &self.splats.device());
         let depths = self.splats.means.clone().matmul(axis) - forward.dot(camera.center);
-        let (image, transmittance) = view.blend(depths)?;
-        let mut depth = read("a rendered view", image)?;
-        let transmittance = read("a transmittance", transmittance)?;
+        let (mut depth, transmittance) = blended(&view, depths)?;
         for (depth, t) in depth.iter_mut().zip(transmittance) {
             let alpha = 1.0 - t;
             let is_seen = alpha > 0.0 && alpha >= self.options.min_coverage;
@@ -185,9 +182,7 @@ impl Renderer {
         let center = upload(center, [1, 3], &self.splats.device());
         let axes = self.splats.shortest_axes();
         let side = ((center - self.splats.means.clone()) * axes.clone()).sum_dim(1);
-        let (image, transmittance) = view.blend(axes * side.sign())?;
-        let mut normals = read("a rendered view", image)?;
-        let transmittance = read("a transmittance", transmittance)?;
+        let (mut normals, transmittance) = blended(&view, axes * side.sign())?;
         for (normal, t) in normals.chunks_exact_mut(3).zip(transmittance) {
             let is_seen = 1.0 - t >= self.options.min_coverage;
             let direction = Vec3::from_slice(normal).normalize_or_zero();
@@ -201,4 +196,11 @@ impl Renderer {
     pub(crate) fn view(&self, camera: &Camera) -> SplatView {
         self.splats.seen_by(camera, &self.options.settings)
     }
+}
+
+/// `values` in a view, `[H, W, C]`, and what shows of the background, `[H, W]`, on the host.
+fn blended(view: &SplatView, values: Tensor<2>) -> Result<(Vec<f32>, Vec<f32>)> {
+    let (image, transmittance) = view.blend(values)?;
+    let image = read("a rendered view", image)?;
+    Ok((image, read("a transmittance", transmittance)?))
 }

@@ -1,7 +1,9 @@
 //! Selection of one thing by a few of its Gaussians: it grows over the tree of [`Regions`].
 
+use super::largest::first_largest;
 use super::regions::Regions;
 use crate::raster::Projected;
+use crate::splat::rows_where;
 use std::collections::BTreeSet;
 
 /// Least coverage of a pixel that shows a Gaussian.
@@ -37,9 +39,9 @@ impl Growth {
 
     /// The Gaussians that belong to the selection at `threshold`, ascending.
     pub fn rows(&self, threshold: f32) -> Vec<u32> {
-        let rows = (0..).zip(&self.thresholds);
-        let inside = rows.filter(|(_, needed)| needed.is_finite() && **needed <= threshold);
-        inside.map(|(row, _)| row).collect()
+        rows_where(&self.thresholds, |needed| {
+            needed.is_finite() && *needed <= threshold
+        })
     }
 }
 
@@ -75,19 +77,14 @@ impl Regions {
         let shared: Vec<u32> = shared
             .filter(|region| chains.iter().all(|chain| chain.contains(region)))
             .collect();
-        let Some(&first) = shared.first() else {
+        let prominences = shared
+            .iter()
+            .map(|&region| self.prominences[region as usize]);
+        let Some(best) = first_largest(prominences) else {
             let alone = seeds.iter().map(|&seed| self.propose(&[seed]));
             return alone.fold(0.0, f32::max);
         };
-        let prominence = |region: u32| self.prominences[region as usize];
-        let more = |best, region| {
-            if prominence(region) > prominence(best) {
-                region
-            } else {
-                best
-            }
-        };
-        self.heights[shared.into_iter().fold(first, more) as usize]
+        self.heights[shared[best] as usize]
     }
 }
 

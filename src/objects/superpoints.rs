@@ -98,12 +98,13 @@ impl SurfaceGraph {
     pub fn superpoints(&self, scale: f64, least: usize) -> Superpoints {
         let mut components = Components::new(self.normals.len());
         for edge in &self.edges {
-            components.merge_if(edge, |inside, size| {
+            let fits = |(inside, size): (f64, usize)| {
                 f64::from(edge.weight) <= inside + scale / size as f64
-            });
+            };
+            components.join_if(edge, |both| both.into_iter().all(fits));
         }
         for edge in &self.edges {
-            components.absorb(edge, least);
+            components.join_if(edge, |[(_, a), (_, b)]| a.min(b) < least);
         }
         components.numbered()
     }
@@ -126,29 +127,18 @@ impl Components {
         }
     }
 
-    /// Joins the ends of `edge` where `rule` holds for Int(C) and |C| of both components.
-    fn merge_if(&mut self, edge: &Edge, rule: impl Fn(f64, usize) -> bool) {
+    /// Joins the components at the ends of `edge` where `rule` holds for Int(C) and |C| of both.
+    fn join_if(&mut self, edge: &Edge, rule: impl Fn([(f64, usize); 2]) -> bool) {
         let [a, b] = edge.ends.map(|end| self.sets.find(end as usize));
-        if a != b && rule(self.inside[a], self.size[a]) && rule(self.inside[b], self.size[b]) {
-            self.join(a, b, edge.weight);
+        if a == b || !rule([a, b].map(|root| (self.inside[root], self.size[root]))) {
+            return;
         }
-    }
-
-    /// Joins the ends of `edge` where one of their components has fewer than `least` points.
-    fn absorb(&mut self, edge: &Edge, least: usize) {
-        let [a, b] = edge.ends.map(|end| self.sets.find(end as usize));
-        if a != b && self.size[a].min(self.size[b]) < least {
-            self.join(a, b, edge.weight);
-        }
-    }
-
-    fn join(&mut self, a: usize, b: usize, weight: f32) {
         let size = self.size[a] + self.size[b];
         self.sets.union(a, b);
         let root = self.sets.find(a);
         self.size[root] = size;
         // Edges come in ascending order.
-        self.inside[root] = f64::from(weight);
+        self.inside[root] = f64::from(edge.weight);
     }
 
     fn numbered(mut self) -> Superpoints {

@@ -10,8 +10,8 @@ use crate::objects::Semantics;
 use crate::raster::{Projected, Settings};
 use crate::segmentation::encoder::{self, Cloud, Encoding, load_spatial, metres_per_unit};
 use crate::segmentation::pyramid::{Pyramid, Standardisation, Switches};
-use crate::splat::Gaussians;
 use crate::splat::camera::spread;
+use crate::splat::{Gaussians, rows_where};
 use burn::tensor::Device;
 
 /// Scale (zero-based) whose image features the single-scale variant reads.
@@ -113,9 +113,7 @@ pub fn encode(inputs: &Inputs, spatial: &SpatialConfig) -> Result<Encodings> {
         for view in inputs.scene.labelled() {
             let projected = Projected::new(&gaussians.splats(), &view.camera, &inputs.settings)?;
             let sums = projected.weight_sums();
-            let visible: Vec<u32> = (0..gaussians.len() as u32)
-                .filter(|&i| projected.radii()[i as usize] > 0)
-                .collect();
+            let visible = rows_where(projected.radii(), |radius| *radius > 0);
             let of_visible = |values: &[[f32; 3]]| -> Vec<[f32; 3]> {
                 visible.iter().map(|&i| values[i as usize]).collect()
             };

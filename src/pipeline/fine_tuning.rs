@@ -14,28 +14,17 @@ const STEPS: usize = 100;
 /// favour begin 6.2 below those of certain ones: more would turn certain Gaussians too.
 const REACH: f64 = 5.0;
 
-/// How scores are fine-tuned.
-pub(super) struct FineTuning {
-    /// Cross-entropy on raw labels, at a constant rate.
-    pub plan: TrainingPlan,
-    /// Learning rate.
-    pub rate: f64,
-}
-
-impl FineTuning {
-    /// The fine-tuning after training by `plan` on `views` training views.
-    pub fn after(plan: &TrainingPlan, views: usize) -> Self {
-        let iterations = views.max(STEPS);
-        Self {
-            plan: TrainingPlan {
-                loss: LabelLoss::Ce,
-                warmup: 0,
-                least_recall: 0.0,
-                iterations,
-                decay: false,
-                ..plan.clone()
-            },
-            rate: REACH / iterations as f64,
-        }
-    }
+/// How scores are fine-tuned after training by `plan` on `views` training views: by cross-entropy on raw labels at a constant
+/// learning rate, which is returned too.
+pub(super) fn fine_tuning(plan: &TrainingPlan, views: usize) -> (TrainingPlan, f64) {
+    let iterations = views.max(STEPS);
+    let plan = TrainingPlan {
+        loss: LabelLoss::Ce,
+        warmup: 0,
+        least_recall: 0.0,
+        iterations,
+        decay: false,
+        ..plan.clone()
+    };
+    (plan, REACH / iterations as f64)
 }

@@ -65,34 +65,42 @@ impl<'a> LabelEvidence<'a> {
 
     /// The votes of the training views, counted once.
     pub fn votes(&self) -> Result<&Votes> {
-        if let Some(votes) = self.votes.get() {
-            return Ok(votes);
-        }
-        let votes = vote(
-            self.inputs.gaussians,
-            self.inputs.scene.split(Split::Train),
-            &self.inputs.scene.classes,
-            &self.inputs.settings,
-            self.inputs.device,
-        )?;
-        Ok(self.votes.get_or_init(|| votes))
+        once(&self.votes, || votes(self.inputs))
     }
 
     /// The refined, pooled and calibrated votes, made once.
     pub fn pooled(&self) -> Result<&PooledVote> {
-        if let Some(pooled) = self.pooled.get() {
-            return Ok(pooled);
-        }
-        let inputs = self.inputs;
-        let refined = refined_vote(
-            inputs.gaussians,
-            inputs.scene.split(Split::Train),
-            &inputs.scene.classes,
-            &inputs.settings,
-            inputs.device,
-        )?;
-        let exponent = inputs.config.segmentation.prior_exponent;
-        let pooled = pooled_vote(inputs.gaussians, self.votes()?, &refined, exponent)?;
-        Ok(self.pooled.get_or_init(|| pooled))
+        once(&self.pooled, || pooled(self.inputs, self.votes()?))
     }
+}
+
+/// The votes of the training views.
+///
+/// # Errors
+/// Those of [`vote`].
+pub(crate) fn votes(inputs: &Inputs) -> Result<Votes> {
+    let (scene, gaussians, settings) = (inputs.scene, inputs.gaussians, &inputs.settings);
+    let train = scene.split(Split::Train);
+    vote(gaussians, train, &scene.classes, settings, inputs.device)
+}
+
+/// The refined, pooled and calibrated votes; `votes` are the plain ones.
+///
+/// # Errors
+/// Those of [`refined_vote`] and [`pooled_vote`].
+pub(crate) fn pooled(inputs: &Inputs, votes: &Votes) -> Result<PooledVote> {
+    let (scene, gaussians, settings) = (inputs.scene, inputs.gaussians, &inputs.settings);
+    let train = scene.split(Split::Train);
+    let refined = refined_vote(gaussians, train, &scene.classes, settings, inputs.device)?;
+    let exponent = inputs.config.segmentation.prior_exponent;
+    pooled_vote(gaussians, votes, &refined, exponent)
+}
+
+/// The value of `cell`, made where it has none yet.
+pub(super) fn once<T>(cell: &OnceCell<T>, make: impl FnOnce() -> Result<T>) -> Result<&T> {
+    if let Some(value) = cell.get() {
+        return Ok(value);
+    }
+    let value = make()?;
+    Ok(cell.get_or_init(|| value))
 }

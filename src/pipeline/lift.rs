@@ -6,10 +6,10 @@ use crate::data::{Scene, Split};
 use crate::error::Result;
 use crate::features::{FeatureColors, Reduction, SCALES};
 use crate::metrics::ImageScores;
-use crate::progress::{Event, Progress, Viewing};
+use crate::progress::{Progress, Viewing};
 use crate::raster::Settings;
 use crate::segmentation::unprojection::{attended, unproject};
-use crate::splat::Gaussians;
+use crate::splat::{Gaussians, rows_where};
 use burn::tensor::Device;
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -42,7 +42,6 @@ impl LiftedFeatures {
         scene: &Scene,
         gaussians: &Gaussians,
         config: &Config,
-        settings: &Settings,
         device: &Device,
         progress: &mut dyn Progress,
     ) -> Result<Option<Self>> {
@@ -70,7 +69,7 @@ impl LiftedFeatures {
             scene.split(Split::Train),
             reduction.training_views(),
             &config.unprojection,
-            settings,
+            &Settings::from(&config.raster),
             device,
             &mut || viewing.advance(1),
         )?;
@@ -78,9 +77,7 @@ impl LiftedFeatures {
             return Ok(None);
         };
         viewing.end();
-        let kept: Vec<u32> = (0..gaussians.len() as u32)
-            .filter(|&i| lifted.keep[i as usize])
-            .collect();
+        let kept = rows_where(&lifted.keep, |keep| *keep);
         let dimensions = features.dimensions;
         let mut rows = lifted.features;
         rows.iter_mut()
@@ -162,10 +159,8 @@ pub(crate) fn lift(
     device: &Device,
     progress: &mut dyn Progress,
 ) -> Result<Option<Lifted>> {
-    let settings = &Settings::from(&config.raster);
     let (features, counted, seconds) = if reads_features(config) {
-        let features =
-            LiftedFeatures::of_views(scene, gaussians, config, settings, device, progress)?;
+        let features = LiftedFeatures::of_views(scene, gaussians, config, device, progress)?;
         let Some(features) = features else {
             return Ok(None);
         };
@@ -173,7 +168,7 @@ pub(crate) fn lift(
         (Some(features), Vec::new(), seconds)
     } else {
         let clock = Instant::now();
-        let counted = count(scene, gaussians, config, settings, device, progress)?;
+        let counted = count(scene, gaussians, config, device, progress)?;
         (None, counted, [0.0, clock.elapsed().as_secs_f64()])
     };
     if progress.stop() {
@@ -214,20 +209,15 @@ fn count(
     scene: &Scene,
     gaussians: &Gaussians,
     config: &Config,
-    settings: &Settings,
     device: &Device,
     progress: &mut dyn Progress,
 ) -> Result<Vec<u32>> {
-    progress.event(&Event::Started {
-        stage: "attendance",
-        done: 0,
-        iterations: 1,
-    });
+    let settings = &Settings::from(&config.raster);
+    let viewing = Viewing::begin(progress, "attendance", 1);
     let views = scene.split(Split::Train);
     let keep = attended(gaussians, views, &config.unprojection, settings, device)?;
-    progress.event(&Event::Finished);
-    let kept = (0..).zip(keep).filter(|(_, keep)| *keep);
-    Ok(kept.map(|(index, _)| index).collect())
+    viewing.end();
+    Ok(rows_where(keep, |keep| keep))
 }
 
 /// Whether image features are read: by the decoder, and where pruning counts the cells of their maps.

@@ -15,7 +15,7 @@ pub(crate) mod encode;
 pub(crate) mod evaluate;
 mod fine_tuning;
 mod initial_scene;
-mod label_evidence;
+pub(crate) mod label_evidence;
 pub(crate) mod lift;
 mod prune;
 mod reconstruct;

@@ -124,13 +124,13 @@ impl Outcome {
 /// # Errors
 /// Those of the loader, each naming file and field.
 pub fn load_scene(config: &Config) -> Result<Scene> {
-    load(config, |config| LoadOptions::from(config))
+    load(config, &LoadOptions::from(config))
 }
 
-fn load(config: &Config, options: impl FnOnce(&Config) -> LoadOptions) -> Result<Scene> {
+fn load(config: &Config, options: &LoadOptions) -> Result<Scene> {
     match &config.data.dir {
         None => Ok(builtin::scene(builtin::EVALUATED_SEED)),
-        Some(dir) => data::load(dir, &options(config)),
+        Some(dir) => data::load(dir, options),
     }
 }
 
@@ -146,7 +146,7 @@ pub fn run(
     progress: &mut dyn Progress,
 ) -> Result<Outcome> {
     let start = Instant::now();
-    let scene = load(config, LoadOptions::for_training)?;
+    let scene = load(config, &LoadOptions::for_training(config))?;
     let loading = start.elapsed().as_secs_f64();
     let mut outcome = run_on(scene, config, Scored::Labels, out, device, progress)?;
     outcome.seconds.total += loading;

@@ -5,7 +5,7 @@ use crate::data::{Scene, Split, View};
 use crate::error::Result;
 use crate::raster::{Projected, Settings};
 use crate::reconstruction::initialization::{initial_gaussians, logit};
-use crate::splat::Gaussians;
+use crate::splat::{Gaussians, rows_where};
 use serde::Serialize;
 
 /// Longer side of the pictures in which Gaussians are counted, in pixels.
@@ -59,10 +59,7 @@ pub fn suggest(
     let mut shown: Vec<Vec<u32>> = Vec::with_capacity(views.len());
     for view in &views {
         let weights = weights(gaussians, view, &settings)?;
-        let of_view = (0..)
-            .zip(&weights)
-            .filter(|(_, weight)| **weight >= MIN_SHOWN_WEIGHT);
-        shown.push(of_view.map(|(gaussian, _)| gaussian).collect());
+        shown.push(rows_where(&weights, |weight| *weight >= MIN_SHOWN_WEIGHT));
         for (worth, weight) in worth.iter_mut().zip(weights) {
             *worth += f64::from(weight);
         }

@@ -108,7 +108,7 @@ pub fn decoder_training<'a>(
     let classes = inputs.scene.classes.len();
     let device = inputs.device.clone().autodiff();
     let pyramid = &input.scene().pyramid;
-    let decoder = DecoderConfig::for_pyramid(pyramid, classes)
+    let mut decoder = DecoderConfig::for_pyramid(pyramid, classes)
         .with_seed(seed)
         .init(&device);
     let decoder_plan = DecoderPlan {
@@ -119,12 +119,13 @@ pub fn decoder_training<'a>(
         seed,
     };
     let means = &inputs.gaussians.means;
-    let mut model = DecoderModel::new(decoder, input, means, views, decoder_plan, &device);
+    let mut model = DecoderModel::new(input, means, views, decoder_plan);
     if let Some(prior) = prior {
-        model = model.with_prior(prior);
+        model = model.with_prior(prior, &device);
+        decoder = decoder.with_silent_start();
     }
     // Not `plan.warmup`: a variant under cross-entropy has no warm-up, and is averaged over the same steps as the others.
     let average_from = (config.warmup * plan.iterations as f64) as usize;
     let adam = Adam::new(config.lr, config.average.then_some(average_from));
-    Training::new(model, adam, classes)
+    Training::new(model, decoder, adam, classes)
 }

@@ -2,18 +2,20 @@
 
 use super::encode::{Encodings, Inputs, encode, spatial_of};
 use super::evaluate::{FieldScores, HeldOut, HeldOutScores};
-use super::fine_tuning::FineTuning;
-use super::label_evidence::{LabelEvidence, VOTE_FLOOR};
-use super::rivals::{Grouping, LinearHead, PanopticLifting, distil};
+use super::fine_tuning::fine_tuning;
+use super::label_evidence::{LabelEvidence, VOTE_FLOOR, once};
+use super::rivals::{Codes, Grouping, LinearHead, PanopticLifting, distil};
 use super::train_decoder::{
-    Adam, IdentityModel, PerGaussian, Training, TrainingPlan, TrainingSchedule, TrainingViews,
+    Adam, IdentityModel, Logits, PerGaussian, Training, TrainingPlan, TrainingSchedule,
+    TrainingViews,
 };
 use super::variant_outcome::VariantOutcome;
 use super::variant_training::{decoder_training, plan, schedule};
-use crate::config::{Prior, SpatialConfig, Variant};
+use crate::config::{Blend, Prior, SpatialConfig, Variant};
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::progress::{Event, Progress};
+use burn::tensor::Device;
 use std::cell::OnceCell;
 use std::path::Path;
 
@@ -54,8 +56,14 @@ pub fn train_variants(
         }
         let outcome = match variant {
             Variant::Raw => stage.raw(),
-            Variant::Vote => stage.vote()?,
-            Variant::PooledVote => stage.pooled_vote()?,
+            Variant::Vote => {
+                let identities = stage.evidence.votes()?.identities();
+                stage.of_identities(variant, identities)?
+            }
+            Variant::PooledVote => {
+                let identities = stage.evidence.pooled()?.identities.clone();
+                stage.of_identities(variant, identities)?
+            }
             Variant::PerGaussian => stage.per_gaussian(progress)?,
             Variant::Grouping => stage.grouping(progress)?,
             Variant::Distilled => stage.distilled(progress)?,
@@ -88,6 +96,8 @@ pub fn train_variants(
 /// What the variants share.
 struct StageTwo<'a> {
     inputs: &'a Inputs<'a>,
+    /// With autodiff.
+    device: Device,
     checkpoints: &'a Path,
     views: TrainingViews<'a>,
     held_out: HeldOut<'a>,
@@ -104,6 +114,7 @@ impl<'a> StageTwo<'a> {
     fn new(inputs: &'a Inputs<'a>, checkpoints: &'a Path) -> Self {
         Self {
             inputs,
+            device: inputs.device.clone().autodiff(),
             checkpoints,
             views: inputs.training_views(),
             held_out: HeldOut::new(inputs),
@@ -116,80 +127,69 @@ impl<'a> StageTwo<'a> {
 
     /// The raw labels of the held-out views.
     fn raw(&self) -> VariantOutcome {
-        let (scores, void_left_out) = self.held_out.score_raw(self.inputs);
+        let (scores, void_left_out) = self.held_out.score_raw();
         VariantOutcome {
             void_left_out,
             ..VariantOutcome::new(Variant::Raw, scores)
         }
     }
 
-    /// The vote of the training views.
-    fn vote(&self) -> Result<VariantOutcome> {
-        let identities = self.evidence.votes()?.identities();
-        let scores = self.held_out.score(&identities, self.inputs)?;
+    /// `identities` of Gaussians, from labels alone.
+    fn of_identities(&self, variant: Variant, identities: Identities) -> Result<VariantOutcome> {
+        let scores = self.held_out.score(&identities)?;
         Ok(VariantOutcome {
             identities: Some(identities),
-            ..VariantOutcome::new(Variant::Vote, scores)
+            ..VariantOutcome::new(variant, scores)
         })
     }
 
-    /// The vote, pooled over superpoints and calibrated.
-    fn pooled_vote(&self) -> Result<VariantOutcome> {
-        let identities = self.evidence.pooled()?.identities.clone();
-        let scores = self.held_out.score(&identities, self.inputs)?;
-        Ok(VariantOutcome {
-            identities: Some(identities),
-            ..VariantOutcome::new(Variant::PooledVote, scores)
-        })
+    /// Parameters `module` of `model` that learn the raw labels at learning rate `rate`.
+    fn of_raw_labels<M: IdentityModel>(
+        &mut self,
+        variant: Variant,
+        model: M,
+        module: M::Module,
+        rate: f64,
+        progress: &mut dyn Progress,
+    ) -> Result<VariantOutcome> {
+        let plan = plan(variant, self.inputs)?;
+        self.views.use_raw_labels();
+        let classes = self.inputs.scene.classes.len();
+        let training = Training::new(model, module, Adam::new(rate, None), classes);
+        let schedule = schedule(variant, self.inputs, self.checkpoints)?;
+        self.trained(variant, training, &plan, &schedule, progress)
+    }
+
+    /// Zero logits for each Gaussian and class.
+    fn logits(&self) -> Logits {
+        let inputs = self.inputs;
+        let size = [inputs.gaussians.len(), inputs.scene.classes.len()];
+        Logits::zeros(size, &self.device)
     }
 
     /// Identities that each Gaussian learns by itself.
     fn per_gaussian(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
-        let config = &self.inputs.config.segmentation;
-        let classes = self.inputs.scene.classes.len();
-        let size = [self.inputs.gaussians.len(), classes];
-        let plan = plan(Variant::PerGaussian, self.inputs)?;
-        self.views.use_raw_labels();
-        let device = self.inputs.device.clone().autodiff();
-        let model = PerGaussian::new(size, config.blend, &device);
-        let rate = LR_PER_GAUSSIAN;
-        let training = Training::new(model, Adam::new(rate, None), classes);
-        self.trained(Variant::PerGaussian, training, &plan, rate, progress)
+        let model = PerGaussian(self.inputs.config.segmentation.blend);
+        let (variant, rate) = (Variant::PerGaussian, LR_PER_GAUSSIAN);
+        self.of_raw_labels(variant, model, self.logits(), rate, progress)
     }
 
     /// Gaussian Grouping.
     fn grouping(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
-        let plan = plan(Variant::Grouping, self.inputs)?;
-        self.views.use_raw_labels();
-        let device = self.inputs.device.clone().autodiff();
-        let model = Grouping::new(self.inputs, &device)?;
-        let classes = self.inputs.scene.classes.len();
-        let training = Training::new(model, Adam::new(LR_GROUPING, None), classes);
-        self.trained(Variant::Grouping, training, &plan, LR_GROUPING, progress)
+        let model = Grouping::new(self.inputs)?;
+        let codes = Codes::random(self.inputs, &self.device);
+        self.of_raw_labels(Variant::Grouping, model, codes, LR_GROUPING, progress)
     }
 
     /// Feature 3DGS: distillation, then a linear head on the raw labels.
     fn distilled(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
-        let inputs = self.inputs;
-        let plan = plan(Variant::Distilled, inputs)?;
-        let device = inputs.device.clone().autodiff();
-        let Some(distilled) = distil(inputs, &device, progress)? else {
-            return Ok(VariantOutcome::new(
-                Variant::Distilled,
-                HeldOutScores::default(),
-            ));
+        let (inputs, variant) = (self.inputs, Variant::Distilled);
+        let Some(distilled) = distil(inputs, &self.device, progress)? else {
+            return Ok(VariantOutcome::new(variant, HeldOutScores::default()));
         };
-        self.views.use_raw_labels();
-        let head = LinearHead::new(&distilled.field, inputs, &device);
-        let adam = Adam::new(LR_LINEAR_HEAD, None);
-        let training = Training::new(head, adam, inputs.scene.classes.len());
-        let mut outcome = self.trained(
-            Variant::Distilled,
-            training,
-            &plan,
-            LR_LINEAR_HEAD,
-            progress,
-        )?;
+        let model = LinearHead::new(&distilled.field);
+        let head = LinearHead::random(inputs, &self.device);
+        let mut outcome = self.of_raw_labels(variant, model, head, LR_LINEAR_HEAD, progress)?;
         outcome.seconds += distilled.seconds;
         outcome.learnable_bytes += distilled.field.bytes();
         if inputs.scores_fields && outcome.identities.is_some() {
@@ -200,14 +200,9 @@ impl<'a> StageTwo<'a> {
 
     /// The losses of Panoptic Lifting.
     fn panoptic_lifting(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
-        let plan = plan(Variant::PanopticLifting, self.inputs)?;
-        self.views.use_raw_labels();
-        let device = self.inputs.device.clone().autodiff();
-        let model = PanopticLifting::new(self.inputs, plan.iterations, &device);
-        let classes = self.inputs.scene.classes.len();
-        let training = Training::new(model, Adam::new(LR_PER_GAUSSIAN, None), classes);
-        let variant = Variant::PanopticLifting;
-        self.trained(variant, training, &plan, LR_PER_GAUSSIAN, progress)
+        let model = PanopticLifting::new(self.inputs);
+        let (variant, rate) = (Variant::PanopticLifting, LR_PER_GAUSSIAN);
+        self.of_raw_labels(variant, model, self.logits(), rate, progress)
     }
 
     /// A decoder (Eq. 7).
@@ -218,14 +213,14 @@ impl<'a> StageTwo<'a> {
         let prior = self.evidence.prior()?;
         match self.evidence.prior_kind() {
             Prior::Pooled => {
-                let pooled = self.evidence.pooled()?.identities.clone();
-                self.views.use_labels_of(&pooled, inputs.device);
+                let pooled = &self.evidence.pooled()?.identities;
+                self.views.use_labels_of(pooled, inputs.device);
             }
             Prior::None | Prior::Votes => self.views.use_raw_labels(),
         }
         let training = decoder_training(variant, &plan, &input, prior, inputs, self.views.len());
-        let rate = inputs.config.segmentation.lr;
-        let mut outcome = self.trained(variant, training, &plan, rate, progress)?;
+        let schedule = schedule(variant, inputs, self.checkpoints)?;
+        let mut outcome = self.trained(variant, training, &plan, &schedule, progress)?;
         if variant.reads_lifted_features() && outcome.identities.is_some() {
             outcome.field = self.lifted()?;
         }
@@ -234,15 +229,10 @@ impl<'a> StageTwo<'a> {
 
     /// Scores of the lifted features, computed once, where they are asked for.
     fn lifted(&self) -> Result<Option<FieldScores>> {
-        if let Some(scores) = self.lifted.get() {
-            return Ok(*scores);
+        if !self.inputs.scores_fields {
+            return Ok(None);
         }
-        let scores = if self.inputs.scores_fields {
-            FieldScores::of_lifted(self.inputs)?
-        } else {
-            None
-        };
-        Ok(*self.lifted.get_or_init(|| scores))
+        once(&self.lifted, || FieldScores::of_lifted(self.inputs)).copied()
     }
 
     /// `outcome` of a decoder trained by `plan`, after the fine-tuning that the settings ask for.
@@ -257,28 +247,22 @@ impl<'a> StageTwo<'a> {
             return Ok(outcome);
         };
         self.views.use_raw_labels();
-        let fine_tuning = FineTuning::after(plan, self.views.len());
-        let device = self.inputs.device.clone().autodiff();
-        let model = PerGaussian::starting_at(&decoded, VOTE_FLOOR, &device);
-        let adam = Adam::new(fine_tuning.rate, None);
-        let training = Training::new(model, adam, decoded.classes);
+        let (plan, rate) = &fine_tuning(plan, self.views.len());
+        let model = PerGaussian(Blend::Probabilities);
+        let logits = Logits::starting_at(&decoded, VOTE_FLOOR, &self.device);
+        let adam = Adam::new(*rate, None);
+        let training = Training::new(model, logits, adam, decoded.classes);
         drop(decoded);
         let schedule = TrainingSchedule {
             variant: "fine-tuning",
-            eval_every: fine_tuning.plan.iterations,
+            eval_every: plan.iterations,
             checkpoint: None,
             ..schedule(outcome.variant, self.inputs, self.checkpoints)?
         };
-        let tuned = self.run(
-            outcome.variant,
-            training,
-            &fine_tuning.plan,
-            &schedule,
-            progress,
-        )?;
+        let tuned = self.trained(outcome.variant, training, plan, &schedule, progress)?;
         outcome.identities = tuned.identities;
         outcome.scores = tuned.scores;
-        outcome.fine_tuning_steps = Some(fine_tuning.plan.iterations);
+        outcome.fine_tuning_steps = Some(plan.iterations);
         outcome.seconds += tuned.seconds;
         outcome.learnable_bytes += tuned.learnable_bytes;
         Ok(outcome)
@@ -297,25 +281,8 @@ impl<'a> StageTwo<'a> {
         Ok(&self.encodings.insert((spatial, encodings)).1)
     }
 
-    /// Trains by `plan` at learning rate `rate` until `progress` says stop, and scores the identities.
-    fn trained<M: IdentityModel>(
-        &mut self,
-        variant: Variant,
-        training: Training<M>,
-        plan: &TrainingPlan,
-        rate: f64,
-        progress: &mut dyn Progress,
-    ) -> Result<VariantOutcome> {
-        let schedule = schedule(variant, self.inputs, self.checkpoints)?;
-        let outcome = self.run(variant, training, plan, &schedule, progress)?;
-        Ok(VariantOutcome {
-            rate: Some(rate),
-            ..outcome
-        })
-    }
-
     /// Runs `training` by `plan` and `schedule` until `progress` says stop, and scores the identities.
-    fn run<M: IdentityModel>(
+    fn trained<M: IdentityModel>(
         &mut self,
         variant: Variant,
         mut training: Training<M>,
@@ -323,7 +290,7 @@ impl<'a> StageTwo<'a> {
         schedule: &TrainingSchedule,
         progress: &mut dyn Progress,
     ) -> Result<VariantOutcome> {
-        let (held_out, inputs) = (&self.held_out, self.inputs);
+        let held_out = &self.held_out;
         // Of the last iteration.
         let mut last: Option<(Identities, HeldOutScores)> = None;
         let mut evaluate = |training: &Training<M>| {
@@ -331,7 +298,7 @@ impl<'a> StageTwo<'a> {
                 return Ok(None);
             }
             let identities = training.identities()?;
-            let scores = held_out.score(&identities, inputs)?;
+            let scores = held_out.score(&identities)?;
             let miou = scores.miou();
             if training.iteration() == plan.iterations {
                 last = Some((identities, scores));
@@ -341,13 +308,14 @@ impl<'a> StageTwo<'a> {
         let finished = training.run(&mut self.views, plan, schedule, &mut evaluate, progress)?;
         if finished && last.is_none() {
             let identities = training.identities()?;
-            let scores = held_out.score(&identities, inputs)?;
+            let scores = held_out.score(&identities)?;
             last = Some((identities, scores));
         }
         let (identities, scores) = last.unzip();
         Ok(VariantOutcome {
             identities,
             learnable_bytes: training.learnable_bytes(),
+            rate: Some(training.adam.rate),
             seconds: training.curve.last().map_or(0.0, |p| p.seconds),
             earlier_seconds: training.earlier_seconds,
             curve: training.curve,

@@ -2,6 +2,7 @@
 //!
 //! A resumed run derives the stream of iteration `k` again and so draws the same numbers as an uninterrupted one.
 
+use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -43,6 +44,18 @@ pub fn stream(seed: u64, purpose: Purpose, index: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream((purpose as u64) << 56 | index & ((1 << 56) - 1));
     rng
+}
+
+/// The one of `all` that `iteration` (from 0) takes: a fresh shuffle every epoch; 0 where there is none.
+pub(crate) fn in_epochs(
+    mut all: Vec<usize>,
+    seed: u64,
+    purpose: Purpose,
+    iteration: usize,
+) -> usize {
+    let count = all.len().max(1);
+    all.shuffle(&mut stream(seed, purpose, (iteration / count) as u64));
+    all.get(iteration % count).copied().unwrap_or(0)
 }
 
 /// A standard normal number (Box-Muller). Two uniform numbers a draw, so that the position of the stream does not depend on the

@@ -1,10 +1,9 @@
 //! What the rasterizer is given.
 
-use crate::backend::Real;
+use crate::backend::{Real, check_finite};
 use crate::config::RasterConfig;
-use crate::error::{Error, Result, ensure, invalid};
+use crate::error::{Result, ensure, invalid};
 use crate::splat::Gaussians;
-use rayon::prelude::*;
 
 /// Blending constants.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -118,21 +117,6 @@ impl<E: Real> Splats<'_, E> {
             check_finite(name, values, width)?;
         }
         Ok(())
-    }
-}
-
-/// [`Error::NonFinite`] naming the first row of `[rows, width]` values that holds a NaN or an infinity.
-pub(super) fn check_finite<E: Real>(name: &str, values: &[E], width: usize) -> Result<()> {
-    // Counting vectorises where stopping at the first would not.
-    let finite = values
-        .par_chunks(1 << 14)
-        .all(|chunk| chunk.iter().map(|v| u32::from(!v.is_finite())).sum::<u32>() == 0);
-    if finite {
-        return Ok(());
-    }
-    match values.iter().position(|v| !v.is_finite()) {
-        Some(at) => Err(Error::non_finite(name, at / width.max(1))),
-        None => Ok(()),
     }
 }
 

@@ -44,9 +44,9 @@ impl<'a> Trainer<'a> {
     /// Leaves out what the held-back views do not miss.
     pub(super) fn review(&mut self) -> Result<Review> {
         let mut rng = stream(self.config.seed, Purpose::Pruning, self.iteration as u64);
+        let sh_degree = self.schedule.sh_degree(self.iteration);
         let scene = PrunedScene {
-            leaves: self.parameters.leaves(),
-            sh_degree: self.schedule.sh_degree(self.iteration),
+            leaves: self.parameters.leaves(sh_degree),
             settings: self.settings,
             background: self.background_of_reviews(&mut rng),
         };
@@ -69,7 +69,7 @@ impl<'a> Trainer<'a> {
         self.parameters.select(&kept);
         self.statistics.select(&kept);
         let after = PrunedScene {
-            leaves: self.parameters.leaves(),
+            leaves: self.parameters.leaves(sh_degree),
             ..scene
         };
         let review = Review {

@@ -8,7 +8,6 @@ use super::densify::{
 use crate::config::SizeRule;
 use crate::error::{Result, ensure};
 use crate::random::{Purpose, stream};
-use crate::splat::Geometry;
 use burn::tensor::Tensor;
 
 /// Gaussians below this share of the extent are cloned, others split.
@@ -26,14 +25,13 @@ impl Trainer<'_> {
 
     /// One densification. The host decides from the geometry alone; all else is moved on the device.
     pub(crate) fn densify(&mut self) -> Result<Densified> {
-        let values = self.parameters.geometry()?;
-        let old = Geometry::of_values(&values);
+        let old = self.parameters.geometry()?;
         if old.is_empty() {
             return Ok(Densified::default());
         }
         let iteration = self.iteration as u64;
         let mut rng = stream(self.config.seed, Purpose::Densification, iteration);
-        let densification = adc(old, &self.statistics.read()?, &self.adc_rules(), &mut rng)?;
+        let densification = adc(&old, &self.statistics.read()?, &self.adc_rules(), &mut rng)?;
         ensure!(!densification.rows.is_empty(), argument "densification after {} steps", self.iteration;
             found  "{} Gaussians, none of which is opaque and small enough to stay", old.len();
             expected "some that the photos show";

@@ -9,7 +9,6 @@ pub(crate) mod pruning;
 pub mod schedule;
 mod state;
 mod step;
-mod targets;
 mod trainer;
 
 pub(crate) use self::budget::MAX_GAP;

@@ -1,12 +1,13 @@
 //! The Gaussians as tensors on the device, with the moments of their optimiser.
 
 use super::densify::{Densification, reset_opacity};
-use crate::backend::device::{read, upload};
+use crate::backend::check_finite;
+use crate::backend::device::{indices, read, upload};
 use crate::error::{Error, Result};
 use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step};
-use crate::raster::{RasterInput, SplatTensors};
+use crate::raster::RasterInput;
 use crate::splat::Gaussians;
-use burn::tensor::{Bool, Device, Gradients, Int, Tensor, TensorData};
+use burn::tensor::{Bool, Device, Gradients, Tensor, TensorData};
 use std::sync::Arc;
 
 /// Names of the parameters, in the order of [`Moments`].
@@ -17,12 +18,6 @@ const MEANS: usize = 0;
 const LOG_SCALES: usize = 1;
 /// Place of the opacity logits in [`Moments`].
 pub const OPACITY: usize = 3;
-
-/// Row numbers as a tensor.
-pub(crate) fn indices(rows: &[u32], device: &Device) -> Tensor<1, Int> {
-    let values: Vec<i32> = rows.iter().map(|&row| row as i32).collect();
-    Tensor::from_data(TensorData::new(values, [rows.len()]), device)
-}
 
 /// One value for each scalar of each parameter, row-major: a first or second moment.
 pub type Moments = [Vec<f32>; 5];
@@ -68,43 +63,6 @@ pub struct Parameters {
     state: [AdamTensors<2>; 5],
 }
 
-/// Handles on the parameters, for one pass.
-#[derive(Clone, Debug)]
-pub struct Leaves {
-    /// The geometry.
-    pub splats: SplatTensors,
-    /// `[N, K, 3]`.
-    pub sh: Tensor<3>,
-}
-
-impl Leaves {
-    /// What renders them in colour.
-    pub fn input(&self, active_sh_degree: usize) -> RasterInput {
-        let splats = self.splats.clone();
-        RasterInput {
-            means: splats.means,
-            log_scales: splats.log_scales,
-            rotations: splats.rotations,
-            opacity_logits: splats.opacity_logits,
-            sh: Some(self.sh.clone()),
-            active_sh_degree,
-            features: None,
-            screen: None,
-        }
-    }
-
-    /// The gradients of these leaves, which are dropped: they share the buffers of the parameters.
-    pub fn gradients(self, gradients: &mut Gradients) -> ParameterGradients {
-        ParameterGradients([
-            gradient(self.splats.means, gradients),
-            gradient(self.splats.log_scales, gradients),
-            gradient(self.splats.rotations, gradients),
-            gradient(self.splats.opacity_logits, gradients),
-            gradient(self.sh, gradients),
-        ])
-    }
-}
-
 /// The gradient of `leaf`, `[N, width]`; zeros where it has none.
 fn gradient<const D: usize>(leaf: Tensor<D>, gradients: &mut Gradients) -> Tensor<2> {
     let dims = leaf.dims();
@@ -117,39 +75,60 @@ fn gradient<const D: usize>(leaf: Tensor<D>, gradients: &mut Gradients) -> Tenso
 pub struct ParameterGradients([Tensor<2>; 5]);
 
 impl ParameterGradients {
+    /// Those of `leaves`, which are dropped: they share the buffers of the parameters.
+    pub fn of(leaves: RasterInput, gradients: &mut Gradients) -> Self {
+        let sh = leaves.sh.expect("parameters have SH");
+        Self([
+            gradient(leaves.means, gradients),
+            gradient(leaves.log_scales, gradients),
+            gradient(leaves.rotations, gradients),
+            gradient(leaves.opacity_logits, gradients),
+            gradient(sh, gradients),
+        ])
+    }
+
     /// The value of `loss`, read back together with the check that it and all gradients are finite.
     ///
     /// # Errors
     /// [`Error::NonFinite`] naming the loss, or the gradient and its first bad row.
     pub fn check(&self, loss: Tensor<1>) -> Result<f64> {
-        let mut check = FiniteCheck::default();
-        self.0.iter().for_each(|gradient| check.add(gradient));
-        let (value, finite) = check.read(loss)?;
-        if !value.is_finite() {
-            return Err(Error::non_finite("loss", 0));
-        }
-        // The search clears what was only a sum that overflowed.
-        if !finite {
-            for (name, gradient) in NAMES.iter().zip(&self.0) {
-                find_non_finite(name, gradient)?;
-            }
-        }
-        Ok(value.into())
+        let named: Vec<_> = NAMES.into_iter().zip(&self.0).collect();
+        Ok(finite_loss("loss", loss, &named)?.into())
     }
 }
 
-/// Looks at all values of a gradient.
+/// The value of `loss` (`[1]`), once it and the named `gradients` are known to be finite: one readback.
 ///
 /// # Errors
-/// [`Error::NonFinite`] naming the tensor and its first bad row.
-pub fn find_non_finite<const D: usize>(name: &str, gradient: &Tensor<D>) -> Result<()> {
+/// [`Error::NonFinite`] naming the loss, or the gradient and its first bad row; [`Error::Device`] when the device fails.
+pub fn finite_loss<const D: usize>(
+    name: &str,
+    loss: Tensor<1>,
+    gradients: &[(&str, &Tensor<D>)],
+) -> Result<f32> {
+    let mut check = FiniteCheck::default();
+    gradients
+        .iter()
+        .for_each(|(_, gradient)| check.add(gradient));
+    let (value, finite) = check.read(loss)?;
+    if !value.is_finite() {
+        return Err(Error::non_finite(name, 0));
+    }
+    // The search clears what was only a sum that overflowed.
+    if !finite {
+        for (name, gradient) in gradients {
+            find_non_finite(name, gradient)?;
+        }
+    }
+    Ok(value)
+}
+
+/// Looks at all values of a gradient.
+fn find_non_finite<const D: usize>(name: &str, gradient: &Tensor<D>) -> Result<()> {
     let name = format!("gradient of {name}");
     let values = read(&name, gradient.clone())?;
-    let width = (values.len() / gradient.dims()[0].max(1)).max(1);
-    match values.iter().position(|v| !v.is_finite()) {
-        Some(i) => Err(Error::non_finite(name, i / width)),
-        None => Ok(()),
-    }
+    let width = values.len() / gradient.dims()[0].max(1);
+    check_finite(&name, &values, width)
 }
 
 impl Parameters {
@@ -178,42 +157,36 @@ impl Parameters {
         self.state[MEANS].param.dims()[0]
     }
 
-    /// The geometry.
-    pub fn splats(&self) -> SplatTensors {
-        let [means, log_scales, rotations, opacity_logits, _] =
+    /// Handles on the present values, without autodiff, to be rendered in colour.
+    pub fn values(&self, active_sh_degree: usize) -> RasterInput {
+        let [means, log_scales, rotations, opacity_logits, sh] =
             self.state.each_ref().map(|state| state.param.clone());
-        SplatTensors {
+        let (n, terms) = (self.len(), (self.sh_degree + 1).pow(2));
+        RasterInput {
             means,
             log_scales,
             rotations,
-            opacity_logits: opacity_logits.reshape([self.len()]),
+            opacity_logits: opacity_logits.reshape([n]),
+            sh: Some(sh.reshape([n, terms, 3])),
+            active_sh_degree,
+            features: None,
+            screen: None,
         }
     }
 
-    /// Handles on the present values, without autodiff.
-    pub fn values(&self) -> Leaves {
-        let coefficients = (self.sh_degree + 1).pow(2);
-        let sh = self.state[4].param.clone();
-        Leaves {
-            splats: self.splats(),
-            sh: sh.reshape([self.len(), coefficients, 3]),
-        }
-    }
-
-    /// Tracked handles on the present values.
-    pub fn leaves(&self) -> Leaves {
+    /// Tracked handles on the present values, to be rendered in colour.
+    pub fn leaves(&self, active_sh_degree: usize) -> RasterInput {
         fn tracked<const D: usize>(tensor: Tensor<D>) -> Tensor<D> {
             Tensor::from_inner(tensor).require_grad()
         }
-        let Leaves { splats, sh } = self.values();
-        Leaves {
-            splats: SplatTensors {
-                means: tracked(splats.means),
-                log_scales: tracked(splats.log_scales),
-                rotations: tracked(splats.rotations),
-                opacity_logits: tracked(splats.opacity_logits),
-            },
-            sh: tracked(sh),
+        let values = self.values(active_sh_degree);
+        RasterInput {
+            means: tracked(values.means),
+            log_scales: tracked(values.log_scales),
+            rotations: tracked(values.rotations),
+            opacity_logits: tracked(values.opacity_logits),
+            sh: values.sh.map(tracked),
+            ..values
         }
     }
 
@@ -237,15 +210,20 @@ impl Parameters {
         }
     }
 
-    /// All means, then all log-scales, rotations and opacity logits, in one readback; see
-    /// [`crate::splat::Geometry::of_values`].
+    /// The Gaussians without their colours, in one readback.
     ///
     /// # Errors
     /// [`Error::Device`] when the device does not return them.
-    pub fn geometry(&self) -> Result<Vec<f32>> {
+    pub fn geometry(&self) -> Result<Gaussians> {
         let flat = |state: &AdamTensors<2>| state.param.clone().flatten::<1>(0, 1);
         let parts = self.state[..4].iter().map(flat).collect();
-        read("geometry", Tensor::cat(parts, 0))
+        let mut rest = read("geometry", Tensor::cat(parts, 0))?;
+        let mut values = Moments::default();
+        for (values, width) in values.iter_mut().zip(widths(0)).take(4) {
+            let behind = rest.split_off(width * self.len());
+            *values = std::mem::replace(&mut rest, behind);
+        }
+        Ok(from_values(values, 0))
     }
 
     /// Keeps `rows`, with their moments.

@@ -6,7 +6,7 @@
 //! square of the sum is an unbiased estimate of the sum of `|dC|^2` (Hutchinson 1989). This is the sensitivity that PUP-3DGS (Hanson et al.
 //! 2025) and Speedy-Splat (Hanson et al. 2025) approximate, without an approximation in the alpha.
 
-use super::optimizer::{Leaves, Parameters, zero_moments};
+use super::optimizer::{Parameters, zero_moments};
 use crate::backend::device::{read, upload};
 use crate::config::RasterConfig;
 use crate::data::View;
@@ -29,8 +29,7 @@ const HALVINGS: usize = 8;
 
 /// Gaussians on a device, and how they are rendered.
 pub(crate) struct PrunedScene {
-    pub leaves: Leaves,
-    pub sh_degree: usize,
+    pub leaves: RasterInput,
     pub settings: Settings,
     pub background: [f32; 3],
 }
@@ -40,9 +39,9 @@ impl PrunedScene {
     pub fn new(gaussians: &Gaussians, raster: &RasterConfig, device: &Device) -> Self {
         let moments = zero_moments(gaussians);
         let device = device.clone().inner();
+        let parameters = Parameters::new(gaussians.clone(), moments.clone(), moments, &device);
         Self {
-            leaves: Parameters::new(gaussians.clone(), moments.clone(), moments, &device).leaves(),
-            sh_degree: gaussians.sh_degree,
+            leaves: parameters.leaves(gaussians.sh_degree),
             settings: Settings::from(raster),
             background: raster.background,
         }
@@ -54,7 +53,7 @@ impl PrunedScene {
     /// # Errors
     /// [`crate::Error::Device`] when the device does not return the gradients.
     pub fn costs(&self, views: &[&View], rng: &mut ChaCha8Rng) -> Result<Vec<f64>> {
-        let mut costs = vec![0.0; self.leaves.splats.opacity_logits.dims()[0]];
+        let mut costs = vec![0.0; self.leaves.opacity_logits.dims()[0]];
         for view in views {
             let changes = self.changes(view, random_signs(view, rng))?;
             for (cost, change) in costs.iter_mut().zip(changes) {
@@ -71,7 +70,7 @@ impl PrunedScene {
             alpha_max: 1.0,
             ..self.settings
         };
-        let logits = self.leaves.splats.opacity_logits.clone().inner();
+        let logits = self.leaves.opacity_logits.clone().inner();
         let logits = logits.clamp_max(MAX_LOGIT);
         let tracked = Tensor::from_inner(logits.clone()).require_grad();
         let image = self.image(view, tracked.clone(), &settings)?;
@@ -112,7 +111,7 @@ impl PrunedScene {
     /// # Errors
     /// As [`Self::prune`].
     pub fn psnr(&self, views: &[&View], left_out: &[u32]) -> Result<f64> {
-        let logits = self.leaves.splats.opacity_logits.clone().inner();
+        let logits = self.leaves.opacity_logits.clone().inner();
         let mut values = read("opacity logits", logits.clone())?;
         left_out.iter().for_each(|&i| values[i as usize] = LEFT_OUT);
         let logits = upload(values, logits.dims(), &logits.device());
@@ -133,7 +132,7 @@ impl PrunedScene {
     fn image(&self, view: &View, logits: Tensor<1>, settings: &Settings) -> Result<Tensor<3>> {
         let input = RasterInput {
             opacity_logits: logits,
-            ..self.leaves.input(self.sh_degree)
+            ..self.leaves.clone()
         };
         Ok(rasterize(input, &view.camera, settings, self.background)?.image)
     }
@@ -213,7 +212,7 @@ mod tests {
 
     /// The picture of `view` without Gaussian `i`.
     fn without(scene: &PrunedScene, view: &View, i: Option<usize>) -> Vec<f64> {
-        let logits = scene.leaves.splats.opacity_logits.clone().inner();
+        let logits = scene.leaves.opacity_logits.clone().inner();
         let device = logits.device();
         let mut values: Vec<f32> = read("logits", logits.clamp_max(MAX_LOGIT)).expect("readable");
         if let Some(i) = i {
@@ -263,7 +262,7 @@ mod tests {
         let scene = gaussians(&photos, &Device::ndarray());
         let views = train(&photos);
         let all = without(&scene, views[0], None);
-        let n = scene.leaves.splats.opacity_logits.dims()[0];
+        let n = scene.leaves.opacity_logits.dims()[0];
         let mut mean = vec![0.0; n];
         for draw in 0..DRAWS {
             let mut rng = stream(1, Purpose::Pruning, draw);

@@ -4,10 +4,9 @@
 
 use crate::config::{Budget, BuildingConfig};
 use crate::data::{Points, View};
-use crate::random::{Purpose, stream};
+use crate::random::{Purpose, in_epochs};
 use crate::splat::camera::spread;
 use glam::{DVec3, Vec3};
-use rand::seq::SliceRandom;
 
 /// Learning rate of the means at the end of the run, as a share of the first.
 const FINAL_RATE: f64 = 0.01;
@@ -161,12 +160,8 @@ impl Schedule {
 
     /// Index among the training views at `step`: each epoch is a shuffle of the views that are trained on.
     pub fn view(&self, seed: u64, step: usize) -> usize {
-        let mut order = self.trained(step).to_vec();
-        let views = order.len().max(1);
-        let epoch = (step.max(1) - 1) / views;
-        let place = (step.max(1) - 1) % views;
-        order.shuffle(&mut stream(seed, Purpose::ViewOrder, epoch as u64));
-        order.get(place).copied().unwrap_or(0)
+        let views = self.trained(step).to_vec();
+        in_epochs(views, seed, Purpose::ViewOrder, step.max(1) - 1)
     }
 
     /// Whether the background of `step` may be random: as long as densification and resets change opacities.

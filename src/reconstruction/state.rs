@@ -148,18 +148,12 @@ fn review_values(review: &Review) -> [f64; REVIEW_COLUMNS] {
 
 /// The inverse of [`review_values`].
 fn review(values: &[f64; REVIEW_COLUMNS]) -> Review {
-    let &[
+    let [iteration, gaussians, kept] = [0, 1, 2].map(|i| values[i] as usize);
+    let [psnr_before, psnr_after, psnr_trained] = [3, 4, 5].map(|i| values[i]);
+    Review {
         iteration,
         gaussians,
         kept,
-        psnr_before,
-        psnr_after,
-        psnr_trained,
-    ] = values;
-    Review {
-        iteration: iteration as usize,
-        gaussians: gaussians as usize,
-        kept: kept as usize,
         psnr_before,
         psnr_after,
         psnr_trained,

@@ -4,7 +4,7 @@ use super::Trainer;
 use super::optimizer::ParameterGradients;
 use crate::data::View;
 use crate::error::Result;
-use crate::ops::photometric_loss;
+use crate::ops::{PhotometricTarget, photometric_loss};
 use crate::random::{Purpose, stream};
 use crate::raster::{RasterInput, RasterOutput, rasterize};
 use burn::tensor::Tensor;
@@ -38,12 +38,16 @@ impl Trainer<'_> {
 
     /// The pass of `iteration` over `view`, whose index is `index`.
     pub(crate) fn pass(&mut self, index: usize, view: &View, iteration: usize) -> Result<Pass> {
-        let target = self.targets.get(index, view)?;
-        let leaves = self.parameters.leaves();
+        let target = self.targets.get(index, || {
+            let target = PhotometricTarget::new(view.image.pixels()?, view.mask.clone());
+            let bytes = target.bytes(&self.device);
+            Ok((target, bytes))
+        })?;
+        let leaves = self.parameters.leaves(self.schedule.sh_degree(iteration));
         let screen = self.screen();
         let input = RasterInput {
             screen: Some(screen.clone()),
-            ..leaves.input(self.schedule.sh_degree(iteration))
+            ..leaves.clone()
         };
         let background = self.background(view, iteration);
         let RasterOutput { image, radii, .. } =
@@ -51,7 +55,7 @@ impl Trainer<'_> {
         let loss = photometric_loss(image, &target, SSIM_WEIGHT);
         let mut gradients = loss.backward();
         let screen = screen.grad_remove(&mut gradients);
-        let gradients = leaves.gradients(&mut gradients);
+        let gradients = ParameterGradients::of(leaves, &mut gradients);
         let loss = gradients.check(loss.inner())?;
         Ok(Pass {
             gradients,

@@ -5,12 +5,12 @@ use super::initialization::initial_gaussians;
 use super::optimizer::Parameters;
 use super::schedule::{Schedule, center, extent};
 use super::state::TrainerState;
-use super::targets::Targets;
 use crate::backend::device::read;
 use crate::config::Config;
-use crate::data::{Scene, Split, View};
-use crate::error::{Error, Result, bail, ensure};
+use crate::data::{Scene, Split, View, ViewCache};
+use crate::error::{Error, Result, ensure};
 use crate::metrics::ImageScores;
+use crate::ops::PhotometricTarget;
 use crate::progress::{CurvePoint, Event, Progress, Review};
 use crate::provenance::Provenance;
 use crate::raster::{Settings, rasterize};
@@ -60,7 +60,8 @@ pub struct Trainer<'a> {
     pub(super) device: Device,
     pub(super) train: Vec<&'a View>,
     test: Vec<&'a View>,
-    pub(super) targets: Targets,
+    /// The photos as targets of the loss.
+    pub(super) targets: ViewCache<PhotometricTarget>,
     pub(super) parameters: Parameters,
     pub(super) statistics: GradientAccumulator,
     pub(super) iteration: usize,
@@ -108,7 +109,7 @@ impl<'a> Trainer<'a> {
             schedule: Schedule::new(&config.building, train.len(), size),
             extent: size,
             center: center(&train),
-            targets: Targets::new(train.len(), &device),
+            targets: ViewCache::new(train.len(), PhotometricTarget::budget(&device)),
             parameters: Parameters::new(state.gaussians, state.first, state.second, &device),
             config: config.clone(),
             checkpoint: None,
@@ -207,16 +208,10 @@ impl<'a> Trainer<'a> {
         self.iteration = iteration;
         self.losses.0 += pass.loss;
         self.losses.1 += 1;
-        let review = if self.schedule.reviews(iteration) && self.parameters.len() > 0 {
-            Some(self.review()?)
-        } else {
-            None
-        };
-        let densified = if self.schedule.densifies(iteration) {
-            Some(self.densify()?)
-        } else {
-            None
-        };
+        let reviews = self.schedule.reviews(iteration) && self.parameters.len() > 0;
+        let review = reviews.then(|| self.review()).transpose()?;
+        let densifies = self.schedule.densifies(iteration);
+        let densified = densifies.then(|| self.densify()).transpose()?;
         let reset = self.schedule.resets(iteration);
         if reset {
             self.parameters.reset_opacity()?;
@@ -304,7 +299,7 @@ impl<'a> Trainer<'a> {
     fn score(&self, view: &View) -> Result<ImageScores> {
         let degree = self.schedule.sh_degree(self.iteration.max(1));
         let output = rasterize(
-            self.parameters.values().input(degree),
+            self.parameters.values(degree),
             &view.camera,
             &self.settings,
             self.config.raster.background,
@@ -340,12 +335,11 @@ fn check_scene(scene: &Scene) -> Result<()> {
     scene.expect_training_views()?;
     for view in scene.split(Split::Train).chain(scene.split(Split::Test)) {
         let (width, height) = (view.image.width(), view.image.height());
-        if (width, height) != (view.camera.width, view.camera.height) {
-            let camera = &view.camera;
-            bail!(argument "data"; found "{width}x{height} pixels in view {}", view.name;
-                expected "{}x{} as its camera", camera.width, camera.height;
-                help "resize the photo or correct the intrinsics");
-        }
+        let camera = &view.camera;
+        ensure!((width, height) == (camera.width, camera.height),
+            argument "data"; found "{width}x{height} pixels in view {}", view.name;
+            expected "{}x{} as its camera", camera.width, camera.height;
+            help "resize the photo or correct the intrinsics");
         view.check_mask()?;
     }
     Ok(())

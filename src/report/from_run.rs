@@ -9,7 +9,7 @@ use super::{
 use crate::config::{Config, Variant};
 use crate::data::{Split, View};
 use crate::error::Result;
-use crate::objects::{LabelMaps, LabelRule, has_truth};
+use crate::objects::{LabelMaps, has_truth};
 use crate::pipeline::{Outcome, Pictures, VariantOutcome};
 use crate::progress::CurvePoint;
 use burn::tensor::Device;
@@ -105,18 +105,21 @@ pub fn held_out_views<'a>(
         .iter()
         .filter(|r| shown(r.variant) && r.identities.is_some())
         .collect();
-    let rule = LabelRule::from(&config.segmentation);
+    let (source, coverage) = (
+        config.segmentation.render,
+        config.segmentation.min_coverage as f32,
+    );
     let classes = &outcome.scene.classes;
     let identities = rows.iter().filter_map(|r| r.identities.as_ref());
     let maps: Vec<_> = identities
-        .map(|identities| LabelMaps::new(identities, classes, rule))
+        .map(|identities| LabelMaps::new(identities, classes, source, coverage))
         .collect();
-    let mut pictures = Pictures::new(&outcome.gaussians, config, device)?.with_labels(&maps);
+    let pictures = Pictures::new(&outcome.gaussians, config, device)?;
     let test: Vec<&View> = outcome.scene.split(Split::Test).collect();
     let on_page: Vec<usize> = shown_of(test.len()).collect();
     let mut views = Vec::new();
     for (i, view) in test.into_iter().enumerate() {
-        let (rgb, scores, labels) = pictures.labelled(view)?;
+        let (rgb, scores, labels) = pictures.labelled(view, &maps)?;
         let labels = rows.iter().map(|row| row.variant).zip(labels).collect();
         let rendered = HeldOutView {
             view,

@@ -2,11 +2,10 @@
 
 use super::scene_path;
 use crate::config::{Association, Config};
-use crate::data::{self, Limits, LoadOptions, Scene, Split};
+use crate::data::{self, Limits, LoadOptions, Scene};
 use crate::error::{Result, ensure};
-use crate::objects::{self, Identities, pooled_vote, refined_vote};
-use crate::pipeline::compare_with_photos;
-use crate::raster::Settings;
+use crate::objects::Identities;
+use crate::pipeline::{Inputs, compare_with_photos, label_evidence};
 use crate::splat::Gaussians;
 use crate::splat::formats;
 use crate::splat::ply::PlyScene;
@@ -59,14 +58,10 @@ pub fn vote(
     let dir = config.data.dir.as_deref().unwrap_or(Path::new("built-in"));
     ensure!(scene.labelled().next().is_some(), dir, "raw_label_path"; found "nothing"; expected "raw labels of training views";
         help "add raw_label_path to the frames of a transforms.json, or name a folder with --set data.raw_labels=FOLDER");
-    let settings = &Settings::from(&config.raster);
-    let views = || scene.split(Split::Train);
-    let classes = &scene.classes;
-    let votes = objects::vote(gaussians, views(), classes, settings, device)?;
+    let inputs = Inputs::new(scene, gaussians, config, device);
+    let votes = label_evidence::votes(&inputs)?;
     if !pooled {
         return Ok(votes.identities());
     }
-    let refined = refined_vote(gaussians, views(), classes, settings, device)?;
-    let exponent = config.segmentation.prior_exponent;
-    Ok(pooled_vote(gaussians, &votes, &refined, exponent)?.identities)
+    Ok(label_evidence::pooled(&inputs, &votes)?.identities)
 }

@@ -2,7 +2,7 @@
 //!
 //! Only its parameters are learned. Linear maps are applied before upsampling, on a quarter of the rows.
 
-use super::linear::{add_bias, product};
+use super::linear::{add_bias, bound, linear, product};
 use super::pixels::constant;
 use super::pyramid::{Level, Pyramid};
 use super::randla::{leaky_relu, parameter};
@@ -75,18 +75,11 @@ impl DecoderConfig {
             }
         });
         let layers = layers.collect();
-        let weight = uniform(HIDDEN * self.classes, bound(HIDDEN), &mut rng);
-        let bias = uniform(self.classes, bound(HIDDEN), &mut rng);
-        let last = Linear {
-            weight: parameter(weight, [HIDDEN, self.classes], device),
-            bias: Some(parameter(bias, [self.classes], device)),
-        };
-        Decoder { layers, last }
+        Decoder {
+            layers,
+            last: linear(HIDDEN, self.classes, &mut rng, device),
+        }
     }
-}
-
-fn bound(inputs: usize) -> f32 {
-    1.0 / (inputs.max(1) as f32).sqrt()
 }
 
 /// The shared MLP of a scale, over the frozen features of a level and what comes up from below.
@@ -150,10 +143,7 @@ impl Decoder {
     /// If `pyramid` has fewer levels or other widths than the decoder was made for.
     pub fn forward(&self, pyramid: &Pyramid) -> Decoded {
         let fused = self.fuse(pyramid, 0);
-        let hidden = match fused.first() {
-            Some(finest) => finest.clone(),
-            None => pyramid.top.clone(),
-        };
+        let hidden = fused.first().unwrap_or(&pyramid.top).clone();
         Decoded { hidden, fused }
     }
 
@@ -192,13 +182,11 @@ impl Decoder {
     /// The decoder with its last layer at zero: all scores are 0 until it has learned.
     #[must_use]
     pub fn with_silent_start(mut self) -> Self {
-        let silent =
-            |tensor: Tensor<2>| Tensor::from_inner(tensor.inner().zeros_like()).require_grad();
+        fn silent<const D: usize>(tensor: Tensor<D>) -> Tensor<D> {
+            Tensor::from_inner(tensor.inner().zeros_like()).require_grad()
+        }
         self.last.weight = self.last.weight.map(silent);
-        self.last.bias = self
-            .last
-            .bias
-            .map(|b| b.map(|t| Tensor::from_inner(t.inner().zeros_like()).require_grad()));
+        self.last.bias = self.last.bias.map(|bias| bias.map(silent));
         self
     }
 

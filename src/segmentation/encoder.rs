@@ -1,13 +1,14 @@
 //! The frozen spatial encoder of a run: which weights, and a cloud of Gaussian centres turned into features (Eq. 6).
 
-use super::neighbours::check_finite;
 use super::randla::{LAYERS, NEIGHBOURS, POSITION_CHANNELS, RATIO, RandlaEncoder, block_name};
 use super::sampling::Hierarchy;
-use crate::backend::device::upload;
+use crate::backend::check_finite;
+use crate::backend::device::{read, upload};
 use crate::config::{SpatialConfig, SpatialSource};
-use crate::error::{Error, Result, ensure, invalid};
+use crate::error::{Result, ensure, invalid};
 use crate::files::sha256;
 use crate::ops::SparseMatrix;
+use crate::splat::median;
 use crate::weights::{HostTensor, WeightFile};
 use burn::tensor::{Device, Tensor};
 use glam::{DQuat, DVec3};
@@ -40,10 +41,10 @@ impl Cloud<'_> {
     /// Positions in metres, z up, the median at the origin.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] naming the first bad row; [`Error::Config`] for an unusable scale; [`Error::Argument`] for an up
+    /// [`crate::Error::NonFinite`] naming the first bad row; [`crate::Error::Config`] for an unusable scale; [`crate::Error::Argument`] for an up
     /// direction of no length.
     pub fn oriented(&self) -> Result<Vec<[f32; 3]>> {
-        check_finite("positions to encode", self.positions)?;
+        check_finite("positions to encode", self.positions.as_flattened(), 3)?;
         ensure!(self.scale.is_finite() && self.scale > 0.0, setting "spatial.scale"; found "{}", self.scale;
             expected "a finite number above 0"; help "give metres per world unit");
         let up = self.up.try_normalize().ok_or_else(|| {
@@ -56,16 +57,7 @@ impl Cloud<'_> {
             .iter()
             .map(|p| turn * DVec3::from(p.map(f64::from)) * self.scale)
             .collect();
-        let median = |axis: fn(&DVec3) -> f64| {
-            let mut values: Vec<f64> = turned.iter().map(axis).collect();
-            let middle = values.len() / 2;
-            if values.is_empty() {
-                0.0
-            } else {
-                *values.select_nth_unstable_by(middle, f64::total_cmp).1
-            }
-        };
-        let centre = DVec3::new(median(|p| p.x), median(|p| p.y), median(|p| p.z));
+        let centre = DVec3::from([0, 1, 2].map(|axis| median(turned.iter().map(|p| p[axis]))));
         Ok(turned
             .iter()
             .map(|p| (*p - centre).as_vec3().to_array())
@@ -98,7 +90,7 @@ pub struct Encoding {
 /// Memory beyond the result is bounded: a few 2 MB tensors a thread, and 17 indices a point.
 ///
 /// # Errors
-/// [`Error::Argument`] for an empty cloud, missing or miscounted colours; those of [`Cloud::oriented`]; [`Error::NonFinite`]
+/// [`crate::Error::Argument`] for an empty cloud, missing or miscounted colours; those of [`Cloud::oriented`]; [`crate::Error::NonFinite`]
 /// naming the first bad row of the input, or of the features when the weights overflow.
 pub fn encode(
     encoder: &RandlaEncoder,
@@ -114,7 +106,8 @@ pub fn encode(
     let input = encoder_input(encoder.inputs(), &positions, cloud.colors, &device)?;
     let (features, coarsest) = encoder.encode_levels(input, &hierarchy, true);
     for (n, f) in features.iter().chain([&coarsest]).enumerate() {
-        check_features(n, f)?;
+        let what = format!("spatial features of level {}", n + 1);
+        check_finite(&what, &read(&what, f.clone())?, f.dims()[1])?;
     }
     let upsample = hierarchy.upsampling()?;
     let level = |(indices, features)| EncodedLevel { indices, features };
@@ -143,7 +136,7 @@ pub(crate) fn encoder_input(
     }
     match colors {
         Some(colors) if colors.len() == points => {
-            check_finite("colours to encode", colors)?;
+            check_finite("colours to encode", colors.as_flattened(), 3)?;
             let values = positions
                 .iter()
                 .zip(colors)
@@ -159,27 +152,11 @@ pub(crate) fn encoder_input(
     }
 }
 
-fn check_features(level: usize, features: &Tensor<2>) -> Result<()> {
-    let width = features.dims()[1];
-    let values = features.to_data();
-    let bad = values
-        .as_slice::<f32>()
-        .ok()
-        .and_then(|v| v.iter().position(|v| !v.is_finite()));
-    match bad {
-        Some(i) => Err(Error::non_finite(
-            format!("spatial features of level {}", level + 1),
-            i / width,
-        )),
-        None => Ok(()),
-    }
-}
-
 /// Metres per world unit: the setting. Where it is 0, the cameras' extent (the largest distance of a camera from their mean, world
 /// units) is assumed to be two metres.
 ///
 /// # Errors
-/// [`Error::Config`] for a negative or non-finite setting, and for 0 without a usable extent.
+/// [`crate::Error::Config`] for a negative or non-finite setting, and for 0 without a usable extent.
 pub fn metres_per_unit(config: &SpatialConfig, camera_extent: f64) -> Result<f64> {
     let (scale, help) = if config.scale == 0.0 {
         let help = "set spatial.scale: the cameras do not tell how large the scene is";
@@ -199,7 +176,7 @@ pub fn metres_per_unit(config: &SpatialConfig, camera_extent: f64) -> Result<f64
 /// The encoder that the settings ask for, frozen, and how a run names it: `pretrained FILE`, `trained here`, `random`.
 ///
 /// # Errors
-/// [`Error::Io`], [`Error::Input`] when a checkpoint cannot be read or does not fit.
+/// [`crate::Error::Io`], [`crate::Error::Input`] when a checkpoint cannot be read or does not fit.
 pub fn load_spatial(
     config: &SpatialConfig,
     seed: u64,
@@ -221,7 +198,7 @@ pub fn load_spatial(
 /// SHA-256 of the weights that `config` asks for; `None` for random weights, which the seed determines.
 ///
 /// # Errors
-/// [`Error::Io`] when their file cannot be read.
+/// [`crate::Error::Io`] when their file cannot be read.
 pub(crate) fn spatial_digest(config: &SpatialConfig) -> Result<Option<String>> {
     match &config.source {
         SpatialSource::Builtin => Ok(Some(format!("{:x}", Sha256::digest(BUILTIN)))),
@@ -233,7 +210,7 @@ pub(crate) fn spatial_digest(config: &SpatialConfig) -> Result<Option<String>> {
 /// The weights inside this crate; `assets/README.md` holds the command that made them and its scores.
 ///
 /// # Errors
-/// [`Error::Input`] when the build embedded a broken file.
+/// [`crate::Error::Input`] when the build embedded a broken file.
 pub fn builtin_weights() -> Result<WeightFile> {
     WeightFile::from_safetensors(BUILTIN, "built-in RandLA weights")
 }

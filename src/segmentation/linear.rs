@@ -3,10 +3,35 @@
 //! The gradients of a weight and of a bias are sums over all rows. A GPU computes such a product, of few outputs and a long
 //! sum, within one workgroup. In blocks it has a workgroup for each of them, and then adds up their sums.
 
-use burn::tensor::Tensor;
+use super::randla::parameter;
+use crate::random::uniform;
+use burn::nn::Linear;
+use burn::tensor::{Device, Tensor};
+use rand_chacha::ChaCha8Rng;
 
 /// Rows of a block.
 pub const BLOCK: usize = 256;
+
+/// 1 / sqrt(`inputs`): first weights of a layer of so many inputs are uniform within it.
+pub(super) fn bound(inputs: usize) -> f32 {
+    1.0 / (inputs.max(1) as f32).sqrt()
+}
+
+/// A linear map of `inputs` to `outputs` channels with random first weights.
+pub(crate) fn linear(
+    inputs: usize,
+    outputs: usize,
+    rng: &mut ChaCha8Rng,
+    device: &Device,
+) -> Linear {
+    let bound = bound(inputs);
+    let weight = uniform(inputs * outputs, bound, rng);
+    let bias = uniform(outputs, bound, rng);
+    Linear {
+        weight: parameter(weight, [inputs, outputs], device),
+        bias: Some(parameter(bias, [outputs], device)),
+    }
+}
 
 /// Repeats the last row until the rows fill whole blocks. One block or less stays as it is.
 pub fn fill_blocks(rows: &mut Vec<u32>) {

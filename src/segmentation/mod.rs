@@ -3,7 +3,7 @@
 pub mod decoder;
 pub mod encoder;
 pub mod interpolation;
-mod linear;
+pub(crate) mod linear;
 pub mod loss;
 pub mod neighbours;
 pub mod pixels;

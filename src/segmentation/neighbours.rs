@@ -1,5 +1,6 @@
 //! Exact nearest neighbours in 3D, the same at any thread count and for any input order of equal distances.
 
+use crate::backend::check_finite;
 use crate::error::{Error, Result, bail, invalid};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
@@ -56,7 +57,7 @@ impl PointIndex {
     /// # Errors
     /// [`Error::NonFinite`] naming the first bad row; [`Error::Limit`] above 2^32 - 1 points.
     pub fn new(points: &[[f32; 3]]) -> Result<Self> {
-        check_finite("points", points)?;
+        check_finite("points", points.as_flattened(), 3)?;
         if u32::try_from(points.len()).is_err() {
             return Err(too_many(points.len().to_string()));
         }
@@ -122,7 +123,7 @@ impl PointIndex {
     /// # Errors
     /// [`Error::NonFinite`] naming the first bad query; [`Error::Argument`] when there are no points to find.
     pub fn nearest(&self, queries: &[[f32; 3]], k: usize) -> Result<(Neighbours, Vec<f64>)> {
-        check_finite("queries", queries)?;
+        check_finite("queries", queries.as_flattened(), 3)?;
         if self.is_empty() && k > 0 && !queries.is_empty() {
             bail!(argument "points"; found "none"; expected "at least one point";
                 help "give the search a point to find");
@@ -265,13 +266,4 @@ fn order(a: &[f64; 3], b: &[f64; 3]) -> std::cmp::Ordering {
 fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     let d = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
     d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
-}
-
-/// # Errors
-/// [`Error::NonFinite`] naming `tensor` and its first row that is not finite.
-pub(crate) fn check_finite(tensor: &str, rows: &[[f32; 3]]) -> Result<()> {
-    match rows.iter().position(|p| p.iter().any(|v| !v.is_finite())) {
-        Some(row) => Err(Error::non_finite(tensor, row)),
-        None => Ok(()),
-    }
 }

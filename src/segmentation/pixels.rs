@@ -4,8 +4,8 @@ use crate::backend::device::{read, upload};
 use crate::error::Result;
 use crate::ops::{SparseMatrix, select, sparse_apply};
 use crate::raster::{Settings, SplatTensors, SplatView};
-use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
+use crate::splat::{Gaussians, rows_where};
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use std::sync::Arc;
 
@@ -110,9 +110,7 @@ impl FrozenGaussians {
         labels: &[u16],
         min_coverage: f32,
     ) -> Result<(LabelledView, PixelWeights)> {
-        let wanted: Vec<u32> = (0..labels.len() as u32)
-            .filter(|&pixel| labels[pixel as usize] != NO_CLASS)
-            .collect();
+        let wanted = rows_where(labels, |label| *label != NO_CLASS);
         let view = self.splats.seen_by(camera, &self.settings);
         let (visible, pixels, weights) = if self.splats.have_stored_weights() {
             self.stored(&view, &wanted, min_coverage)?
@@ -183,8 +181,7 @@ impl FrozenGaussians {
         pixels.iter().for_each(|&pixel| mask[pixel as usize] = 1.0);
         let mask = upload(mask, [camera.height, camera.width, 1], &splats.device());
         let weights = read("weights", view.blend_adjoint(mask)?.sums)?;
-        let shown = (0..).zip(&weights).filter(|(_, weight)| **weight > 0.0);
-        let visible: Vec<u32> = shown.map(|(gaussian, _)| gaussian).collect();
+        let visible = rows_where(weights, |weight| weight > 0.0);
         let weights = self.as_rendered(view, &visible, Arc::new(pixels.clone()));
         Ok((visible, pixels, weights))
     }
@@ -260,10 +257,7 @@ impl LabelledPixels {
         if !self.labels.contains(&NO_CLASS) {
             return self.clone();
         }
-        let places: Vec<u32> = (0..self.len() as u32)
-            .filter(|&place| self.labels[place as usize] != NO_CLASS)
-            .collect();
-        self.at(&places)
+        self.at(&rows_where(&*self.labels, |label| *label != NO_CLASS))
     }
 
     /// The pixels at `places`.

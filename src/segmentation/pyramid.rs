@@ -3,7 +3,7 @@
 use super::encoder::Encoding;
 use super::linear::fill_blocks;
 use crate::backend::device::upload;
-use crate::error::{Result, bail};
+use crate::error::{Result, ensure};
 use crate::ops::{SparseMatrix, selected};
 use burn::tensor::Tensor;
 use std::sync::Arc;
@@ -61,11 +61,8 @@ impl Pyramid {
         switches: Switches,
         image: impl Fn(usize, &[u32]) -> Result<Tensor<2>>,
     ) -> Result<Self> {
-        if !switches.image && !switches.spatial {
-            bail!(argument "decoder inputs"; found "none";
-                expected "image features, spatial features or both";
-                help "leave image or spatial features on");
-        }
+        ensure!(switches.image || switches.spatial, argument "decoder inputs"; found "none";
+            expected "image features, spatial features or both"; help "leave image or spatial features on");
         let device = encoding.coarsest.features.device();
         let count = if switches.single_scale.is_some() {
             1
@@ -75,13 +72,9 @@ impl Pyramid {
         let mut levels = Vec::with_capacity(count);
         for (n, level) in encoding.levels.iter().take(count).enumerate() {
             let scale = switches.single_scale.unwrap_or(n);
-            let lifted = if switches.image {
-                Some(image(scale, &level.indices)?)
-            } else {
-                None
-            };
+            let lifted = switches.image.then(|| image(scale, &level.indices));
             let spatial = switches.spatial.then(|| level.features.clone());
-            let parts: Vec<_> = [lifted, spatial]
+            let parts: Vec<_> = [lifted.transpose()?, spatial]
                 .into_iter()
                 .flatten()
                 .filter(|f| f.dims()[1] > 0)

@@ -4,16 +4,16 @@ pub mod camera;
 pub mod camera_path;
 
 pub mod formats;
-mod geometry;
 mod motion;
 mod order;
 pub mod ply;
 pub(crate) mod sh;
 
-pub use self::geometry::Geometry;
 pub use self::motion::Motion;
 pub use self::sh::SH_0;
-use crate::error::{Error, Result, bail, ensure};
+use crate::backend::check_finite;
+use crate::error::{Result, bail, ensure};
+use glam::{DQuat, DVec3};
 
 /// A quaternion of a smaller squared length stands for no rotation.
 pub(crate) const ZERO_QUATERNION: f64 = 1e-12;
@@ -49,18 +49,15 @@ impl Gaussians {
     }
 
     /// World positions of the centres, `[N]`, where they are relative to `origin`.
-    pub(crate) fn positions(&self, origin: glam::DVec3) -> Vec<glam::DVec3> {
-        let world = |mean: &[f32; 3]| glam::DVec3::from(mean.map(f64::from)) + origin;
+    pub(crate) fn positions(&self, origin: DVec3) -> Vec<DVec3> {
+        let world = |mean: &[f32; 3]| DVec3::from(mean.map(f64::from)) + origin;
         self.means.iter().map(world).collect()
     }
 
     /// Median of the centres along each axis, relative to the scene origin; `None` without Gaussians. Outliers do not move it.
     pub fn median_center(&self) -> Option<[f32; 3]> {
-        let median = |axis: usize| {
-            let mut along: Vec<f32> = self.means.iter().map(|mean| mean[axis]).collect();
-            let middle = along.len() / 2;
-            *along.select_nth_unstable_by(middle, f32::total_cmp).1
-        };
+        let along = |axis: usize| self.means.iter().map(move |mean| f64::from(mean[axis]));
+        let median = |axis| median(along(axis)) as f32;
         (!self.is_empty()).then(|| [0, 1, 2].map(median))
     }
 
@@ -143,7 +140,7 @@ impl Gaussians {
     /// Checks that all lengths agree (`labels` included), that the degree is at most 3, and that every value is finite.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a length or degree; [`Error::NonFinite`] naming tensor and row.
+    /// [`crate::Error::Argument`] for a length or degree; [`crate::Error::NonFinite`] naming tensor and row.
     pub fn check(&self, labels: Option<&[u16]>) -> Result<()> {
         if self.sh_degree > 3 {
             bail!(argument "gaussians.sh_degree"; found "{}", self.sh_degree;
@@ -169,20 +166,44 @@ impl Gaussians {
             ("sh", &self.sh, 3 * self.sh_len()),
         ];
         for (name, values, width) in tensors {
-            if let Some(i) = values.iter().position(|v| !v.is_finite()) {
-                return Err(Error::non_finite(name, i / width));
-            }
+            check_finite(name, values, width)?;
         }
         Ok(())
     }
 }
 
+/// Lower and upper corner of the box around `points`; `None` without any.
+pub(crate) fn bounds(points: impl Iterator<Item = DVec3>) -> Option<(DVec3, DVec3)> {
+    let corners = points.map(|p| (p, p));
+    corners.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+}
+
+/// The numbers of the rows whose value `is_wanted` accepts, ascending.
+pub(crate) fn rows_where<T>(
+    values: impl IntoIterator<Item = T>,
+    is_wanted: impl Fn(T) -> bool,
+) -> Vec<u32> {
+    let rows = (0..).zip(values);
+    rows.filter_map(|(row, value)| is_wanted(value).then_some(row))
+        .collect()
+}
+
+/// The middle one of `values` in ascending order, the upper of two; 0 without any.
+pub(crate) fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    let middle = values.len() / 2;
+    if values.is_empty() {
+        return 0.0;
+    }
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
 /// The rotation of a quaternion (w, x, y, z) of any length. A quaternion of length 0 gives the identity, as in the rasterizer.
-pub(crate) fn rotation(quaternion: &[f32; 4]) -> glam::DQuat {
+pub(crate) fn rotation(quaternion: &[f32; 4]) -> DQuat {
     let [w, x, y, z] = quaternion.map(f64::from);
-    let q = glam::DQuat::from_xyzw(x, y, z, w);
+    let q = DQuat::from_xyzw(x, y, z, w);
     if q.length_squared() < ZERO_QUATERNION {
-        glam::DQuat::IDENTITY
+        DQuat::IDENTITY
     } else {
         q.normalize()
     }

@@ -1,6 +1,7 @@
 //! The order in which Gaussians are stored.
 
-use super::Gaussians;
+use super::{Gaussians, bounds};
+use glam::DVec3;
 
 /// Bits of a code along each axis.
 const BITS: u32 = 21;
@@ -11,34 +12,23 @@ impl Gaussians {
     ///
     /// Centres that are not finite come last. Rows of one cell keep their order.
     pub fn spatial_order(&self) -> Vec<u32> {
-        let finite = |p: &&[f32; 3]| p.iter().all(|v| v.is_finite());
-        let bound = |start: f32, pick: fn(f32, f32) -> f32| {
-            self.means
-                .iter()
-                .filter(finite)
-                .fold([start; 3], |b, p| [0, 1, 2].map(|a| pick(b[a], p[a])))
-        };
-        let (low, high) = (
-            bound(f32::INFINITY, f32::min),
-            bound(f32::NEG_INFINITY, f32::max),
-        );
-        let extent = (0..3)
-            .map(|a| f64::from(high[a]) - f64::from(low[a]))
-            .fold(0.0, f64::max);
+        let points = self.positions(DVec3::ZERO);
+        let finite = points.iter().copied().filter(|p| p.is_finite());
+        let (low, high) = bounds(finite).unwrap_or_default();
+        let extent = (high - low).max_element();
         let cells = if extent > 0.0 {
             f64::from((1_u32 << BITS) - 1) / extent
         } else {
             0.0
         };
-        let code = |p: &[f32; 3]| {
-            if !finite(&p) {
+        let code = |p: &DVec3| {
+            if !p.is_finite() {
                 return u64::MAX;
             }
-            (0..3)
-                .map(|a| spread(((f64::from(p[a]) - f64::from(low[a])) * cells) as u64) << a)
-                .sum()
+            let cell = (*p - low) * cells;
+            (0..3).map(|a| spread(cell[a] as u64) << a).sum()
         };
-        let codes: Vec<u64> = self.means.iter().map(code).collect();
+        let codes: Vec<u64> = points.iter().map(code).collect();
         let mut order: Vec<u32> = (0..self.len() as u32).collect();
         order.sort_by_key(|&i| codes[i as usize]);
         order

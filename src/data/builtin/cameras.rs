@@ -32,16 +32,17 @@ pub(super) fn shots(
 ) -> Vec<Shot> {
     let rng = &mut stream(seed, RoomStream::Cameras);
     let start: f64 = rng.random_range(0.0..TAU);
+    let shot = |eye, target, split, along| Shot {
+        camera: look(eye, target, width, height),
+        split,
+        along,
+    };
     let mut shots: Vec<Shot> = Vec::with_capacity(train + test);
     for i in 0..train {
         let along = i as f64 / train as f64;
         let (eye, target) = walk(room, start, along);
-        let camera = look(good_place(room, eye, target), target, width, height);
-        shots.push(Shot {
-            camera,
-            split: Split::Train,
-            along,
-        });
+        let eye = good_place(room, eye, target);
+        shots.push(shot(eye, target, Split::Train, along));
     }
     for i in 0..test {
         let along = (i as f64 + 0.5) / test as f64;
@@ -74,11 +75,7 @@ pub(super) fn shots(
             }
         }
         let at = best.map_or(eye, |b| b.1);
-        shots.push(Shot {
-            camera: look(at, target, width, height),
-            split: Split::Test,
-            along,
-        });
+        shots.push(shot(at, target, Split::Test, along));
     }
     shots
 }

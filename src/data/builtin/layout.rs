@@ -1,6 +1,6 @@
 //! Draws a furnished room: walls with windows and pictures, a seating group, a dining group, cabinets and lamps.
 
-use super::build::{Builder, class};
+use super::build::Builder;
 use super::furniture::Kind;
 use super::style::Style;
 use glam::{DMat2, DMat3, DVec2, DVec3};
@@ -326,16 +326,4 @@ impl Decorator<'_> {
             self.put(Kind::FloorLamp, at, 0.0, size, 0);
         }
     }
-}
-
-/// How many objects of each class id (0..=10) a room holds.
-pub(super) fn census(b: &Builder) -> [usize; 11] {
-    let mut seen = std::collections::BTreeSet::new();
-    let mut count = [0; 11];
-    for s in &b.solids {
-        if seen.insert(s.instance) {
-            count[usize::from(s.class.min(class::LAMP))] += 1;
-        }
-    }
-    count
 }

@@ -11,6 +11,7 @@ use glam::DVec3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
+use std::collections::BTreeSet;
 
 /// What random numbers are drawn for. Each purpose has its own random stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,11 +77,12 @@ impl Room {
         let mut rng = stream(seed, RoomStream::Scene);
         loop {
             let (b, size) = layout::furnish(Some(DVec3::new(6.4, 5.2, 2.7)), &mut rng);
-            let count = layout::census(&b);
+            let objects: BTreeSet<_> = b.solids.iter().map(|s| (s.class, s.instance)).collect();
+            let count = |class| objects.iter().filter(|object| object.0 == class).count();
             // A few layouts are enough.
             if MIN_OBJECTS
                 .iter()
-                .all(|(class, least)| count[usize::from(*class)] >= *least)
+                .all(|&(class, least)| count(class) >= least)
             {
                 let mut room = Self::new(b, size);
                 room.bake();

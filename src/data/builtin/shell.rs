@@ -4,7 +4,6 @@ use super::build::{Light, class};
 use super::layout::{Decorator, yaw};
 use super::noise::rgb;
 use super::patterns::Pattern;
-use super::style::Style;
 use glam::DVec3;
 use rand::Rng;
 
@@ -188,13 +187,9 @@ impl Decorator<'_> {
             let colors = self.style.three(self.rng);
             let painting = Pattern::Painting(self.rng.random_range(0..6), colors);
             let canvas = self.builder.matt(painting);
-            let Style {
-                woods,
-                metal,
-                white,
-                ..
-            } = self.style;
-            let frame = [woods[0], woods[1], metal, white][self.rng.random_range(0..4)];
+            let style = &self.style;
+            let frames = [style.woods[0], style.woods[1], style.metal, style.white];
+            let frame = frames[self.rng.random_range(0..4)];
             let at = self.plan.on_wall(k, s, 0.0, z);
             let mut o = self.builder.object(class::PICTURE, at, yaw(k));
             o.cuboid([0.0, 0.012, 0.0], [w - 0.03, 0.024, h - 0.03], canvas);

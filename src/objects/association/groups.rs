@@ -12,6 +12,8 @@ const PRIOR_WEIGHT: f64 = 1.0;
 const UNSEEN_WEIGHT: f64 = 0.1;
 /// Weights below this are rounding left over after a segment is removed.
 const MIN_WEIGHT: f32 = 1e-3;
+/// A segment and a group may belong together from this IoU on, in what the view shows of them.
+const MIN_IOU: f64 = 0.25;
 /// An unmatched segment is part of the group that claims more than this share of it.
 const MIN_CONTAINED: f64 = 0.5;
 /// Matching sums IoU in whole steps of one over this.
@@ -33,25 +35,28 @@ impl From<&SegmentWeights> for Category {
     }
 }
 
+/// A segment, or a piece of one that was divided.
+pub(super) type Piece<'a> = Cow<'a, SegmentWeights>;
+
 /// The segments of a view, some in pieces, and the group of each.
 #[derive(Clone, Default)]
 pub(super) struct Assigned<'a> {
     /// In the order of the segments. Pieces of a segment have its id.
-    pub pieces: Vec<Cow<'a, SegmentWeights>>,
+    pub pieces: Vec<Piece<'a>>,
     /// The group of each piece, where it has one.
     pub groups: Vec<Option<u32>>,
 }
 
-impl Assigned<'_> {
-    /// For each segment, the groups of its pieces.
-    pub fn by_segment(&self) -> impl Iterator<Item = &[Option<u32>]> {
-        let mut from = 0;
-        self.pieces
-            .chunk_by(|a, b| a.segment.id == b.segment.id)
-            .map(move |pieces| {
-                from += pieces.len();
-                &self.groups[from - pieces.len()..from]
-            })
+impl<'a> Assigned<'a> {
+    /// For each segment its pieces, and their groups.
+    pub fn by_segment(&self) -> impl Iterator<Item = (&[Piece<'a>], &[Option<u32>])> {
+        let segments = self.pieces.chunk_by(|a, b| a.segment.id == b.segment.id);
+        let mut rest = &self.groups[..];
+        segments.map(move |pieces| {
+            let (groups, others) = rest.split_at(pieces.len());
+            rest = others;
+            (pieces, groups)
+        })
     }
 
     /// The pieces that have a group, with it.
@@ -171,7 +176,7 @@ impl Groups {
 
     /// Overlaps of a view's segments with all groups: group g claims of segment m `sum_i w_mi W_gi / (W_i + 1)`, where
     /// `W_gi` is the group's weight on Gaussian i and `W_i` that of all groups.
-    pub fn overlaps(&self, pieces: &[Cow<'_, SegmentWeights>]) -> Overlaps {
+    pub fn overlaps(&self, pieces: &[Piece<'_>]) -> Overlaps {
         let mut sums = SparseSums::new(self.len());
         let mut overlaps = Overlaps {
             claimed: Vec::with_capacity(pieces.len()),
@@ -198,16 +203,11 @@ impl Groups {
         overlaps
     }
 
-    /// Assigns a group to each segment of a view: one to one at the largest sum of IoU, without pairs below `min_iou`.
+    /// Assigns a group to each segment of a view: one to one at the largest sum of IoU, without pairs below [`MIN_IOU`].
     /// `unmatched` says what happens to the others. All segments of a class of stuff belong to one group.
-    pub fn assign<'a>(
-        &mut self,
-        pieces: Vec<Cow<'a, SegmentWeights>>,
-        min_iou: f64,
-        unmatched: Unmatched,
-    ) -> Assigned<'a> {
+    pub fn assign<'a>(&mut self, pieces: Vec<Piece<'a>>, unmatched: Unmatched) -> Assigned<'a> {
         let overlaps = self.overlaps(&pieces);
-        let mut groups = self.matched(&pieces, &overlaps, min_iou);
+        let mut groups = self.matched(&pieces, &overlaps);
         for (n, piece) in pieces.iter().enumerate() {
             if piece.weights.is_empty() {
                 continue;
@@ -227,12 +227,7 @@ impl Groups {
     }
 
     /// The groups of the things among `pieces`, one to one at the largest sum of IoU.
-    fn matched(
-        &self,
-        pieces: &[Cow<'_, SegmentWeights>],
-        overlaps: &Overlaps,
-        min_iou: f64,
-    ) -> Vec<Option<u32>> {
+    fn matched(&self, pieces: &[Piece<'_>], overlaps: &Overlaps) -> Vec<Option<u32>> {
         let things: Vec<usize> = (0..pieces.len())
             .filter(|&n| pieces[n].segment.thing)
             .collect();
@@ -245,7 +240,7 @@ impl Groups {
             let category = Category::from(&*pieces[n]);
             for &(group, claimed) in &overlaps.claimed[n] {
                 let iou = overlaps.iou(n, pieces[n].total, group, claimed);
-                if iou >= min_iou && self.category(group) == category {
+                if iou >= MIN_IOU && self.category(group) == category {
                     row[columns.partition_point(|column| *column < group)] =
                         (iou * IOU_STEPS) as i64;
                 }

@@ -10,6 +10,9 @@ use std::collections::BTreeMap;
 const MIN_SHARED: f64 = 0.02;
 /// Views that count against a merge or a split beforehand, so that no view decides alone.
 pub(super) const PRIOR_VIEWS: f64 = 1.0;
+/// Groups are merged when more than this share of the views that show both put them into one segment. A group is split when more
+/// than the rest of its views show two segments of it. [`PRIOR_VIEWS`] views count against each change.
+pub(super) const MIN_AGREEMENT: f64 = 0.5;
 /// A group with a lower purity is a stray: others have most of its Gaussians.
 const MIN_PURITY: f64 = 0.15;
 
@@ -43,14 +46,13 @@ pub(super) fn totals(groups: &Groups) -> Vec<Total> {
 /// Pairs (smaller, larger) of groups to merge. Each group is in one pair at most. `sightings` has what each view shows, `extents`
 /// the most that a view shows of each group.
 ///
-/// Two groups are merged where they share Gaussians and more than the share `min_agreement` of the views say that they are one
+/// Two groups are merged where they share Gaussians and more than the share [`MIN_AGREEMENT`] of the views say that they are one
 /// ([`evidence`]). So a part that the segmenter separates in few views does not stay apart, and two objects that it joins in few
 /// views are not merged, however large they are there.
 pub(super) fn pairs(
     groups: &Groups,
     sightings: &[Vec<Sighting>],
     extents: &[f64],
-    min_agreement: f64,
 ) -> Vec<(u32, u32)> {
     let totals = totals(groups);
     let mut candidates = Vec::new();
@@ -63,7 +65,7 @@ pub(super) fn pairs(
         }
         let Evidence { one, two } = evidence(sightings, extents, [a, b]);
         let all = one + two + PRIOR_VIEWS;
-        if one > min_agreement * all {
+        if one > MIN_AGREEMENT * all {
             let [small, large] = if weight_a >= weight_b { [b, a] } else { [a, b] };
             candidates.push((one / all, small, large));
         }

@@ -33,8 +33,9 @@ use crate::config::AssociationConfig;
 use crate::data::{Class, Classes, LabelRuns, ObjectOf, Scene, Split, View, class_color};
 use crate::error::{Error, Result, ensure, invalid};
 use crate::raster::Settings;
-use crate::splat::Gaussians;
-use groups::{Assigned, Category, Groups};
+use crate::splat::{Gaussians, rows_where};
+use divide::divided;
+use groups::{Assigned, Category, Groups, Unmatched};
 use ownership::{extents, sightings_in_views};
 use relabel::relabelled;
 use segments::{NO_SEGMENT, ViewSegments, view_segments};
@@ -177,7 +178,11 @@ impl AssociationInputs<'_> {
         let assigned = sweeps::form_groups(&mut groups, &views, self.config, progress)?;
         let (kept, found) = numbered_groups(&groups, &assigned)?;
         let maps = self.maps(&mut groups, &views, &assigned, &kept, progress)?;
-        let segments = || assigned.iter().flat_map(Assigned::by_segment);
+        let segments = || {
+            assigned
+                .iter()
+                .flat_map(|view| view.by_segment().map(|of| of.1))
+        };
         let categories = kept.iter().map(|&group| groups.category(group));
         Ok(Association {
             classes: class_table(categories, &self.scene.classes),
@@ -225,7 +230,8 @@ impl AssociationInputs<'_> {
         }
         for (v, view) in slots().filter(|(_, view)| view.split == Split::Test) {
             let segments = self.segments(view)?;
-            let assigned = sweeps::assign_view(groups, &segments, &extents, sweeps::MIN_IOU);
+            let pieces = divided(groups, &segments, &extents);
+            let assigned = groups.assign(pieces, Unmatched::Joins);
             maps[v] = relabel(view, &assigned)?;
             progress(1)?;
         }
@@ -247,9 +253,7 @@ fn numbered_groups(groups: &Groups, assigned: &[Assigned<'_>]) -> Result<(Vec<u3
             .into_iter()
             .for_each(|group| views[group as usize] += 1);
     }
-    let mut kept: Vec<u32> = (0..groups.len() as u32)
-        .filter(|&group| views[group as usize] > 0)
-        .collect();
+    let mut kept = rows_where(&views, |views| *views > 0);
     kept.sort_by(|&a, &b| weight(b).total_cmp(&weight(a)).then(a.cmp(&b)));
     ensure!(kept.len() < usize::from(u16::MAX),
         limit "groups of segments"; found "{}", kept.len(); expected "{}", u16::MAX - 1;

@@ -6,7 +6,7 @@ use crate::data::{LabelMap, LabelRuns, View};
 use crate::error::Result;
 use crate::objects::largest::first_largest;
 use crate::raster::{Projected, Settings};
-use crate::splat::Gaussians;
+use crate::splat::{Gaussians, rows_where};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -36,10 +36,7 @@ pub(super) fn relabelled(
     };
     let mut table = vec![NO_SEGMENT; 1 << 16];
     let mut divided: HashMap<u16, Divided> = HashMap::new();
-    let mut first = 0;
-    for groups in assigned.by_segment() {
-        let pieces = &assigned.pieces[first..first + groups.len()];
-        first += groups.len();
+    for (pieces, groups) in assigned.by_segment() {
         let id = |n: usize| groups[n].map_or(NO_SEGMENT, ids);
         let largest = first_largest(pieces.iter().map(|piece| piece.total)).unwrap_or(0);
         let segment = pieces[0].segment.id;
@@ -64,9 +61,7 @@ pub(super) fn relabelled(
         height: raw.height,
         ids,
     };
-    let pixels: Vec<u32> = (0..raw.ids.len() as u32)
-        .filter(|&p| divided.contains_key(&raw.ids[p as usize]))
-        .collect();
+    let pixels = rows_where(&raw.ids, |id| divided.contains_key(id));
     if pixels.is_empty() {
         return Ok(Some(map));
     }

@@ -13,12 +13,6 @@ use crate::error::Result;
 use std::borrow::Cow;
 use std::collections::HashMap;
 
-/// A segment and a group may belong together from this IoU on, in what the view shows of them.
-pub(super) const MIN_IOU: f64 = 0.25;
-/// Groups are merged when more than this share of the views that show both put them into one segment. A group is split when more
-/// than the rest of its views show two segments of it. [`merge::PRIOR_VIEWS`] views count against each change.
-const MIN_AGREEMENT: f64 = 0.5;
-
 /// Forms the groups of `views` and returns the group of each segment. Reports each view in each sweep to `progress`.
 ///
 /// # Errors
@@ -38,27 +32,20 @@ pub(super) fn form_groups<'a>(
             assigned[v] = if sweep == 0 {
                 // No group is known yet that a segment may cover.
                 let whole = views[v].segments.iter().map(Cow::Borrowed).collect();
-                groups.assign(whole, MIN_IOU, Unmatched::Creates)
+                groups.assign(whole, Unmatched::Creates)
             } else {
                 let pieces = divided(groups, &views[v], &group_extents);
-                groups.assign(pieces, MIN_IOU, Unmatched::JoinsOrCreates)
+                groups.assign(pieces, Unmatched::JoinsOrCreates)
             };
             group_extents.resize(groups.len(), 0.0);
             groups.add(&assigned[v]);
             progress(1)?;
         }
         groups.rebuild(&assigned);
-        if split(
-            groups,
-            views,
-            &mut assigned,
-            &order,
-            MIN_AGREEMENT,
-            progress,
-        )? {
+        if split(groups, views, &mut assigned, &order, progress)? {
             groups.rebuild(&assigned);
         }
-        group_extents = merge_groups(groups, views, &mut assigned, MIN_AGREEMENT, progress)?;
+        group_extents = merge_groups(groups, views, &mut assigned, progress)?;
     }
     drop_negligible(groups, &mut assigned, config.min_weight)?;
     Ok(assigned)
@@ -69,14 +56,13 @@ fn merge_groups(
     groups: &mut Groups,
     views: &[ViewSegments],
     assigned: &mut [Assigned<'_>],
-    min_agreement: f64,
     progress: &mut Progress,
 ) -> Result<Vec<f64>, End> {
     loop {
         progress(0)?;
         let sightings = sightings_in_views(groups, views);
         let extents = extents(groups.len(), &sightings);
-        let pairs = merge::pairs(groups, &sightings, &extents, min_agreement);
+        let pairs = merge::pairs(groups, &sightings, &extents);
         if pairs.is_empty() {
             return Ok(extents);
         }
@@ -112,15 +98,4 @@ fn drop_negligible(
     }
     groups.rebuild(assigned);
     Ok(())
-}
-
-/// Assigns the segments of a view that did not form the groups.
-pub(super) fn assign_view<'a>(
-    groups: &mut Groups,
-    view: &'a ViewSegments,
-    extents: &[f64],
-    min_iou: f64,
-) -> Assigned<'a> {
-    let pieces = divided(groups, view, extents);
-    groups.assign(pieces, min_iou, Unmatched::Joins)
 }

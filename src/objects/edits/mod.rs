@@ -5,7 +5,7 @@ mod operation;
 pub use self::operation::{NewObject, Operation, Turn, is_name};
 
 use super::Editing;
-use crate::error::{Result, ensure, invalid};
+use crate::error::{Error, Result, ensure, invalid};
 use crate::files;
 use glam::DVec3;
 use serde::Deserialize;
@@ -85,11 +85,23 @@ impl Edits {
             expected "the SHA-256 of the scene file, {scene}";
             help "name the scene whose page these edits were saved from; where it has changed since, edit it in a new page by `coseg view`");
         for (i, operation) in self.operations.iter().enumerate() {
-            let fault = operation.apply(editing, origin);
-            fault.map_err(|fault| {
-                invalid!(&self.path, "operations[{i}].{}", fault.field; found "{}", fault.found;
-                    expected "{}", fault.expected; help "save the edits again in the viewer, or correct them there")
-            })?;
+            operation
+                .apply(editing, origin)
+                .map_err(|error| match error {
+                    Error::Argument {
+                        name,
+                        found,
+                        expected,
+                        help,
+                    } => Error::Input {
+                        path: self.path.clone(),
+                        field: format!("operations[{i}].{name}"),
+                        found,
+                        expected,
+                        help,
+                    },
+                    other => other,
+                })?;
         }
         Ok(())
     }

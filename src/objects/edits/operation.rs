@@ -1,5 +1,6 @@
 //! The operations of a file of edits.
 
+use crate::error::{Result, ensure, invalid};
 use crate::objects::Editing;
 use crate::splat::Motion;
 use glam::{DQuat, DVec3};
@@ -7,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 /// Characters of a name at most.
 const MAX_NAME: usize = 200;
+const HELP: &str = "save the edits again in the viewer, or correct them there";
 
 /// One edit. Objects are label ids, Gaussians are rows of the scene file from 0.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -87,25 +89,12 @@ pub struct Turn {
     pub pivot: DVec3,
 }
 
-/// A part of an operation that does not fit the scene.
-#[derive(Debug)]
-pub(super) struct Fault {
-    pub field: String,
-    pub found: String,
-    pub expected: String,
-}
-
-fn fault(field: impl Into<String>, found: impl Into<String>, expected: impl Into<String>) -> Fault {
-    Fault {
-        field: field.into(),
-        found: found.into(),
-        expected: expected.into(),
-    }
-}
-
 impl Operation {
     /// Applies it to a scene relative to `origin`.
-    pub(super) fn apply(&self, editing: &mut Editing, origin: DVec3) -> Result<(), Fault> {
+    ///
+    /// # Errors
+    /// [`crate::Error::Argument`] naming the part of the operation that does not fit the scene.
+    pub(super) fn apply(&self, editing: &mut Editing, origin: DVec3) -> Result<()> {
         match self {
             Self::Rename { object, name } => {
                 check_named(editing, *object)?;
@@ -174,15 +163,12 @@ impl Operation {
 }
 
 impl Turn {
-    fn then(&self, editing: &Editing, shift: DVec3, origin: DVec3) -> Result<Motion, Fault> {
+    fn then(&self, editing: &Editing, shift: DVec3, origin: DVec3) -> Result<Motion> {
         let pivot = self.pivot - origin;
         check_near(editing, "turn.pivot", pivot)?;
         let axis = self.axis.try_normalize().ok_or_else(|| {
-            fault(
-                "turn.axis",
-                self.axis.to_string(),
-                "a direction: three numbers, not all zero",
-            )
+            invalid!(argument "turn.axis"; found "{}", self.axis;
+                expected "a direction: three numbers, not all zero"; help "{HELP}")
         })?;
         Ok(Motion {
             rotation: DQuat::from_axis_angle(axis, self.degrees.to_radians()),
@@ -192,36 +178,30 @@ impl Turn {
     }
 }
 
-fn check_known(editing: &Editing, field: &str, id: u16) -> Result<(), Fault> {
-    if editing.is_known(id) {
-        return Ok(());
-    }
-    let expected = "a label of the scene or of its class table";
-    Err(fault(field, id.to_string(), expected))
+fn check_known(editing: &Editing, field: &str, id: u16) -> Result<()> {
+    ensure!(editing.is_known(id), argument "{field}"; found "{id}";
+        expected "a label of the scene or of its class table"; help "{HELP}");
+    Ok(())
 }
 
-fn check_all_known(editing: &Editing, ids: &[u16]) -> Result<(), Fault> {
+fn check_all_known(editing: &Editing, ids: &[u16]) -> Result<()> {
     let field = |i: usize| format!("objects[{i}]");
     let mut all = ids.iter().enumerate();
     all.try_for_each(|(i, &id)| check_known(editing, &field(i), id))
 }
 
 /// A label that can have a name.
-fn check_named(editing: &Editing, id: u16) -> Result<(), Fault> {
+fn check_named(editing: &Editing, id: u16) -> Result<()> {
     check_known(editing, "object", id)?;
-    if id == editing.ignore() {
-        let expected = "a label other than that of unlabelled Gaussians";
-        return Err(fault("object", id.to_string(), expected));
-    }
+    ensure!(id != editing.ignore(), argument "object"; found "{id}";
+        expected "a label other than that of unlabelled Gaussians"; help "{HELP}");
     Ok(())
 }
 
-fn check_free(editing: &Editing, id: u16) -> Result<(), Fault> {
+fn check_free(editing: &Editing, id: u16) -> Result<()> {
     // 0 means unlabelled where no class table says otherwise.
-    if id == 0 || editing.is_known(id) {
-        let expected = "an id above 0 that neither the scene nor its class table has";
-        return Err(fault("object", id.to_string(), expected));
-    }
+    ensure!(id != 0 && !editing.is_known(id), argument "object"; found "{id}";
+        expected "an id above 0 that neither the scene nor its class table has"; help "{HELP}");
     Ok(())
 }
 
@@ -231,44 +211,25 @@ pub fn is_name(name: &str) -> bool {
     is_plain && name.chars().count() <= MAX_NAME
 }
 
-fn check_name(field: &str, name: &str) -> Result<(), Fault> {
-    if is_name(name) {
-        return Ok(());
-    }
+fn check_name(field: &str, name: &str) -> Result<()> {
     let some: String = name.chars().take(MAX_NAME).collect();
-    let expected =
-        format!("a name of 1 to {MAX_NAME} characters, not all blank, without line ends");
-    Err(fault(field, format!("{some:?}"), expected))
+    ensure!(is_name(name), argument "{field}"; found "{some:?}";
+        expected "a name of 1 to {MAX_NAME} characters, not all blank, without line ends"; help "{HELP}");
+    Ok(())
 }
 
-fn check_rows(editing: &Editing, rows: &[u32]) -> Result<(), Fault> {
+fn check_rows(editing: &Editing, rows: &[u32]) -> Result<()> {
     for (i, &row) in rows.iter().enumerate() {
-        if row as usize >= editing.len() {
-            let expected = format!(
-                "a row of the scene, 0 to {}",
-                editing.len().saturating_sub(1)
-            );
-            return Err(fault(format!("gaussians[{i}]"), row.to_string(), expected));
-        }
-        if editing.is_removed(row) {
-            let found = format!("{row}, which an earlier operation deletes");
-            return Err(fault(
-                format!("gaussians[{i}]"),
-                found,
-                "a row that is left",
-            ));
-        }
+        ensure!((row as usize) < editing.len(), argument "gaussians[{i}]"; found "{row}";
+            expected "a row of the scene, 0 to {}", editing.len().saturating_sub(1); help "{HELP}");
+        ensure!(!editing.is_removed(row), argument "gaussians[{i}]"; found "{row}, which an earlier operation deletes";
+            expected "a row that is left"; help "{HELP}");
     }
     Ok(())
 }
 
-fn check_near(editing: &Editing, field: &str, offset: DVec3) -> Result<(), Fault> {
-    if offset.is_finite() && editing.is_near(offset) {
-        return Ok(());
-    }
-    let expected = format!(
-        "at most {:.3e} world units, as positions farther away lose digits",
-        editing.farthest()
-    );
-    Err(fault(field, offset.to_string(), expected))
+fn check_near(editing: &Editing, field: &str, offset: DVec3) -> Result<()> {
+    ensure!(offset.is_finite() && editing.is_near(offset), argument "{field}"; found "{offset}";
+        expected "at most {:.3e} world units, as positions farther away lose digits", editing.farthest(); help "{HELP}");
+    Ok(())
 }

@@ -9,6 +9,7 @@ mod ellipsoid;
 mod naming;
 
 use super::color_apart;
+use super::inventory::rows_by_label;
 use crate::data::Classes;
 use crate::error::{Result, ensure};
 use crate::segmentation::neighbours::PointIndex;
@@ -71,17 +72,13 @@ impl Separation {
     ) -> Result<Separated> {
         self.check()?;
         gaussians.check(Some(labels))?;
-        let mut rows: BTreeMap<u16, Vec<u32>> = BTreeMap::new();
-        for (row, &id) in (0..).zip(labels) {
-            rows.entry(id).or_default().push(row);
-        }
         let mut naming = Naming::new(labels, classes);
         let mut separated = Separated {
             labels: labels.to_vec(),
             classes: Classes::default(),
             pieces: BTreeMap::new(),
         };
-        for (id, rows) in rows {
+        for (id, rows) in rows_by_label(labels) {
             if id == naming.classes.ignore || !wanted(id) {
                 continue;
             }

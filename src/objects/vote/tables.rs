@@ -2,10 +2,10 @@
 
 use super::Votes;
 use super::view_votes::ViewVotes;
-use crate::backend::device::read;
+use crate::backend::device::{indices, read};
 use crate::error::Result;
 use crate::raster::{SplatTensors, SplatView};
-use burn::tensor::{IndexingUpdateOp, Int, Tensor, TensorData};
+use burn::tensor::{IndexingUpdateOp, Tensor};
 
 /// Least blended share of a class that a vote is divided by.
 const MIN_SHARE: f32 = 1e-4;
@@ -58,12 +58,9 @@ impl VoteTables {
                 if let Some(weights) = &cast.weights {
                     sums = sums * weights.clone();
                 }
-                let columns = part
-                    .iter()
-                    .map(|&class| i64::from(class) - (number * self.width) as i64)
-                    .collect();
-                let columns =
-                    Tensor::<1, Int>::from_data(TensorData::new(columns, [part.len()]), &device);
+                let first = (number * self.width) as u32;
+                let columns: Vec<u32> = part.iter().map(|&c| u32::from(c) - first).collect();
+                let columns = indices(&columns, &device);
                 // Taken out: burn copies a table that has a second owner.
                 let table = self.tables.remove(number);
                 self.tables.insert(

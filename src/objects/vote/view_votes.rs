@@ -24,33 +24,31 @@ impl ViewVotes {
         Self::of_pixels(view, classes, |_, class, votes| votes.push((class, 1.0)))
     }
 
-    /// [`ViewVotes::of_scores`], times the distance of each Gaussian from the camera.
+    /// The scores of each pixel that has a raw label, or the label itself where the view or the pixel has no scores; times the
+    /// distance of each Gaussian from the camera.
     pub fn weighted(
         view: &View,
         classes: &Classes,
         gaussians: &Gaussians,
         device: &Device,
     ) -> Result<Self> {
-        Ok(Self {
-            weights: Some(distances(gaussians, &view.camera, device)),
-            ..Self::of_scores(view, classes)?
-        })
-    }
-
-    /// The scores of each pixel that has a raw label; the label itself where the view or the pixel has no scores.
-    fn of_scores(view: &View, classes: &Classes) -> Result<Self> {
-        let Some(scores) = &view.scores else {
-            return Ok(Self::of_labels(view, classes));
-        };
-        let (scores, width) = (scores.read(classes)?, view.camera.width);
+        let scores = view.scores.as_ref().map(|scores| scores.read(classes));
+        let (scores, width) = (scores.transpose()?, view.camera.width);
         let mut found = Vec::new();
-        Ok(Self::of_pixels(view, classes, |pixel, class, votes| {
-            scores.at(pixel % width, pixel / width, &mut found);
+        let cast = Self::of_pixels(view, classes, |pixel, class, votes| {
+            found.clear();
+            if let Some(scores) = &scores {
+                scores.at(pixel % width, pixel / width, &mut found);
+            }
             if found.is_empty() {
                 found.push((class, 1.0));
             }
             votes.extend_from_slice(&found);
-        }))
+        });
+        Ok(Self {
+            weights: Some(distances(gaussians, &view.camera, device)),
+            ..cast
+        })
     }
 
     /// `add` adds the votes of a labelled pixel, given its number and class, to the list of all.

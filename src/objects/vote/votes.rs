@@ -68,10 +68,7 @@ impl Votes {
     /// Logarithms of the shares of each Gaussian's votes, `[N, C]`, every share raised by `floor`: the votes as logits of a
     /// softmax. Equal in all classes where nothing was voted.
     pub fn log_shares(&self, floor: f32) -> Vec<f32> {
-        let shares = self.rows().flat_map(|row| {
-            let total = row.iter().sum::<f32>().max(f32::MIN_POSITIVE);
-            row.iter().map(move |v| (v / total + floor).ln())
-        });
-        shares.collect()
+        let shares = self.shares().table.into_iter();
+        shares.map(|share| (share + floor).ln()).collect()
     }
 }

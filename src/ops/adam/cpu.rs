@@ -1,6 +1,6 @@
 //! The Adam step on slices.
 
-use super::{AdamStep, Updated};
+use super::{AdamStep, BETA1, BETA2, EPSILON, Updated};
 use crate::backend::simd::{multiply_add, wide_kernel};
 use crate::backend::{HostBackend, Real, device_of, real_kernel};
 use burn::backend::TensorMetadata;
@@ -21,12 +21,7 @@ impl AdamStep {
         let rates = self.rates.iter().cycle().take(tile);
         let constants = Constants {
             rates: rates.map(|rate| E::of(rate / c1)).collect(),
-            beta1: E::of(self.beta1),
-            rest1: E::of(1.0 - self.beta1),
-            beta2: E::of(self.beta2),
-            rest2: E::of(1.0 - self.beta2),
             root: E::of(1.0 / c2.sqrt()),
-            epsilon: E::of(self.epsilon),
         };
         let chunk = tile * CHUNK.div_ceil(tile);
         param
@@ -40,12 +35,8 @@ impl AdamStep {
 struct Constants<E> {
     /// Rates of one tile, divided by the correction of the first moment.
     rates: Vec<E>,
-    beta1: E,
-    rest1: E,
-    beta2: E,
-    rest2: E,
+    /// Reciprocal root of the correction of the second moment.
     root: E,
-    epsilon: E,
 }
 
 wide_kernel! {
@@ -61,6 +52,9 @@ fn update_body<E: Real, const FMA: bool>(
     v: &mut [E],
 ) {
     let tile = c.rates.len();
+    let [beta1, rest1] = [BETA1, 1.0 - BETA1].map(E::of);
+    let [beta2, rest2] = [BETA2, 1.0 - BETA2].map(E::of);
+    let epsilon = E::of(EPSILON);
     let tiles = p
         .chunks_mut(tile)
         .zip(g.chunks(tile))
@@ -73,11 +67,11 @@ fn update_body<E: Real, const FMA: bool>(
         let v = &mut v[..n];
         let rates = &c.rates[..n];
         for i in 0..n {
-            let first = multiply_add::<E, FMA>(c.beta1, m[i], c.rest1 * g[i]);
-            let second = multiply_add::<E, FMA>(c.beta2, v[i], c.rest2 * (g[i] * g[i]));
+            let first = multiply_add::<E, FMA>(beta1, m[i], rest1 * g[i]);
+            let second = multiply_add::<E, FMA>(beta2, v[i], rest2 * (g[i] * g[i]));
             m[i] = first;
             v[i] = second;
-            p[i] -= rates[i] * first / (second.sqrt() * c.root + c.epsilon);
+            p[i] -= rates[i] * first / (second.sqrt() * c.root + epsilon);
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The Adam step in one kernel, one unit for each scalar.
 
-use super::{AdamStep, Updated, cpu};
+use super::{AdamStep, BETA1, BETA2, EPSILON, Updated, cpu};
 use crate::backend::gpu::{Gpu, arg};
 use crate::ops::gpu::{covers, own};
 use burn::backend::tensor::FloatTensor;
@@ -80,12 +80,12 @@ pub fn adam_step(
         arg(&rates),
         count as u32,
         rate,
-        step.beta1 as f32,
-        (1.0 - step.beta1) as f32,
-        step.beta2 as f32,
-        (1.0 - step.beta2) as f32,
+        BETA1 as f32,
+        (1.0 - BETA1) as f32,
+        BETA2 as f32,
+        (1.0 - BETA2) as f32,
         (1.0 / c2.sqrt()) as f32,
-        step.epsilon as f32,
+        EPSILON as f32,
         step.rates.len(),
     );
     (param, first, second)

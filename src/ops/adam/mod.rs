@@ -11,7 +11,14 @@ use burn::backend::{Dispatch, tensor::FloatTensor};
 use burn::tensor::{Tensor, TensorData};
 use std::sync::Arc;
 
-/// Constants of one step.
+/// Decay of the first moment, as in 3DGS.
+const BETA1: f64 = 0.9;
+/// Decay of the second moment.
+const BETA2: f64 = 0.999;
+/// Added to the root of the second moment.
+const EPSILON: f64 = 1e-15;
+
+/// One step.
 ///
 /// With the gradient `g` and the step number `t`:
 /// `m = b1 m + (1 - b1) g`, `v = b2 v + (1 - b2) g^2`,
@@ -20,12 +27,6 @@ use std::sync::Arc;
 pub struct AdamStep {
     /// Learning rates: one for all scalars, or one for each column of the row-major scalars.
     pub rates: Vec<f64>,
-    /// Decay of the first moment.
-    pub beta1: f64,
-    /// Decay of the second moment.
-    pub beta2: f64,
-    /// Added to the root of the second moment.
-    pub epsilon: f64,
     /// Number of this step, from 1.
     pub step: u32,
 }
@@ -33,19 +34,13 @@ pub struct AdamStep {
 impl AdamStep {
     /// Step `step` (from 1) with the constants of 3DGS: betas 0.9 and 0.999, epsilon 1e-15.
     pub fn splatting(rates: Vec<f64>, step: u32) -> Self {
-        Self {
-            rates,
-            beta1: 0.9,
-            beta2: 0.999,
-            epsilon: 1e-15,
-            step,
-        }
+        Self { rates, step }
     }
 
     /// `1 - beta^t` of both moments.
     fn corrections(&self) -> (f64, f64) {
         let t = f64::from(self.step.max(1));
-        (1.0 - self.beta1.powf(t), 1.0 - self.beta2.powf(t))
+        (1.0 - BETA1.powf(t), 1.0 - BETA2.powf(t))
     }
 }
 
@@ -120,10 +115,9 @@ pub fn adam_step_plain<const D: usize>(
     step: &AdamStep,
 ) -> AdamTensors<D> {
     let (c1, c2) = step.corrections();
-    let first = state.first * step.beta1 + grad.clone() * (1.0 - step.beta1);
-    let second = state.second * step.beta2 + grad.clone() * grad * (1.0 - step.beta2);
-    let direction =
-        first.clone() * (1.0 / c1) / ((second.clone() * (1.0 / c2)).sqrt() + step.epsilon);
+    let first = state.first * BETA1 + grad.clone() * (1.0 - BETA1);
+    let second = state.second * BETA2 + grad.clone() * grad * (1.0 - BETA2);
+    let direction = first.clone() * (1.0 / c1) / ((second.clone() * (1.0 / c2)).sqrt() + EPSILON);
     let shape = direction.dims();
     let period = step.rates.len();
     let rates = Tensor::<2>::from_data(

@@ -89,8 +89,10 @@ impl PhotometricTarget {
         (self.pixels.height() as usize, self.pixels.width() as usize)
     }
 
-    /// Bytes that a target of this many pixels holds on `device`; on a GPU as many in host memory.
-    pub fn bytes(pixels: usize, device: &Device) -> usize {
+    /// Bytes that it holds on `device`; on a GPU as many in host memory.
+    pub fn bytes(&self, device: &Device) -> usize {
+        let (height, width) = self.size();
+        let pixels = height * width;
         if in_host_memory(device) {
             pixels * CHANNELS * (1 + 3 * size_of::<f32>())
         } else {
@@ -115,14 +117,15 @@ impl PhotometricTarget {
             .collect()
     }
 
-    /// Which values do not count, `[H, W, 3]`, on the device of `image`; `None` where all do.
-    fn hidden(&self, image: &Tensor<3>) -> Option<Tensor<3, Bool>> {
-        let mask = self.mask.as_ref()?;
+    /// `image`, `[H, W, 3]`, black where pixels do not count.
+    fn masked(&self, image: Tensor<3>) -> Tensor<3> {
+        let Some(mask) = &self.mask else { return image };
         let hidden = (0..mask.width() * mask.height()).map(|pixel| !mask.uses(pixel));
         let shape = [mask.height(), mask.width(), 1];
         let data = TensorData::new(hidden.collect::<Vec<bool>>(), shape);
         let hidden = Tensor::<3, Bool>::from_data(data, &image.device());
-        Some(hidden.expand(image.dims()))
+        let shape = image.dims();
+        image.mask_fill(hidden.expand(shape), 0.0)
     }
 }
 
@@ -188,11 +191,8 @@ pub fn photometric_loss(
     if CustomOp::Photometric.is_replaced() {
         return photometric_loss_plain(image, target, ssim_weight);
     }
-    let image = match target.hidden(&image) {
-        Some(hidden) => image.mask_fill(hidden, 0.0),
-        None => image,
-    };
-    let loss = Dispatch::photometric_loss(image.into_dispatch(), target.clone(), ssim_weight);
+    let image = target.masked(image).into_dispatch();
+    let loss = Dispatch::photometric_loss(image, target.clone(), ssim_weight);
     Tensor::from_dispatch(loss)
 }
 
@@ -214,10 +214,7 @@ pub fn photometric_loss_plain(
         let padded = ConvOptions::new([1, 1], [RADIUS, RADIUS], [1, 1], CHANNELS);
         conv2d(x, window.clone(), None, padded)
     };
-    let image = match target.hidden(&image) {
-        Some(hidden) => image.mask_fill(hidden, 0.0),
-        None => image,
-    };
+    let image = target.masked(image);
     let photo = TensorData::new(target.values::<f64>(), image.dims());
     let photo = Tensor::<3>::from_data(photo, options);
     let planes = |x: Tensor<3>| x.permute([2, 0, 1]).unsqueeze::<4>();

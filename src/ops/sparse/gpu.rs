@@ -60,22 +60,8 @@ impl DeviceMatrix {
         }
     }
 
-    /// `matrix` on the device of `gpu`.
-    pub fn by_rows(gpu: &Gpu, matrix: &SparseMatrix) -> Self {
-        let is_here = |copy: &Self| copy.values.device == *gpu.device();
-        matrix
-            .resident
-            .rows
-            .get(is_here, || Self::upload(gpu, matrix))
-    }
-
-    /// Its transpose.
-    pub fn by_columns(gpu: &Gpu, matrix: &SparseMatrix) -> Self {
-        let is_here = |copy: &Self| copy.values.device == *gpu.device();
-        matrix
-            .resident
-            .columns
-            .get(is_here, || Self::upload(gpu, &matrix.transposed()))
+    fn is_on(&self, gpu: &Gpu) -> bool {
+        self.values.device == *gpu.device()
     }
 
     /// `W x`, `[rows, channels]`.
@@ -106,7 +92,9 @@ pub(super) fn sparse_apply(
         return cpu::sparse_apply::<CubeBackend>(x, matrix);
     }
     let gpu = Gpu::of(&x);
-    DeviceMatrix::by_rows(&gpu, &matrix).apply(&gpu, x)
+    let upload = || DeviceMatrix::upload(&gpu, &matrix);
+    let copy = matrix.by_rows.get(|copy| copy.is_on(&gpu), upload);
+    copy.apply(&gpu, x)
 }
 
 pub(super) fn sparse_apply_adjoint(
@@ -117,5 +105,7 @@ pub(super) fn sparse_apply_adjoint(
         return cpu::sparse_apply_adjoint::<CubeBackend>(g, matrix);
     }
     let gpu = Gpu::of(&g);
-    DeviceMatrix::by_columns(&gpu, &matrix).apply(&gpu, g)
+    let upload = || DeviceMatrix::upload(&gpu, &matrix.transposed());
+    let copy = matrix.by_columns.get(|copy| copy.is_on(&gpu), upload);
+    copy.apply(&gpu, g)
 }

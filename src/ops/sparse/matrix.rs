@@ -14,15 +14,9 @@ pub struct SparseMatrix {
     pub(crate) indices: Vec<u32>,
     /// Value of each entry.
     pub(crate) values: Vec<f32>,
-    pub(super) resident: ResidentMatrix,
-}
-
-/// Copies of a matrix on a device.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct ResidentMatrix {
-    /// By rows, and by columns.
-    pub rows: Resident<DeviceMatrix>,
-    pub columns: Resident<DeviceMatrix>,
+    /// Its copy on a device, and that of its transpose.
+    pub(super) by_rows: Resident<DeviceMatrix>,
+    pub(super) by_columns: Resident<DeviceMatrix>,
 }
 
 impl SparseMatrix {
@@ -66,7 +60,8 @@ impl SparseMatrix {
             offsets,
             indices,
             values,
-            resident: ResidentMatrix::default(),
+            by_rows: Resident::default(),
+            by_columns: Resident::default(),
         }
     }
 
@@ -75,9 +70,7 @@ impl SparseMatrix {
     /// # Panics
     /// If a row is not below `columns`.
     pub fn selection(rows: Vec<u32>, columns: usize) -> Self {
-        let offsets = (0..=rows.len() as u32).collect();
-        let ones = vec![1.0; rows.len()];
-        Self::new(columns, offsets, rows, ones)
+        Self::row_sums(rows, 1, columns)
     }
 
     /// Sums `k` rows of an input with `columns` rows: row r sums the rows `rows[r k..(r + 1) k]`.

@@ -15,9 +15,10 @@ mod matrix;
 pub use self::matrix::SparseMatrix;
 
 use crate::backend::custom_op;
+use crate::backend::device::indices;
 use crate::ops::CustomOp;
 use burn::backend::{Dispatch, tensor::FloatTensor};
-use burn::tensor::{IndexingUpdateOp, Int, Tensor, TensorData};
+use burn::tensor::{IndexingUpdateOp, Tensor, TensorData};
 use std::sync::Arc;
 
 custom_op! {
@@ -75,16 +76,12 @@ pub fn sparse_apply_plain(x: Tensor<2>, matrix: &SparseMatrix) -> Tensor<2> {
     if values.is_empty() || channels == 0 {
         return out + x.sum().unsqueeze() * 0.0;
     }
-    let numbers = |numbers: Vec<i64>| {
-        let data = TensorData::new(numbers, [values.len()]);
-        Tensor::<1, Int>::from_data(data, &device)
-    };
-    let columns = columns.iter().map(|&column| i64::from(column));
-    let rows = (0..matrix.rows()).flat_map(|r| vec![r as i64; matrix.row(r).0.len()]);
+    let rows = (0..matrix.rows()).flat_map(|r| vec![r as u32; matrix.row(r).0.len()]);
+    let rows: Vec<u32> = rows.collect();
     let weights = TensorData::new(values.to_vec(), [values.len(), 1]);
     let weights = Tensor::<2>::from_data(weights, (&device, x.dtype()));
-    let terms = x.select(0, numbers(columns.collect())) * weights;
-    out.select_assign(0, numbers(rows.collect()), terms, IndexingUpdateOp::Add)
+    let terms = x.select(0, indices(columns, &device)) * weights;
+    out.select_assign(0, indices(&rows, &device), terms, IndexingUpdateOp::Add)
 }
 
 /// The rows `rows` of `features`, with gradient to them.

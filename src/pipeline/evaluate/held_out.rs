@@ -6,18 +6,15 @@ use crate::error::Result;
 use crate::metrics::{
     InstanceScores, LabelScores, SemanticScores, Void, boundary_iou, instance_scores, label_scores,
 };
-use crate::objects::{Identities, LabelMaps, LabelRule, Semantics, has_truth};
+use crate::objects::{Identities, LabelMaps, has_truth};
 use crate::pipeline::encode::Inputs;
 use crate::raster::SplatTensors;
 
 /// Test views with truth.
 pub struct HeldOut<'a> {
+    inputs: &'a Inputs<'a>,
     views: Vec<&'a View>,
     splats: SplatTensors,
-    /// Classes are objects that association found: their ids are not those of a truth.
-    objects: bool,
-    /// The classes of these objects.
-    semantics: Option<&'a Semantics>,
 }
 
 /// Held-out scores of one variant, or of other label maps.
@@ -44,16 +41,20 @@ impl HeldOutScores {
 
 impl<'a> HeldOut<'a> {
     /// Those of the scene of `inputs`.
-    pub fn new(inputs: &Inputs<'a>) -> Self {
+    pub fn new(inputs: &'a Inputs<'a>) -> Self {
         let association = inputs.config.data.association;
         let semantics = inputs.semantics;
         let known = |view: &&View| has_truth(view, association, semantics);
         Self {
+            inputs,
             views: inputs.scene.split(Split::Test).filter(known).collect(),
             splats: SplatTensors::new(inputs.gaussians, inputs.device),
-            objects: association != Association::None,
-            semantics,
         }
+    }
+
+    /// Whether classes are objects that association found: their ids are not those of a truth.
+    fn has_objects(&self) -> bool {
+        self.inputs.config.data.association != Association::None
     }
 
     /// Number of views.
@@ -70,41 +71,42 @@ impl<'a> HeldOut<'a> {
     ///
     /// # Errors
     /// As [`LabelMaps::of`].
-    pub fn score(&self, identities: &Identities, inputs: &Inputs) -> Result<HeldOutScores> {
+    pub fn score(&self, identities: &Identities) -> Result<HeldOutScores> {
         if self.is_empty() {
             return Ok(HeldOutScores::default());
         }
-        let rule = LabelRule::from(&inputs.config.segmentation);
-        let maps = LabelMaps::new(identities, &inputs.scene.classes, rule);
+        let inputs = self.inputs;
+        let config = &inputs.config.segmentation;
+        let (source, coverage) = (config.render, config.min_coverage as f32);
+        let maps = LabelMaps::new(identities, &inputs.scene.classes, source, coverage);
         let map = |&view: &&'a View| {
             let seen = self.splats.seen_by(&view.camera, &inputs.settings);
             Ok((view, LabelRuns::from(maps.of(&seen)?)))
         };
         let found: Vec<_> = self.views.iter().map(map).collect::<Result<_>>()?;
-        Ok(self.scores(&found, inputs))
+        Ok(self.scores(&found))
     }
 
     /// Scores of the raw labels of the views, and those against true labels with void predictions left out.
-    pub fn score_raw(&self, inputs: &Inputs) -> (HeldOutScores, Option<LabelScores>) {
+    pub fn score_raw(&self) -> (HeldOutScores, Option<LabelScores>) {
         let raw = |&view: &&'a View| Some((view, view.raw.clone()?));
         let raw: Vec<_> = self.views.iter().filter_map(raw).collect();
-        let void_left_out = (!self.objects).then(|| self.labels(&raw, inputs, Void::LeftOut));
-        (self.scores(&raw, inputs), void_left_out)
+        let void_left_out = (!self.has_objects()).then(|| self.labels(&raw, Void::LeftOut));
+        (self.scores(&raw), void_left_out)
     }
 
-    fn scores(&self, found: &[(&View, LabelRuns)], inputs: &Inputs) -> HeldOutScores {
+    fn scores(&self, found: &[(&View, LabelRuns)]) -> HeldOutScores {
+        let semantics = self.inputs.semantics;
         HeldOutScores {
-            labels: self.labels(found, inputs, Void::Wrong),
+            labels: self.labels(found, Void::Wrong),
             instances: self.instances(found),
-            semantic: self
-                .semantics
-                .map(|semantics| semantics.score(&inputs.scene.classes, found)),
+            semantic: semantics.map(|s| s.score(&self.inputs.scene.classes, found)),
         }
     }
 
     /// Against true labels, where there are any.
-    fn labels(&self, found: &[(&View, LabelRuns)], inputs: &Inputs, void: Void) -> LabelScores {
-        let classes = &inputs.scene.classes;
+    fn labels(&self, found: &[(&View, LabelRuns)], void: Void) -> LabelScores {
+        let classes = &self.inputs.scene.classes;
         let pairs = || {
             found
                 .iter()
@@ -122,6 +124,6 @@ impl<'a> HeldOut<'a> {
             .iter()
             .filter_map(|(view, found)| Some((view.instances.as_ref()?.map(), found.map())));
         let known = self.views.iter().any(|view| view.instances.is_some());
-        (self.objects && known).then(|| instance_scores(pairs))
+        (self.has_objects() && known).then(|| instance_scores(pairs))
     }
 }

@@ -10,12 +10,11 @@ use burn::tensor::Device;
 
 /// Gaussians that are rendered for one view after the other with the settings of a run.
 #[derive(Debug)]
-pub struct Pictures<'a> {
+pub struct Pictures {
     renderer: Renderer,
-    maps: &'a [LabelMaps<'a>],
 }
 
-impl<'a> Pictures<'a> {
+impl Pictures {
     /// Pictures of `gaussians`, rendered on `device`.
     ///
     /// # Errors
@@ -24,37 +23,34 @@ impl<'a> Pictures<'a> {
         let options = RenderOptions::from(config);
         Ok(Self {
             renderer: Renderer::new(gaussians.clone(), None, options, device)?,
-            maps: &[],
         })
-    }
-
-    /// With `maps`, whose identities are of the same Gaussians, for [`Pictures::labelled`].
-    #[must_use]
-    pub fn with_labels(self, maps: &'a [LabelMaps<'a>]) -> Self {
-        Self { maps, ..self }
     }
 
     /// `view` in colour (`[H, W, 3]`, not clamped), and its scores against its photo.
     ///
     /// # Errors
     /// As [`Renderer::frame`] and [`crate::data::Photo::pixels`].
-    pub fn of(&mut self, view: &View) -> Result<(Vec<f32>, ImageScores)> {
+    pub fn of(&self, view: &View) -> Result<(Vec<f32>, ImageScores)> {
         let rgb = self.renderer.frame(&view.camera)?.rgb;
         let scores = ImageScores::of_view(&rgb, view)?;
         Ok((rgb, scores))
     }
 
-    /// [`Pictures::of`], and what `view` shows of each of the label maps.
+    /// [`Pictures::of`], and what `view` shows of each of `maps`, whose identities are of the same Gaussians.
     ///
     /// # Errors
     /// As [`Pictures::of`] and [`LabelMaps::of`].
     ///
     /// # Panics
     /// If identities are of another number of Gaussians.
-    pub fn labelled(&mut self, view: &View) -> Result<(Vec<f32>, ImageScores, Vec<LabelMap>)> {
+    pub fn labelled(
+        &self,
+        view: &View,
+        maps: &[LabelMaps<'_>],
+    ) -> Result<(Vec<f32>, ImageScores, Vec<LabelMap>)> {
         let (rgb, scores) = self.of(view)?;
         let projected = self.renderer.view(&view.camera);
-        let maps = self.maps.iter().map(|maps| maps.of(&projected));
+        let maps = maps.iter().map(|maps| maps.of(&projected));
         Ok((rgb, scores, maps.collect::<Result<_>>()?))
     }
 
@@ -62,7 +58,7 @@ impl<'a> Pictures<'a> {
     ///
     /// # Errors
     /// As [`Pictures::of`].
-    pub fn score<'v>(&mut self, views: impl Iterator<Item = &'v View>) -> Result<ImageScores> {
+    pub fn score<'v>(&self, views: impl Iterator<Item = &'v View>) -> Result<ImageScores> {
         let scores: Vec<_> = views
             .map(|view| Ok(self.of(view)?.1))
             .collect::<Result<_>>()?;

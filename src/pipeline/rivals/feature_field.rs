@@ -3,22 +3,25 @@
 use super::super::encode::Inputs;
 use super::super::evaluate::FieldScores;
 use super::super::train_decoder::{
-    Adam, DecodedScores, IdentityModel, TrainingViews, ViewSample, finite_loss, identities,
-    parameter_gradients, view_at,
+    Adam, DecodedScores, IdentityModel, TrainingViews, ViewSample, identities, parameter_gradients,
+    view_at,
 };
-use super::{first_parameters, linear};
+use super::first_parameters;
+use crate::backend::device::upload;
 use crate::data::{Split, View};
 use crate::error::Result;
 use crate::features::{Reduction, SCALES, ViewFeatures};
 use crate::objects::Identities;
 use crate::ops::select;
-use crate::progress::{Event, Progress};
+use crate::progress::{Event, Progress, go_on};
 use crate::random::{Purpose, stream, uniform};
+use crate::reconstruction::optimizer::finite_loss;
+use crate::segmentation::linear::linear;
 use crate::segmentation::pixels::{LabelledPixels, constant};
 use crate::segmentation::randla::parameter;
 use burn::module::{Module, Param};
 use burn::nn::Linear;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use std::ops::ControlFlow;
 use std::time::Instant;
 
@@ -88,13 +91,7 @@ pub fn distil(
 ) -> Result<Option<Distilled>> {
     let clock = Instant::now();
     let config = inputs.config;
-    let mut advance = || {
-        if progress.stop() {
-            ControlFlow::Break(())
-        } else {
-            ControlFlow::Continue(())
-        }
-    };
+    let mut advance = || go_on(progress);
     let features = &config.features;
     let seed = config.seed;
     let reduction = Reduction::fit(inputs.scene, features, seed, inputs.device, &mut advance)?;
@@ -138,7 +135,8 @@ pub fn distil(
             let decoded = field.at(&sample.visible, &sample.pixels)?;
             let loss = (decoded - constant(target, device)).abs().mean();
             let gradient = parameter_gradients(&field, &mut loss.backward());
-            let value = finite_loss(loss.inner(), &gradient)?;
+            let named = [("the parameters", &gradient)];
+            let value = finite_loss("segmentation loss", loss.inner(), &named)?;
             field = adam.step(field, gradient, 1.0);
             f64::from(value)
         };
@@ -177,50 +175,40 @@ fn target(
         }
     }
     let shape = [sample.numbers.len(), SCALES * dimensions];
-    Tensor::from_data(TensorData::new(target, shape), device)
+    upload(target, shape, device)
 }
 
-/// A linear classifier of the frozen features of a field, trained on labels. It commutes with blending.
-pub struct LinearHead {
-    module: Linear,
-    /// `[N, 64]`, without autodiff.
-    features: Tensor<2>,
-}
+/// A linear classifier of the frozen features of a field, `[N, 64]` without autodiff, trained on labels. It commutes with blending.
+pub struct LinearHead(Tensor<2>);
 
 impl LinearHead {
-    /// Random weights over `field`, on an autodiff `device`.
-    pub fn new(field: &FeatureField, inputs: &Inputs, device: &Device) -> Self {
-        let mut rng = first_parameters(inputs);
-        Self {
-            module: linear(CHANNELS, inputs.scene.classes.len(), &mut rng, device),
-            features: field.features.val().inner(),
-        }
+    /// Over the features of `field`.
+    pub fn new(field: &FeatureField) -> Self {
+        Self(field.features.val().inner())
+    }
+
+    /// Random weights, on an autodiff `device`.
+    pub fn random(inputs: &Inputs, device: &Device) -> Linear {
+        let classes = inputs.scene.classes.len();
+        linear(CHANNELS, classes, &mut first_parameters(inputs), device)
     }
 }
 
 impl IdentityModel for LinearHead {
     type Module = Linear;
 
-    fn module(&self) -> &Linear {
-        &self.module
-    }
-
-    fn set_module(&mut self, module: Linear) {
-        self.module = module;
-    }
-
     fn decode(
         &mut self,
+        head: &Linear,
         _view: usize,
         visible: &[u32],
         _iteration: usize,
     ) -> Result<DecodedScores> {
-        let features = select(&self.features, visible);
-        let features = constant(features, &self.module.weight.device());
-        Ok(self.module.forward(features).into())
+        let features = constant(select(&self.0, visible), &head.weight.device());
+        Ok(head.forward(features).into())
     }
 
-    fn identities(&self, module: Linear) -> Result<Identities> {
-        identities(module.valid().forward(self.features.clone()))
+    fn identities(&self, head: Linear) -> Result<Identities> {
+        identities(head.valid().forward(self.0.clone()))
     }
 }

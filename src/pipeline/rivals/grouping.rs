@@ -2,11 +2,12 @@
 
 use super::super::encode::Inputs;
 use super::super::train_decoder::{DecodedScores, IdentityModel, identities};
-use super::{first_parameters, linear};
+use super::first_parameters;
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::select;
 use crate::random::{Purpose, stream, uniform};
+use crate::segmentation::linear::linear;
 use crate::segmentation::loss::{NeighbourPairs, neighbour_divergence};
 use crate::segmentation::neighbours::without_self;
 use crate::segmentation::randla::parameter;
@@ -29,6 +30,25 @@ pub struct Codes {
     classifier: Linear,
 }
 
+impl Codes {
+    /// Random ones for the Gaussians of `inputs`, on an autodiff `device`.
+    pub fn random(inputs: &Inputs, device: &Device) -> Self {
+        let count = inputs.gaussians.len();
+        let classes = inputs.scene.classes.len();
+        let mut rng = first_parameters(inputs);
+        let codes = uniform(count * CODE_CHANNELS, INITIAL_RANGE, &mut rng);
+        Self {
+            codes: parameter(codes, [count, CODE_CHANNELS], device),
+            classifier: linear(CODE_CHANNELS, classes, &mut rng, device),
+        }
+    }
+
+    /// Logits `[rows, C]` of the Gaussians `rows`.
+    fn logits(&self, rows: &[u32]) -> Tensor<2> {
+        self.classifier.forward(select(&self.codes.val(), rows))
+    }
+}
+
 /// A code of 16 numbers for each Gaussian, blended and classified by a linear map, under cross-entropy and a KL divergence of
 /// neighbours in 3D (k = 5, m = 1000).
 ///
@@ -37,7 +57,6 @@ pub struct Codes {
 /// tracked masks; the 3D loss is taken in every iteration instead of every fifth; codes and classifier have one learning rate. Where
 /// a segmenter's scores lie beside the labels, cross-entropy is to their distribution.
 pub struct Grouping {
-    module: Codes,
     /// The nearest others of each Gaussian, `[N, 5]`.
     neighbours: Vec<u32>,
     seed: u64,
@@ -47,34 +66,20 @@ impl Grouping {
     /// Weight of the 3D loss.
     pub const LAMBDA_3D: f64 = 2.0;
 
-    /// Random codes for the Gaussians of `inputs`, on an autodiff `device`.
+    /// The neighbours of the Gaussians of `inputs`.
     ///
     /// # Errors
     /// [`crate::Error::NonFinite`] naming a centre.
-    pub fn new(inputs: &Inputs, device: &Device) -> Result<Self> {
-        let count = inputs.gaussians.len();
-        let classes = inputs.scene.classes.len();
-        let mut rng = first_parameters(inputs);
-        let codes = uniform(count * CODE_CHANNELS, INITIAL_RANGE, &mut rng);
+    pub fn new(inputs: &Inputs) -> Result<Self> {
         Ok(Self {
-            module: Codes {
-                codes: parameter(codes, [count, CODE_CHANNELS], device),
-                classifier: linear(CODE_CHANNELS, classes, &mut rng, device),
-            },
             neighbours: without_self(&inputs.gaussians.means, NEIGHBOURS)?,
             seed: inputs.config.seed,
         })
     }
 
-    /// Logits `[rows, C]` of the Gaussians `rows`.
-    fn logits(&self, rows: &[u32]) -> Tensor<2> {
-        let codes = select(&self.module.codes.val(), rows);
-        self.module.classifier.forward(codes)
-    }
-
     /// The mean KL divergence of a sample of Gaussians to their neighbours; none for a single Gaussian.
-    fn divergence(&self, iteration: usize) -> Option<Tensor<1>> {
-        let count = self.module.codes.dims()[0];
+    fn divergence(&self, codes: &Codes, iteration: usize) -> Option<Tensor<1>> {
+        let count = codes.codes.dims()[0];
         if count < 2 {
             return None;
         }
@@ -88,30 +93,28 @@ impl Grouping {
             chosen: (0..samples).collect(),
             neighbours: (samples..rows.len() as u32).collect(),
         };
-        Some(neighbour_divergence(self.logits(&rows), &places))
+        Some(neighbour_divergence(codes.logits(&rows), &places))
     }
 }
 
 impl IdentityModel for Grouping {
     type Module = Codes;
 
-    fn module(&self) -> &Codes {
-        &self.module
-    }
-
-    fn set_module(&mut self, module: Codes) {
-        self.module = module;
-    }
-
-    fn decode(&mut self, _view: usize, visible: &[u32], iteration: usize) -> Result<DecodedScores> {
+    fn decode(
+        &mut self,
+        codes: &Codes,
+        _view: usize,
+        visible: &[u32],
+        iteration: usize,
+    ) -> Result<DecodedScores> {
         Ok(DecodedScores {
-            regularisation: self.divergence(iteration),
-            ..self.logits(visible).into()
+            regularisation: self.divergence(codes, iteration),
+            ..codes.logits(visible).into()
         })
     }
 
-    fn identities(&self, module: Codes) -> Result<Identities> {
-        let module = module.valid();
-        identities(module.classifier.forward(module.codes.val()))
+    fn identities(&self, codes: Codes) -> Result<Identities> {
+        let codes = codes.valid();
+        identities(codes.classifier.forward(codes.codes.val()))
     }
 }

@@ -1,17 +1,15 @@
 //! The losses of Panoptic Lifting (Siddiqui et al. 2023) on classes of Gaussians.
 
 use super::super::encode::Inputs;
-use super::super::train_decoder::{
-    DecodedScores, IdentityModel, Logits, PerGaussian, Rendered, ViewCache,
-};
-use crate::backend::device::read;
+use super::super::train_decoder::{DecodedScores, IdentityModel, Logits, PerGaussian, Rendered};
+use crate::backend::device::{read, upload};
 use crate::config::Blend;
-use crate::data::{Classes, LabelMap, LabelRuns, View};
+use crate::data::{Classes, LabelMap, LabelRuns, View, ViewCache};
 use crate::error::Result;
 use crate::objects::{Identities, first_largest};
 use crate::segmentation::loss::CoSegLoss;
 use crate::segmentation::pixels::{constant, one_hot};
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::Tensor;
 
 /// Weight of the segment consistency against the label loss.
 const LAMBDA_SEGMENT: f64 = 1.2;
@@ -27,7 +25,6 @@ const MIN_PROBABILITY: f64 = 1e-8;
 /// from the original: Gaussians replace the field, and hard labels replace probabilities averaged over test-time augmentation.
 /// Segments are the connected parts of one class in a label map. All segments of a step take part instead of 32.
 pub struct PanopticLifting<'a> {
-    classes: PerGaussian,
     views: Vec<&'a View>,
     names: &'a Classes,
     labels: ViewCache<Segments>,
@@ -43,18 +40,17 @@ struct Segments {
 }
 
 impl<'a> PanopticLifting<'a> {
-    /// Uniform classes for the Gaussians of `inputs`, on an autodiff `device`, trained for `iterations`.
-    pub fn new(inputs: &Inputs<'a>, iterations: usize, device: &Device) -> Self {
+    /// Of the labelled views of `inputs`.
+    pub fn new(inputs: &Inputs<'a>) -> Self {
         let scene = inputs.scene;
         let views: Vec<_> = scene.labelled().collect();
-        let size = [inputs.gaussians.len(), scene.classes.len()];
+        let iterations = inputs.config.segmentation.iterations as f64;
         Self {
-            classes: PerGaussian::new(size, Blend::Probabilities, device),
             // Eight bytes a pixel: a hundredth of what the weights take.
             labels: ViewCache::new(views.len(), usize::MAX),
             views,
             names: &scene.classes,
-            segments_from: (SEGMENTS_FROM * iterations as f64).round() as usize,
+            segments_from: (SEGMENTS_FROM * iterations).round() as usize,
         }
     }
 }
@@ -102,16 +98,14 @@ fn weighted_cross_entropy(log_p: &Tensor<2>, labels: &[u16], weights: Tensor<2>)
 impl IdentityModel for PanopticLifting<'_> {
     type Module = Logits;
 
-    fn module(&self) -> &Logits {
-        self.classes.module()
-    }
-
-    fn set_module(&mut self, module: Logits) {
-        self.classes.set_module(module);
-    }
-
-    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<DecodedScores> {
-        self.classes.decode(view, visible, iteration)
+    fn decode(
+        &mut self,
+        logits: &Logits,
+        _view: usize,
+        visible: &[u32],
+        _iteration: usize,
+    ) -> Result<DecodedScores> {
+        Ok(logits.of(visible).into())
     }
 
     fn loss(&mut self, _coseg: &CoSegLoss, rendered: Rendered) -> Result<Tensor<1>> {
@@ -128,9 +122,8 @@ impl IdentityModel for PanopticLifting<'_> {
         let classes = names.len();
         let numbers = || sample.numbers.iter().map(|&pixel| pixel as usize);
         let confidence: Vec<f32> = numbers().map(|pixel| labels.confidence[pixel]).collect();
-        let confidence = TensorData::new(confidence, [count, 1]);
-        let plain = p.device().inner();
-        let confidence = constant(Tensor::from_data(confidence, &plain), &p.device());
+        let confidence = upload(confidence, [count, 1], &p.device().inner());
+        let confidence = constant(confidence, &p.device());
         let log_p = (p.clone() + MIN_PROBABILITY).log();
         let loss = weighted_cross_entropy(&log_p, &sample.pixels.labels, confidence.clone());
         if rendered.iteration < self.segments_from {
@@ -143,14 +136,16 @@ impl IdentityModel for PanopticLifting<'_> {
         Ok(loss + consistency * LAMBDA_SEGMENT)
     }
 
-    fn identities(&self, module: Logits) -> Result<Identities> {
-        self.classes.identities(module)
+    fn identities(&self, logits: Logits) -> Result<Identities> {
+        PerGaussian(Blend::Probabilities).identities(logits)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    #[cfg(feature = "ndarray")]
+    use burn::tensor::Device;
 
     #[test]
     fn a_segment_takes_its_largest_mean_class() {

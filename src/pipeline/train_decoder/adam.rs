@@ -1,12 +1,10 @@
 //! The parameters of a burn module as one vector, and Adam over it.
 
-use crate::backend::device::read;
-use crate::error::{Error, Result};
-use crate::ops::FiniteCheck;
-use crate::reconstruction::optimizer::find_non_finite;
+use crate::backend::device::{read, upload};
+use crate::error::Result;
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::optim::{AdamConfig, AdamState, AdaptiveMomentumState, Optimizer};
-use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use burn::tensor::{Device, Gradients, Tensor};
 
 /// Added to the root of the second moment.
 const EPSILON: f32 = 1e-8;
@@ -17,7 +15,8 @@ pub type NamedValues = Vec<(String, Vec<f32>)>;
 /// burn's Adam over all parameters of a module, and the mean of the parameters over the last steps.
 #[derive(Clone)]
 pub struct Adam {
-    rate: f64,
+    /// Learning rate at its highest.
+    pub rate: f64,
     steps: usize,
     /// Both moments, `[P]`; absent before the first step.
     state: Option<AdamState<1>>,
@@ -73,7 +72,7 @@ impl Adam {
     /// Step count, moments and mean.
     ///
     /// # Errors
-    /// [`Error::Device`] when the device does not return them.
+    /// [`crate::Error::Device`] when the device does not return them.
     pub fn state(&self) -> Result<NamedValues> {
         let mut named = vec![("steps".to_owned(), vec![self.steps as f32])];
         if let Some(AdamState { momentum }) = &self.state {
@@ -112,25 +111,7 @@ impl Adam {
 /// A vector on `device`, without autodiff.
 fn vector(values: Vec<f32>, device: &Device) -> Tensor<1> {
     let shape = [values.len()];
-    Tensor::from_data(TensorData::new(values, shape), &device.clone().inner())
-}
-
-/// The value of `loss` (`[1]`), once it and `gradient` `[P]` are known to be finite: one readback.
-///
-/// # Errors
-/// [`Error::NonFinite`] naming the loss or the gradient; [`Error::Device`] when the device fails.
-pub fn finite_loss(loss: Tensor<1>, gradient: &Tensor<1>) -> Result<f32> {
-    let mut check = FiniteCheck::default();
-    check.add(gradient);
-    let (value, finite) = check.read(loss)?;
-    if !value.is_finite() {
-        return Err(Error::non_finite("segmentation loss", 0));
-    }
-    if !finite {
-        // The search clears what was only a sum that overflowed.
-        find_non_finite("the parameters", gradient)?;
-    }
-    Ok(value)
+    upload(values, shape, &device.clone().inner())
 }
 
 /// The parameters of `module` in its own order, `[P]`, without autodiff.

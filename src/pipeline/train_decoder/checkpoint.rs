@@ -26,7 +26,7 @@ impl<M: IdentityModel> Training<M> {
         let mut vectors = self.adam.state()?;
         vectors.push((
             PARAMETERS.to_owned(),
-            read(PARAMETERS, parameters(self.model.module()))?,
+            read(PARAMETERS, parameters(&self.module))?,
         ));
         let lengths: Vec<(&str, usize)> = vectors
             .iter()
@@ -83,10 +83,8 @@ impl<M: IdentityModel> Training<M> {
 
     /// Takes back parameters and the state of Adam. `None` when a vector is missing or has another length.
     fn restore(&mut self, state: &dyn Fn(&str) -> Option<Vec<f32>>) -> Option<()> {
-        let module = self.model.module().clone();
-        let device = module.devices().into_iter().next()?;
-        self.model
-            .set_module(restored(module, state(PARAMETERS)?, &device)?);
+        let device = self.module.devices().into_iter().next()?;
+        self.module = restored(self.module.clone(), state(PARAMETERS)?, &device)?;
         self.adam.restore(state, &device)
     }
 }

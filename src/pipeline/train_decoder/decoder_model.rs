@@ -8,11 +8,11 @@
 //! (Training deep nets with sublinear memory cost). Points of coarse scales that several parts depend on are decoded in each.
 
 use super::adam::parameter_gradients;
-use super::view_cache::ViewCache;
 use super::view_input::{DecoderInput, Encoded, Part, REGULARISED, ViewInput};
 use super::{DecodedScores, IdentityModel};
-use crate::backend::device::read;
+use crate::backend::device::{read, upload};
 use crate::config::{Blend, SegmentationConfig};
+use crate::data::ViewCache;
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::{SparseMatrix, selected};
@@ -22,7 +22,7 @@ use crate::segmentation::pixels::constant;
 use crate::segmentation::pyramid::{Dependencies, Pyramid};
 use burn::module::Module;
 use burn::tensor::activation::softmax;
-use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use burn::tensor::{Device, Gradients, Tensor};
 use rand::Rng;
 use std::sync::Arc;
 
@@ -74,9 +74,8 @@ pub struct DecodedParts {
     factors: Vec<ChannelFactors>,
 }
 
-/// A decoder in training.
+/// The frozen input of a decoder in training.
 pub struct DecoderModel<'a> {
-    decoder: Decoder,
     /// Added to the scores of each Gaussian, `[N, C]`, without autodiff.
     prior: Option<Tensor<2>>,
     input: &'a DecoderInput,
@@ -84,47 +83,39 @@ pub struct DecoderModel<'a> {
     /// Centres of all Gaussians.
     means: &'a [[f32; 3]],
     views: ViewCache<ViewInput>,
-    device: Device,
 }
 
 impl<'a> DecoderModel<'a> {
-    /// A model around a fresh `decoder` on an autodiff `device`, for a scene with Gaussians at `means` and `views`
-    /// training views.
+    /// A model of a scene with Gaussians at `means` and `views` training views.
     pub fn new(
-        decoder: Decoder,
         input: &'a DecoderInput,
         means: &'a [[f32; 3]],
         views: usize,
         plan: DecoderPlan<'a>,
-        device: &Device,
     ) -> Self {
         Self {
-            decoder,
             prior: None,
             input,
             plan,
             means,
             // Half of what the weights of the views may take.
             views: ViewCache::new(views, plan.config.weight_cache_mb << 19),
-            device: device.clone(),
         }
     }
 
-    /// Adds `prior` `[N, C]` to the scores of every Gaussian. The decoder's own scores start at zero then.
+    /// Adds `prior` `[N, C]` to the scores of every Gaussian, on `device`.
     ///
     /// # Panics
     /// If `prior` does not hold one score for each Gaussian and class.
     #[must_use]
-    pub fn with_prior(mut self, prior: Vec<f32>) -> Self {
+    pub fn with_prior(mut self, prior: Vec<f32>, device: &Device) -> Self {
         let size = self.plan.size;
         assert_eq!(
             prior.len(),
             size[0] * size[1],
             "one prior score for each Gaussian and class"
         );
-        self.decoder = self.decoder.with_silent_start();
-        let prior = TensorData::new(prior, size);
-        self.prior = Some(Tensor::from_data(prior, &self.device.clone().inner()));
+        self.prior = Some(upload(prior, size, &device.clone().inner()));
         self
     }
 
@@ -234,23 +225,21 @@ fn first_rows(scores: Tensor<2>, count: usize) -> Tensor<2> {
 impl IdentityModel for DecoderModel<'_> {
     type Module = Decoder;
 
-    fn module(&self) -> &Decoder {
-        &self.decoder
-    }
-
-    fn set_module(&mut self, decoder: Decoder) {
-        self.decoder = decoder;
-    }
-
-    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<DecodedScores> {
+    fn decode(
+        &mut self,
+        decoder: &Decoder,
+        view: usize,
+        visible: &[u32],
+        iteration: usize,
+    ) -> Result<DecodedScores> {
         let input = self.view_input(view, visible)?;
         let pyramid = &self.input.view(view).pyramid;
         let factors = self.channel_factors(pyramid, iteration);
         match &input.parts[..] {
             [part] => {
                 let decoded = factors.iter().map(|factors| {
-                    let decoded = self.decoder.forward(&part_of(pyramid, part, factors));
-                    let scores = self.scores(&self.decoder, decoded.hidden, &part.gaussians);
+                    let decoded = decoder.forward(&part_of(pyramid, part, factors));
+                    let scores = self.scores(decoder, decoded.hidden, &part.gaussians);
                     (scores, decoded.fused)
                 });
                 let (scores, fused): (Vec<_>, Vec<_>) = decoded.unzip();
@@ -261,7 +250,7 @@ impl IdentityModel for DecoderModel<'_> {
                 })
             }
             parts => {
-                let frozen = self.decoder.valid();
+                let frozen = decoder.valid();
                 let scores = factors.iter().map(|factors| {
                     let scores = parts.iter().map(|part| {
                         let decoded = frozen.forward(&part_of(pyramid, part, factors));
@@ -272,7 +261,7 @@ impl IdentityModel for DecoderModel<'_> {
                 let scores = scores.collect();
                 let regularisation = input.coarse_rows(pyramid).and_then(|coarse| {
                     let coarse = pyramid.part(&coarse).scaled(&factors[0]);
-                    let fused = self.decoder.fuse(&coarse, REGULARISED.start);
+                    let fused = decoder.fuse(&coarse, REGULARISED.start);
                     input.regularisation(&fused, &self.plan, iteration)
                 });
                 Ok(DecodedScores {
@@ -286,11 +275,11 @@ impl IdentityModel for DecoderModel<'_> {
 
     fn gradient(
         &self,
+        decoder: &Decoder,
         view: usize,
         decoded: &DecodedScores,
         gradients: &mut Gradients,
     ) -> Tensor<1> {
-        let decoder = &self.decoder;
         let mut sum = parameter_gradients(decoder, gradients);
         let Some(DecodedParts { input, factors }) = &decoded.parts else {
             return sum;

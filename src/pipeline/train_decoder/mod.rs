@@ -10,19 +10,17 @@ mod decoder_model;
 mod per_gaussian;
 mod plan;
 mod sampling;
-mod view_cache;
 mod view_input;
 mod views;
 
+pub(super) use self::adam::parameter_gradients;
 pub use self::adam::{Adam, NamedValues};
-pub(super) use self::adam::{finite_loss, parameter_gradients};
 pub use self::class_recall::ClassRecall;
 pub use self::decoder_model::{DecodedParts, DecoderModel, DecoderPlan, dropped_channels};
 pub use self::per_gaussian::{Logits, PerGaussian};
 pub use self::plan::TrainingPlan;
 pub(super) use self::sampling::stratified_sample;
 pub use self::sampling::view_at;
-pub(super) use self::view_cache::ViewCache;
 pub use self::view_input::{DecoderInput, Encoded};
 pub use self::views::{TrainingViews, ViewSample};
 
@@ -32,6 +30,7 @@ use crate::objects::Identities;
 use crate::progress::{CurvePoint, Event, Progress};
 use crate::provenance::Provenance;
 use crate::random::{Purpose, stream};
+use crate::reconstruction::optimizer::finite_loss;
 use crate::segmentation::loss::{CoSegLoss, Scores};
 use burn::module::Module;
 use burn::tensor::{Gradients, Tensor};
@@ -81,22 +80,22 @@ pub struct Rendered<'a> {
     pub regularisation: Option<Tensor<1>>,
 }
 
-/// A model that stage two trains: parameters from which every Gaussian gets its class scores.
+/// A model that stage two trains: how every Gaussian gets its class scores from parameters.
 pub trait IdentityModel {
-    /// The module that holds the parameters.
+    /// The parameters.
     type Module: Module;
 
-    /// The parameters.
-    fn module(&self) -> &Self::Module;
-
-    /// Replaces the parameters.
-    fn set_module(&mut self, module: Self::Module);
-
-    /// Scores of the Gaussians `visible` in training view `view`.
+    /// Scores that the parameters `module` give the Gaussians `visible` in training view `view`.
     ///
     /// # Errors
     /// When a frozen input is not finite.
-    fn decode(&mut self, view: usize, visible: &[u32], iteration: usize) -> Result<DecodedScores>;
+    fn decode(
+        &mut self,
+        module: &Self::Module,
+        view: usize,
+        visible: &[u32],
+        iteration: usize,
+    ) -> Result<DecodedScores>;
 
     /// The loss of an iteration, `[1]`: the CoSeg loss, unless the model has its own.
     ///
@@ -110,11 +109,12 @@ pub trait IdentityModel {
     /// The gradient of all parameters, `[P]`, from the `gradients` of a loss of what was `decoded` in `view`.
     fn gradient(
         &self,
+        module: &Self::Module,
         _view: usize,
         _decoded: &DecodedScores,
         gradients: &mut Gradients,
     ) -> Tensor<1> {
-        parameter_gradients(self.module(), gradients)
+        parameter_gradients(module, gradients)
     }
 
     /// The identities that the parameters `module` give, `[N, C]`.
@@ -125,10 +125,12 @@ pub trait IdentityModel {
 }
 
 /// A model in training.
-pub struct Training<M> {
-    /// The model.
-    pub model: M,
-    adam: Adam,
+pub struct Training<M: IdentityModel> {
+    model: M,
+    /// The parameters.
+    pub module: M::Module,
+    /// What moves them.
+    pub adam: Adam,
     recall: ClassRecall,
     iteration: usize,
     /// One point for each evaluation.
@@ -169,10 +171,11 @@ pub struct TrainingSchedule {
 pub type Evaluate<'a, M> = &'a mut dyn FnMut(&Training<M>) -> Result<Option<f64>>;
 
 impl<M: IdentityModel> Training<M> {
-    /// `model` before its first step, with scores for `classes` classes.
-    pub fn new(model: M, adam: Adam, classes: usize) -> Self {
+    /// `model` with the parameters `module` before the first step, with scores for `classes` classes.
+    pub fn new(model: M, module: M::Module, adam: Adam, classes: usize) -> Self {
         Self {
             model,
+            module,
             adam,
             recall: ClassRecall::new(classes),
             iteration: 0,
@@ -190,15 +193,7 @@ impl<M: IdentityModel> Training<M> {
 
     /// Bytes of everything that is learned.
     pub fn learnable_bytes(&self) -> usize {
-        4 * self.model.module().num_params()
-    }
-
-    /// Step count of Adam, its moments and the mean of the parameters, each in the order of the module's parameters.
-    ///
-    /// # Errors
-    /// [`Error::Device`] when the device does not return them.
-    pub fn optimizer_state(&self) -> Result<NamedValues> {
-        self.adam.state()
+        4 * self.module.num_params()
     }
 
     /// One iteration. Returns the loss, 0 for a view without labelled pixels.
@@ -237,7 +232,8 @@ impl<M: IdentityModel> Training<M> {
         if sample.pixels.is_empty() {
             return Ok(0.0);
         }
-        let decoded = self.model.decode(view, &sample.visible, self.iteration)?;
+        let visible = &sample.visible;
+        let decoded = (self.model).decode(&self.module, view, visible, self.iteration)?;
         let scores = sample.blended(decoded.scores.clone(), plan.blend)?;
         let coseg = self.coseg_loss(plan, &scores, &sample)?;
         let rendered = Rendered {
@@ -248,12 +244,12 @@ impl<M: IdentityModel> Training<M> {
             regularisation: decoded.regularisation.clone(),
         };
         let loss = self.model.loss(&coseg, rendered)?;
-        let gradient = self.model.gradient(view, &decoded, &mut loss.backward());
-        let value = finite_loss(loss.inner(), &gradient)?;
-        let module = self.model.module().clone();
+        let gradients = &mut loss.backward();
+        let gradient = (self.model).gradient(&self.module, view, &decoded, gradients);
+        let named = [("the parameters", &gradient)];
+        let value = finite_loss("segmentation loss", loss.inner(), &named)?;
         let factor = plan.rate_factor(self.iteration);
-        self.model
-            .set_module(self.adam.step(module, gradient, factor));
+        self.module = self.adam.step(self.module.clone(), gradient, factor);
         Ok(value)
     }
 
@@ -282,7 +278,7 @@ impl<M: IdentityModel> Training<M> {
     /// # Errors
     /// [`Error::Device`] when the device does not return them.
     pub fn identities(&self) -> Result<Identities> {
-        let module = self.adam.averaged(self.model.module().clone());
+        let module = self.adam.averaged(self.module.clone());
         self.model.identities(module)
     }
 

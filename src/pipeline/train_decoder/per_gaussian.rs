@@ -6,8 +6,9 @@ use crate::config::Blend;
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::select;
+use crate::segmentation::randla::parameter;
 use burn::module::{Module, Param};
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 
 /// The free logits.
 #[derive(Module, Debug)]
@@ -15,16 +16,11 @@ pub struct Logits {
     scores: Param<Tensor<2>>,
 }
 
-/// Scores that each Gaussian learns by itself.
-pub struct PerGaussian {
-    logits: Logits,
-    blend: Blend,
-}
-
-impl PerGaussian {
-    /// Zero logits for `size` = Gaussians x classes, on an autodiff `device`.
-    pub fn new(size: [usize; 2], blend: Blend, device: &Device) -> Self {
-        Self::with_logits(Tensor::zeros(size, device), blend)
+impl Logits {
+    /// Zeros for `size` = Gaussians x classes, on an autodiff `device`.
+    pub fn zeros(size: [usize; 2], device: &Device) -> Self {
+        let scores = Param::from_tensor(Tensor::zeros(size, device));
+        Self { scores }
     }
 
     /// Logits that give the `probabilities` with `floor` added to each, on an autodiff `device`.
@@ -32,41 +28,35 @@ impl PerGaussian {
         let logits = probabilities.scores.iter().map(|p| (p + floor).ln());
         let classes = probabilities.classes;
         let size = [probabilities.scores.len() / classes.max(1), classes];
-        let logits = TensorData::new(logits.collect(), size);
-        Self::with_logits(Tensor::from_data(logits, device), Blend::Probabilities)
-    }
-
-    fn with_logits(logits: Tensor<2>, blend: Blend) -> Self {
-        let scores = Param::from_tensor(logits);
         Self {
-            logits: Logits { scores },
-            blend,
+            scores: parameter(logits.collect(), size, device),
         }
     }
+
+    /// Those of the Gaussians `rows`.
+    pub fn of(&self, rows: &[u32]) -> Tensor<2> {
+        select(&self.scores.val(), rows)
+    }
 }
+
+/// Scores that each Gaussian learns by itself, blended in this way.
+pub struct PerGaussian(pub Blend);
 
 impl IdentityModel for PerGaussian {
     type Module = Logits;
 
-    fn module(&self) -> &Logits {
-        &self.logits
-    }
-
-    fn set_module(&mut self, logits: Logits) {
-        self.logits = logits;
-    }
-
     fn decode(
         &mut self,
+        logits: &Logits,
         _view: usize,
         visible: &[u32],
         _iteration: usize,
     ) -> Result<DecodedScores> {
-        Ok(select(&self.logits.scores.val(), visible).into())
+        Ok(logits.of(visible).into())
     }
 
     fn identities(&self, logits: Logits) -> Result<Identities> {
-        identities(stored_scores(logits.scores.val().inner(), self.blend))
+        identities(stored_scores(logits.scores.val().inner(), self.0))
     }
 }
 
@@ -82,8 +72,9 @@ mod tests {
             classes: 3,
         };
         let device = open_cpu().unwrap().autodiff();
-        let model = PerGaussian::starting_at(&start, 0.002, &device);
-        let found = model.identities(model.logits.clone()).unwrap();
+        let logits = Logits::starting_at(&start, 0.002, &device);
+        let model = PerGaussian(Blend::Probabilities);
+        let found = model.identities(logits).unwrap();
         for (found, p) in found.scores.iter().zip(&start.scores) {
             let floored = (p + 0.002) / 1.006;
             assert!((found - floored).abs() < 1e-6, "{found} against {floored}");

@@ -1,15 +1,12 @@
 //! The view of an iteration of stage two, and its sample of pixels.
 
-use crate::random::{Purpose, stream};
-use rand::{Rng, seq::SliceRandom};
+use crate::random::{Purpose, in_epochs};
+use rand::Rng;
 
 /// The view of each iteration: a fresh shuffle every epoch, a function of (seed, iteration) alone.
 pub fn view_at(seed: u64, iteration: usize, views: usize) -> usize {
-    let epoch = iteration / views.max(1);
-    let place = iteration % views.max(1);
-    let mut order: Vec<usize> = (0..views).collect();
-    order.shuffle(&mut stream(seed, Purpose::SegmentationViews, epoch as u64));
-    order[place]
+    let views = (0..views).collect();
+    in_epochs(views, seed, Purpose::SegmentationViews, iteration)
 }
 
 /// A stratified sample of the numbers below `count`: one of each run of `1 / share` of them, ascending. Where `1 / share` is

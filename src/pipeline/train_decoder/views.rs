@@ -3,15 +3,15 @@
 use super::sampling::stratified_sample;
 use crate::backend::device::{read, upload};
 use crate::config::{Blend, SegmentationConfig};
-use crate::data::{Classes, LabelProbabilities, LabelRuns, View};
+use crate::data::{Classes, LabelProbabilities, LabelRuns, View, ViewCache};
 use crate::error::Result;
-use crate::objects::Identities;
+use crate::objects::{Identities, first_largest};
 use crate::ops::select;
 use crate::raster::Settings;
 use crate::segmentation::loss::Scores;
 use crate::segmentation::pixels::{FrozenGaussians, LabelledPixels, LabelledView, PixelWeights};
 use crate::splat::Gaussians;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use rand::Rng;
 use std::sync::Arc;
 
@@ -37,14 +37,11 @@ impl ViewSample {
             Blend::Logits => Ok(Scores::Pixels(self.pixels.blend(scores)?)),
             Blend::Probabilities => Ok(Scores::Gaussians(scores)),
         };
-        let mut scores: Vec<Scores> = predictions
-            .into_iter()
-            .map(blended)
-            .collect::<Result<_>>()?;
-        let last = scores.pop().expect("at least one prediction");
-        Ok(match scores.pop() {
-            Some(first) => Scores::Pair(Box::new([first, last])),
-            None => last,
+        let mut scores = predictions.into_iter().map(blended);
+        let first = scores.next().expect("at least one prediction")?;
+        Ok(match scores.next() {
+            Some(second) => Scores::Pair(Box::new([first, second?])),
+            None => first,
         })
     }
 }
@@ -68,7 +65,7 @@ pub struct TrainingViews<'a> {
     replaced: Option<ReplacedLabels>,
     classes: Classes,
     /// Class probabilities of raw labels, of the views that were used already and have them.
-    scores: Vec<Option<LabelProbabilities>>,
+    scores: ViewCache<LabelProbabilities>,
 }
 
 /// Labels of the pixels by what identities say.
@@ -76,7 +73,7 @@ struct ReplacedLabels {
     /// `[N, C]`, without autodiff.
     scores: Tensor<2>,
     /// Of the views that were used already.
-    labels: Vec<Option<Arc<Vec<u16>>>>,
+    labels: ViewCache<Vec<u16>>,
 }
 
 impl<'a> TrainingViews<'a> {
@@ -114,7 +111,7 @@ impl<'a> TrainingViews<'a> {
             lookup: None,
             min_coverage: config.min_coverage as f32,
             classes: Classes::default(),
-            scores: vec![None; views.len()],
+            scores: ViewCache::new(views.len(), usize::MAX),
             used: vec![None; views.len()],
             weights: vec![None; views.len()],
             budget: config.weight_cache_mb << 20,
@@ -133,10 +130,9 @@ impl<'a> TrainingViews<'a> {
     pub fn use_labels_of(&mut self, identities: &Identities, device: &Device) {
         let classes = identities.classes;
         let size = [identities.scores.len() / classes.max(1), classes];
-        let scores = TensorData::new(identities.scores.clone(), size);
         self.replaced = Some(ReplacedLabels {
-            scores: Tensor::from_data(scores, device),
-            labels: vec![None; self.views.len()],
+            scores: upload(identities.scores.clone(), size, device),
+            labels: ViewCache::new(self.views.len(), usize::MAX),
         });
     }
 
@@ -164,68 +160,55 @@ impl<'a> TrainingViews<'a> {
     pub fn sample(&mut self, index: usize, share: f64, rng: &mut impl Rng) -> Result<ViewSample> {
         let (view, weights) = self.labelled(index)?;
         let (labels, weights) = self.labels(index, &view, weights)?;
-        let visible = view.visible;
-        if share >= 1.0 {
-            let weights = match weights {
-                Some(weights) => weights,
-                None => self.weights_of(index, &visible, &view.numbers)?,
-            };
-            let pixels = LabelledPixels::new(weights, labels.to_vec());
-            return self.with_scores(index, visible, pixels, view.numbers);
-        }
-        let drawn = stratified_sample(labels.len(), share, rng);
-        let numbers = drawn.iter().map(|&i| view.numbers[i as usize]).collect();
-        let numbers = Arc::new(numbers);
-        let weights = match weights {
-            Some(weights) => weights.at(&drawn),
-            None => self.weights_of(index, &visible, &numbers)?,
+        let drawn = (share < 1.0).then(|| stratified_sample(labels.len(), share, rng));
+        let (labels, numbers) = match &drawn {
+            Some(drawn) => {
+                let labels = drawn.iter().map(|&i| labels[i as usize]).collect();
+                let numbers = drawn.iter().map(|&i| view.numbers[i as usize]).collect();
+                (Arc::new(labels), Arc::new(numbers))
+            }
+            None => (labels, view.numbers),
         };
-        let labels = drawn.iter().map(|&i| labels[i as usize]).collect();
-        let pixels = LabelledPixels::new(weights, labels);
-        self.with_scores(index, visible, pixels, numbers)
-    }
-
-    /// A sample of `pixels`, `numbers` of view `index`, with the class probabilities that came with the raw labels, where they are
-    /// trained on and there are any.
-    fn with_scores(
-        &mut self,
-        index: usize,
-        visible: Arc<Vec<u32>>,
-        mut pixels: LabelledPixels,
-        numbers: Arc<Vec<u32>>,
-    ) -> Result<ViewSample> {
-        let view = self.views[index];
-        if let (None, Some(_), Some(file)) = (&self.replaced, &self.lookup, &view.scores)
-            && !numbers.is_empty()
-        {
-            let scores = match self.scores[index].take() {
-                Some(scores) => scores,
-                None => file.read(&self.classes)?,
-            };
-            let rows = probabilities(&scores, &pixels.labels, &numbers, self.classes.len());
-            pixels.distributions = Some(upload(
-                rows,
-                [numbers.len(), self.classes.len()],
-                &self.device,
-            ));
-            self.scores[index] = Some(scores);
-        }
+        let weights = match (weights, &drawn) {
+            (Some(weights), Some(drawn)) => weights.at(drawn),
+            (Some(weights), None) => weights,
+            (None, _) => {
+                let camera = &self.views[index].camera;
+                (self.gaussians).weights(camera, &view.visible, numbers.clone())?
+            }
+        };
+        let pixels = LabelledPixels {
+            weights,
+            distributions: self.distributions(index, &labels, &numbers)?,
+            labels,
+        };
         Ok(ViewSample {
-            visible,
+            visible: view.visible,
             pixels,
             numbers,
         })
     }
 
-    /// The weights of the pixels `numbers` of view `index` over the Gaussians `visible`.
-    fn weights_of(
-        &self,
+    /// The class probabilities that came with the raw labels of the pixels `numbers` of view `index`, where they are trained on and
+    /// there are any.
+    fn distributions(
+        &mut self,
         index: usize,
-        visible: &[u32],
-        numbers: &Arc<Vec<u32>>,
-    ) -> Result<PixelWeights> {
-        let camera = &self.views[index].camera;
-        self.gaussians.weights(camera, visible, numbers.clone())
+        labels: &[u16],
+        numbers: &[u32],
+    ) -> Result<Option<Tensor<2>>> {
+        let (None, Some(_), Some(file)) = (&self.replaced, &self.lookup, &self.views[index].scores)
+        else {
+            return Ok(None);
+        };
+        if numbers.is_empty() {
+            return Ok(None);
+        }
+        let read = || Ok((file.read(&self.classes)?, 0));
+        let scores = self.scores.get(index, read)?;
+        let size = [numbers.len(), self.classes.len()];
+        let rows = probabilities(&scores, labels, numbers, size[1]);
+        Ok(Some(upload(rows, size, &self.device)))
     }
 
     /// The labelled, covered pixels of view `index`, and their weights at the first use and while they are kept.
@@ -258,28 +241,27 @@ impl<'a> TrainingViews<'a> {
         &mut self,
         index: usize,
         view: &LabelledView,
-        weights: Option<PixelWeights>,
+        mut weights: Option<PixelWeights>,
     ) -> Result<(Arc<Vec<u16>>, Option<PixelWeights>)> {
-        let Some(replaced) = &self.replaced else {
+        let Some(ReplacedLabels { scores, labels }) = &mut self.replaced else {
             return Ok((view.labels.clone(), weights));
         };
-        if let Some(labels) = &replaced.labels[index] {
-            return Ok((labels.clone(), weights));
-        }
-        let weights = match weights {
-            Some(weights) => weights,
-            None => self.weights_of(index, &view.visible, &view.numbers)?,
-        };
-        let pixels = LabelledPixels {
-            weights: weights.clone(),
-            labels: view.labels.clone(),
-            distributions: None,
-        };
-        let labels = Arc::new(largest_blended(&replaced.scores, &view.visible, &pixels)?);
-        if let Some(replaced) = &mut self.replaced {
-            replaced.labels[index] = Some(labels.clone());
-        }
-        Ok((labels, Some(weights)))
+        let (gaussians, camera) = (&self.gaussians, &self.views[index].camera);
+        let labels = labels.get(index, || {
+            let weights = match &mut weights {
+                Some(weights) => weights,
+                none => {
+                    none.insert(gaussians.weights(camera, &view.visible, view.numbers.clone())?)
+                }
+            };
+            let pixels = LabelledPixels {
+                weights: weights.clone(),
+                labels: view.labels.clone(),
+                distributions: None,
+            };
+            Ok((largest_blended(scores, &view.visible, &pixels)?, 0))
+        })?;
+        Ok((labels, weights))
     }
 }
 
@@ -323,7 +305,7 @@ fn largest_blended(
         .chunks_exact(classes.max(1))
         .zip(pixels.labels.iter());
     let label = |(row, &own): (&[f32], &u16)| {
-        let best = (0..classes).reduce(|a, b| if row[b] > row[a] { b } else { a });
+        let best = first_largest(row);
         best.filter(|&c| row[c] > 0.0).map_or(own, |c| c as u16)
     };
     Ok(rows.map(label).collect())

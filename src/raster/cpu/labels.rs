@@ -8,21 +8,29 @@ use crate::backend::Real;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// The label of each pixel, `[H, W]`; `labels` has one for each Gaussian. See [`Projected::label_map`].
-pub(super) fn label_map<E: Real>(p: &Projected<E>, labels: &[u16]) -> Vec<u16> {
-    let [width, height] = p.size();
-    let tiles: Vec<Tile<'_>> = p.all_tiles().collect();
-    let found: Vec<[u16; PIXELS]> = tiles
-        .par_iter()
-        .map(|tile| label_tile(p, *tile, labels))
-        .collect();
-    let mut map = vec![0; width * height];
-    for (tile, found) in tiles.iter().zip(&found) {
-        for (from, to, len) in tile.rows(p.size()) {
-            map[to..to + len].copy_from_slice(&found[from..from + len]);
+impl<E: Real> Projected<E> {
+    /// The label of each pixel, `[H, W]`: its Gaussians have the largest summed alpha' T. Ties go to the lower label; pixels
+    /// without Gaussians are 0. `labels` has one for each Gaussian.
+    ///
+    /// # Panics
+    /// If `labels` does not have N entries.
+    pub fn label_map(&self, labels: &[u16]) -> Vec<u16> {
+        let n = self.len();
+        assert_eq!(labels.len(), n, "label_map: one label for each Gaussian");
+        let [width, height] = self.size();
+        let tiles: Vec<Tile<'_>> = self.all_tiles().collect();
+        let found: Vec<[u16; PIXELS]> = tiles
+            .par_iter()
+            .map(|tile| label_tile(self, *tile, labels))
+            .collect();
+        let mut map = vec![0; width * height];
+        for (tile, found) in tiles.iter().zip(&found) {
+            for (from, to, len) in tile.rows(self.size()) {
+                map[to..to + len].copy_from_slice(&found[from..from + len]);
+            }
         }
+        map
     }
-    map
 }
 
 fn label_tile<E: Real>(p: &Projected<E>, tile: Tile<'_>, labels: &[u16]) -> [u16; PIXELS] {

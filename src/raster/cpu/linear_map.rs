@@ -1,12 +1,11 @@
-//! Blending with frozen geometry is a linear map `W`: it, its adjoint, and its pixels.
+//! Blending with frozen geometry is a linear map `W`: it, its adjoint, and its disc pixels.
 
 use super::disc_pixels::count;
 use super::footprint::Splat2;
 use super::projected::{Blended, CHUNK, Projected};
-use super::{blend, channel_blocks, labels, weights};
+use super::{blend, channel_blocks};
 use crate::backend::Real;
 use crate::data::mask::Mask;
-use crate::ops::SparseMatrix;
 use rayon::prelude::*;
 
 impl<E: Real> Projected<E> {
@@ -29,20 +28,6 @@ impl<E: Real> Projected<E> {
             17..=24 => blend::blend::<E, 24>(self, values, channels),
             _ => channel_blocks::blend(self, values, channels),
         }
-    }
-
-    /// The label of each pixel, `[H, W]`: its Gaussians have the largest summed alpha' T. Ties go to the lower label; pixels
-    /// without Gaussians are 0. `labels` has one for each Gaussian.
-    ///
-    /// # Panics
-    /// If `labels` does not have N entries.
-    pub fn label_map(&self, labels: &[u16]) -> Vec<u16> {
-        assert_eq!(
-            labels.len(),
-            self.len(),
-            "label_map: one label for each Gaussian"
-        );
-        labels::label_map(self, labels)
     }
 
     /// `W^T y`: `image` is `[H, W, channels]`, the result `[N, channels]`; the adjoint of [`Projected::blend`].
@@ -69,16 +54,6 @@ impl<E: Real> Projected<E> {
     pub fn weight_sums(&self) -> Vec<E> {
         let [w, h] = self.size();
         self.blend_adjoint(&vec![E::one(); w * h], 1)
-    }
-
-    /// `W` itself: rows are `pixels` (row-major indices), columns the N Gaussians, entries front to back.
-    ///
-    /// Values are exactly the weights that [`Projected::blend`] applies, rounded to `f32`.
-    ///
-    /// # Panics
-    /// If a pixel index is outside the image.
-    pub fn weights(&self, pixels: &[u32]) -> SparseMatrix {
-        weights::weights(self, pixels)
     }
 
     /// Algorithm 1's counter: pixels whose centre lies within [`Projected::radii`] of the projected centre, in the image.

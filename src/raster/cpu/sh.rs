@@ -1,10 +1,9 @@
 //! View-dependent colour: real spherical harmonics in the 3DGS sign and order, and their derivative.
 
 use super::geometry::{Vec3, dot};
-use crate::backend::Real;
 use crate::backend::simd::wide_kernel;
+use crate::backend::{Real, check_finite};
 use crate::error::Result;
-use crate::raster::settings::check_finite;
 use crate::splat::sh::{C1, C2, C3, basis};
 use rayon::prelude::*;
 

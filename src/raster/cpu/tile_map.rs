@@ -10,15 +10,13 @@ use crate::data::mask::Mask;
 use rayon::prelude::*;
 
 /// Contributing pairs of one tile, Gaussian by Gaussian, front to back.
-pub struct TilePairs<'a, E> {
+pub struct TilePairs<E> {
     /// Column and row of the tile's first pixel.
     pub origin: [usize; 2],
-    ids: &'a [u32],
-    ranks: &'a [u32],
     pairs: Pairs<E, false>,
 }
 
-impl<E: Real> TilePairs<'_, E> {
+impl<E: Real> TilePairs<E> {
     /// Pixels along a tile's edge.
     pub const EDGE: usize = TILE;
 
@@ -32,15 +30,14 @@ impl<E: Real> TilePairs<'_, E> {
         self.len() == 0
     }
 
-    /// The `i`-th Gaussian's index in the scene, the pixels it contributes to (`row * EDGE + column` within the tile,
-    /// ascending by row) and its weights alpha' T there.
-    pub fn gaussian(&self, i: usize) -> (u32, &[u16], &[E]) {
+    /// The pixels that the `i`-th Gaussian contributes to (`row * EDGE + column` within the tile, ascending by row) and its weights
+    /// alpha' T there.
+    pub fn gaussian(&self, i: usize) -> (&[u16], &[E]) {
+        let Pairs {
+            pixels, weights, ..
+        } = &self.pairs;
         let range = self.pairs.range(i);
-        (
-            self.ids[self.ranks[i] as usize],
-            &self.pairs.pixels[range.clone()],
-            &self.pairs.weights[range],
-        )
+        (&pixels[range.clone()], &weights[range])
     }
 }
 
@@ -55,7 +52,7 @@ impl<E: Real> Projected<E> {
         &self,
         mask: Option<&Mask>,
         entries: &mut [T],
-        f: impl Fn(usize, &TilePairs<'_, E>, &mut [T]) -> R + Sync,
+        f: impl Fn(usize, &TilePairs<E>, &mut [T]) -> R + Sync,
     ) -> Vec<R> {
         assert_eq!(
             entries.len(),
@@ -78,8 +75,6 @@ impl<E: Real> Projected<E> {
                 }
                 let pairs = TilePairs {
                     origin: tile.origin,
-                    ids: &self.ids,
-                    ranks: tile.ranks,
                     pairs: Pairs::gather(self, tile, t),
                 };
                 f(number, &pairs, own)

@@ -8,57 +8,60 @@ use crate::backend::Real;
 use crate::ops::SparseMatrix;
 use rayon::prelude::*;
 
-/// `W` with rows `pixels`; see [`Projected::weights`].
-pub(super) fn weights<E: Real>(p: &Projected<E>, pixels: &[u32]) -> SparseMatrix {
-    let mut wanted = vec![false; p.size()[0] * p.size()[1]];
-    for &pixel in pixels {
-        wanted[pixel as usize] = true;
-    }
-    every_row(p, |pixel| wanted[pixel]).select_rows(pixels)
-}
-
-/// `W` with a row for every pixel; rows of pixels that are not `wanted` are empty.
-fn every_row<E: Real>(p: &Projected<E>, wanted: impl Fn(usize) -> bool + Sync) -> SparseMatrix {
-    let [w, h] = p.size();
-    let tiles: Vec<Tile<'_>> = p.all_tiles().collect();
-    let tiles: Vec<(Tile<'_>, Pairs<E, false>)> = tiles
-        .into_par_iter()
-        .map(|tile| {
-            let mut t = fresh_transmittance(tile, p.size());
-            end_unused(&mut t, tile, p.size(), &wanted);
-            (tile, Pairs::gather(p, tile, t))
-        })
-        .collect();
-    let in_image = |tile: &Tile<'_>, pixel: u16| {
-        let pixel = pixel as usize;
-        (tile.origin[1] + pixel / TILE) * w + tile.origin[0] + pixel % TILE
-    };
-    let mut offsets = vec![0_u32; w * h + 1];
-    let total: usize = tiles.iter().map(|(_, pairs)| pairs.pixels.len()).sum();
-    assert!(
-        u32::try_from(total).is_ok(),
-        "weights: {total} entries exceed 2^32 - 1; ask for fewer pixels"
-    );
-    for (tile, pairs) in &tiles {
-        for &pixel in &pairs.pixels {
-            offsets[in_image(tile, pixel) + 1] += 1;
+impl<E: Real> Projected<E> {
+    /// `W` itself: rows are `pixels` (row-major indices), columns the N Gaussians, entries front to back.
+    ///
+    /// Values are exactly the weights that [`Projected::blend`] applies, rounded to `f32`.
+    ///
+    /// # Panics
+    /// If a pixel index is outside the image.
+    pub fn weights(&self, pixels: &[u32]) -> SparseMatrix {
+        let [w, h] = self.size();
+        let mut wanted = vec![false; w * h];
+        for &pixel in pixels {
+            wanted[pixel as usize] = true;
         }
-    }
-    for pixel in 0..w * h {
-        offsets[pixel + 1] += offsets[pixel];
-    }
-    let mut next = offsets.clone();
-    let mut indices = vec![0; total];
-    let mut values = vec![0.0; total];
-    for (tile, pairs) in &tiles {
-        for (i, &rank) in tile.ranks.iter().enumerate().take(pairs.ends.len()) {
-            for pair in pairs.range(i) {
-                let at = &mut next[in_image(tile, pairs.pixels[pair])];
-                indices[*at as usize] = p.ids[rank as usize];
-                values[*at as usize] = pairs.weights[pair].wide() as f32;
-                *at += 1;
+        let tiles: Vec<Tile<'_>> = self.all_tiles().collect();
+        let tiles: Vec<(Tile<'_>, Pairs<E, false>)> = tiles
+            .into_par_iter()
+            .map(|tile| {
+                let mut t = fresh_transmittance(tile, self.size());
+                end_unused(&mut t, tile, self.size(), |pixel| wanted[pixel]);
+                (tile, Pairs::gather(self, tile, t))
+            })
+            .collect();
+        let in_image = |tile: &Tile<'_>, pixel: u16| {
+            let pixel = pixel as usize;
+            (tile.origin[1] + pixel / TILE) * w + tile.origin[0] + pixel % TILE
+        };
+        // A row for every pixel; those of pixels that are not wanted are empty.
+        let mut offsets = vec![0_u32; w * h + 1];
+        let total: usize = tiles.iter().map(|(_, pairs)| pairs.pixels.len()).sum();
+        assert!(
+            u32::try_from(total).is_ok(),
+            "weights: {total} entries exceed 2^32 - 1; ask for fewer pixels"
+        );
+        for (tile, pairs) in &tiles {
+            for &pixel in &pairs.pixels {
+                offsets[in_image(tile, pixel) + 1] += 1;
             }
         }
+        for pixel in 0..w * h {
+            offsets[pixel + 1] += offsets[pixel];
+        }
+        let mut next = offsets.clone();
+        let mut indices = vec![0; total];
+        let mut values = vec![0.0; total];
+        for (tile, pairs) in &tiles {
+            for (i, &rank) in tile.ranks.iter().enumerate().take(pairs.ends.len()) {
+                for pair in pairs.range(i) {
+                    let at = &mut next[in_image(tile, pairs.pixels[pair])];
+                    indices[*at as usize] = self.ids[rank as usize];
+                    values[*at as usize] = pairs.weights[pair].wide() as f32;
+                    *at += 1;
+                }
+            }
+        }
+        SparseMatrix::unchecked(self.len(), offsets, indices, values).select_rows(pixels)
     }
-    SparseMatrix::unchecked(p.len(), offsets, indices, values)
 }

@@ -4,12 +4,12 @@ use super::tensors::{
     Colours, Forward, INPUTS, OfHost, PixelTensors, ProjectedView, RasterCall, RasterPass,
     RasterTensors, SavedForward, TensorPair, ViewCall,
 };
-use crate::backend::{HostBackend, HostValues, Real, device_of, real_kernel};
+use crate::backend::{HostBackend, HostValues, Real, check_finite, device_of, real_kernel};
 use crate::error::{Error, Result, invalid};
 use crate::raster::PixelGradients;
 use crate::raster::cpu::projected::{Blended, Projected};
 use crate::raster::cpu::sh::{ShBackward, visible_colours};
-use crate::raster::settings::{Splats, check_finite};
+use crate::raster::settings::Splats;
 use burn::backend::{TensorMetadata, tensor::FloatTensor};
 use std::sync::Arc;
 
@@ -269,7 +269,7 @@ impl<E: Real> Inputs<E> {
         } else {
             Vec::new()
         };
-        let d_features = if !call.has_features || channels == colours {
+        let d_features = if channels == colours {
             Vec::new()
         } else if colours == 0 {
             d.values

@@ -27,6 +27,12 @@ pub struct RasterInput {
 }
 
 impl RasterInput {
+    /// Whether the screen-space gradient has the columns of AbsGS.
+    pub(super) fn has_absolute_screen(&self) -> bool {
+        let screen = self.screen.as_ref();
+        screen.is_some_and(|screen| screen.dims()[1] == 4)
+    }
+
     /// The geometry.
     pub(super) fn splats(&self) -> SplatTensors {
         SplatTensors {
@@ -49,16 +55,8 @@ pub struct RasterOutput {
     pub radii: Tensor<1>,
 }
 
-/// Sizes of a valid [`RasterInput`].
-pub(super) struct Sizes {
-    /// SH terms, 1 without SH.
-    pub sh_terms: usize,
-    /// Whether the screen-space gradient has the columns of AbsGS.
-    pub absolute_screen: bool,
-}
-
-/// Checks `input`.
-pub(super) fn sizes(input: &RasterInput) -> Result<Sizes> {
+/// Checks shapes and float types of `input`.
+pub(super) fn check(input: &RasterInput) -> Result<()> {
     let [n] = input.opacity_logits.dims();
     shape("means", &input.means.dims(), &[n, 3])?;
     shape("log_scales", &input.log_scales.dims(), &[n, 3])?;
@@ -67,28 +65,20 @@ pub(super) fn sizes(input: &RasterInput) -> Result<Sizes> {
         bail!(argument "raster input"; found "neither sh nor features";
             expected "at least one"; help "pass what to render");
     }
-    let sh_terms = input.sh.as_ref().map_or(1, |sh| sh.dims()[1]);
-    ensure!(matches!(sh_terms, 1 | 4 | 9 | 16), argument "raster input sh"; found "{sh_terms} terms";
-        expected "1, 4, 9 or 16"; help "pass (degree + 1)^2 terms");
     if let Some(sh) = &input.sh {
-        shape("sh", &sh.dims(), &[n, sh_terms, 3])?;
+        let terms = sh.dims()[1];
+        ensure!(matches!(terms, 1 | 4 | 9 | 16), argument "raster input sh"; found "{terms} terms";
+            expected "1, 4, 9 or 16"; help "pass (degree + 1)^2 terms");
+        shape("sh", &sh.dims(), &[n, terms, 3])?;
     }
     if let Some(features) = &input.features {
         shape("features", &features.dims(), &[n, features.dims()[1]])?;
     }
-    let absolute_screen = input
-        .screen
-        .as_ref()
-        .is_some_and(|screen| screen.dims()[1] == 4);
     if let Some(screen) = &input.screen {
-        let columns = if absolute_screen { 4 } else { 2 };
+        let columns = if input.has_absolute_screen() { 4 } else { 2 };
         shape("screen", &screen.dims(), &[n, columns])?;
     }
-    float_types(input)?;
-    Ok(Sizes {
-        sh_terms,
-        absolute_screen,
-    })
+    float_types(input)
 }
 
 fn shape(name: &str, found: &[usize], expected: &[usize]) -> Result<()> {

@@ -72,7 +72,10 @@ impl GaussianLabels {
             let indices: Vec<f32> = self.labels.iter().map(index).collect();
             upload(indices, [self.labels.len(), 1], device)
         });
-        one_hot(indices, block.map(|index| index as f32).collect())
+        let shape = [self.labels.len(), block.len()];
+        let columns = block.map(|index| index as f32).collect();
+        let columns = upload(columns, [1, shape[1]], device).expand(shape);
+        indices.clone().expand(shape).equal(columns).float()
     }
 }
 
@@ -156,32 +159,17 @@ impl SplatView {
         let mut rgb = read("a label map", Tensor::cat(parts, 0))?;
         let mut transmittance = rgb.split_off(others * pixels);
         let indices = transmittance.split_off(pixels);
-        let label = |index| labels.at(index).unwrap_or(0);
+        // A pixel with nothing at it has a negative index.
+        let label = |index: f32| match index {
+            0.0.. => labels.ids[index as usize],
+            _ => 0,
+        };
         Ok(LabelledImage {
             rgb,
             labels: indices.into_iter().map(label).collect(),
             transmittance,
         })
     }
-}
-
-impl GaussianLabels {
-    /// The label with this index from [`Largest::indices`].
-    fn at(&self, index: f32) -> Option<u16> {
-        (index >= 0.0).then(|| self.ids.get(index as usize).copied())?
-    }
-}
-
-/// `[rows, values]`: 1 where `of_rows`, `[rows, 1]`, equals the value of the column, else 0.
-fn one_hot(of_rows: &Tensor<2>, values: Vec<f32>) -> Tensor<2> {
-    let rows = of_rows.dims()[0];
-    let columns = values.len();
-    let values = upload(values, [1, columns], &of_rows.device());
-    of_rows
-        .clone()
-        .expand([rows, columns])
-        .equal(values.expand([rows, columns]))
-        .float()
 }
 
 /// The largest channel at each pixel.

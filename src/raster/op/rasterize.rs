@@ -1,7 +1,7 @@
 //! [`rasterize`], with gradients to every input.
 
 use super::backend::RasterBackend;
-use super::input::{RasterInput, RasterOutput, sizes};
+use super::input::{RasterInput, RasterOutput, check};
 use super::reference;
 use super::tensors::{RasterCall, RasterPass};
 use crate::error::Result;
@@ -27,7 +27,7 @@ pub fn rasterize(
     settings: &Settings,
     background: [f32; 3],
 ) -> Result<RasterOutput> {
-    let sizes = sizes(&input)?;
+    check(&input)?;
     if CustomOp::Raster.is_replaced() {
         return reference::rasterize(input, camera, settings, background);
     }
@@ -36,10 +36,9 @@ pub fn rasterize(
         settings: *settings,
         background: background.map(f64::from),
         has_sh: input.sh.is_some(),
-        has_features: input.features.is_some(),
-        sh_degree: sizes.sh_terms.isqrt() - 1,
+        sh_degree: input.sh.as_ref().map_or(0, |sh| sh.dims()[1].isqrt() - 1),
         active_sh_degree: input.active_sh_degree,
-        absolute_screen: sizes.absolute_screen,
+        absolute_screen: input.has_absolute_screen(),
     };
     let splats = input.splats();
     let tensors = splats.with_values(input.sh, input.features, input.screen);

@@ -1,11 +1,11 @@
 //! The geometry of Gaussians as tensors.
 
 use super::tensors::RasterTensors;
-use crate::backend::device::{in_host_memory, largest_allocation, upload};
-use crate::error::{Result, invalid};
+use crate::backend::device::{in_host_memory, indices, largest_allocation, upload};
+use crate::error::{Result, ensure};
 use crate::splat::Gaussians;
 use burn::backend::Dispatch;
-use burn::tensor::{DType, Device, Int, Tensor, TensorData};
+use burn::tensor::{DType, Device, Tensor};
 
 /// Geometry of N Gaussians on a device, frozen: no gradient goes there.
 #[derive(Clone, Debug)]
@@ -128,9 +128,7 @@ impl SplatTensors {
     /// If a row is not below N.
     #[must_use]
     pub fn select(&self, rows: &[u32]) -> Self {
-        let index: Vec<i64> = rows.iter().map(|&row| i64::from(row)).collect();
-        let index =
-            Tensor::<1, Int>::from_data(TensorData::new(index, [rows.len()]), &self.means.device());
+        let index = indices(rows, &self.means.device());
         Self {
             means: self.means.clone().select(0, index.clone()),
             log_scales: self.log_scales.clone().select(0, index.clone()),
@@ -147,14 +145,9 @@ impl SplatTensors {
         let expected = [[n, 3], [n, 3], [n, 4]];
         let [means, log_scales, rotations] = matrices.map(Tensor::dtype);
         let types = [means, log_scales, rotations, self.opacity_logits.dtype()];
-        if shapes == expected && types == [dtype; 4] {
-            return Ok(());
-        }
-        let found = format!("{shapes:?}, {types:?}");
-        let expected = format!("{expected:?}, all {dtype:?}");
-        Err(
-            invalid!(argument "frozen Gaussians"; found "{found}"; expected "{expected}";
-            help "pass tensors of one scene and one float type"),
-        )
+        ensure!(shapes == expected && types == [dtype; 4],
+            argument "frozen Gaussians"; found "{shapes:?}, {types:?}"; expected "{expected:?}, all {dtype:?}";
+            help "pass tensors of one scene and one float type");
+        Ok(())
     }
 }

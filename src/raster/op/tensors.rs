@@ -76,7 +76,6 @@ pub(crate) struct RasterCall {
     pub(super) settings: Settings,
     pub(super) background: [f64; 3],
     pub(super) has_sh: bool,
-    pub(super) has_features: bool,
     pub(super) sh_degree: usize,
     pub(super) active_sh_degree: usize,
     /// Whether the gradient of the screen has the columns of AbsGS.

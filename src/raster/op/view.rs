@@ -5,7 +5,7 @@ use super::reference::{ReferenceView, colours};
 use super::splats::SplatTensors;
 use super::tensors::{Colours, ProjectedView, TensorPair, ViewCall};
 use crate::backend::device::largest_allocation;
-use crate::error::{Result, bail};
+use crate::error::{Result, ensure};
 use crate::ops::{CustomOp, SparseMatrix, sparse_apply};
 use crate::raster::settings::Settings;
 use crate::splat::camera::Camera;
@@ -120,12 +120,8 @@ impl SplatView {
     pub fn blend(&self, values: Tensor<2>) -> Result<(Tensor<3>, Tensor<2>)> {
         let n = self.splats.len();
         let rows = values.dims()[0];
-        if rows != n {
-            let found = format!("{rows} rows");
-            let expected = format!("{n}, one a Gaussian");
-            bail!(argument "values to blend"; found "{found}"; expected "{expected}";
-                help "pass values of these Gaussians");
-        }
+        ensure!(rows == n, argument "values to blend"; found "{rows} rows"; expected "{n}, one a Gaussian";
+            help "pass values of these Gaussians");
         self.splats.check(values.dtype())?;
         if CustomOp::Raster.is_replaced() {
             return Ok(self.reference().blend(values));
@@ -173,12 +169,9 @@ impl SplatView {
     pub fn blend_adjoint(&self, image: Tensor<3>) -> Result<Lifted> {
         let camera = self.camera();
         let [height, width, _] = image.dims();
-        if [height, width] != [camera.height, camera.width] {
-            let found = format!("{width}x{height}");
-            let expected = format!("{}x{}", camera.width, camera.height);
-            bail!(argument "image to lift"; found "{found}"; expected "{expected}";
-                help "pass an image of the camera's size");
-        }
+        ensure!([height, width] == [camera.height, camera.width],
+            argument "image to lift"; found "{width}x{height}"; expected "{}x{}", camera.width, camera.height;
+            help "pass an image of the camera's size");
         self.splats.check(image.dtype())?;
         if CustomOp::Raster.is_replaced() {
             let (sums, counts) = self.reference().blend_adjoint(image.inner());

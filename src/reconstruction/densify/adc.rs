@@ -4,7 +4,7 @@ use super::{Densification, Densified, GradientStatistics};
 use crate::error::{Result, ensure};
 use crate::random::standard_normal;
 use crate::reconstruction::initialization::logit;
-use crate::splat::{Geometry, rotation};
+use crate::splat::{Gaussians, rotation};
 use glam::{DVec3, Vec3};
 use rand_chacha::ChaCha8Rng;
 
@@ -52,7 +52,7 @@ pub struct AdcRules {
     pub max_gaussians: usize,
 }
 
-/// Clones, splits and prunes.
+/// Clones, splits and prunes `old`, whose colours are not read.
 ///
 /// Gaussians that are too transparent or too large go, unless a split leaves children that are small enough. Of the rest,
 /// those whose mean gradient is at least the threshold are cloned or split, highest gradient first while the budget lasts. Two
@@ -61,13 +61,12 @@ pub struct AdcRules {
 ///
 /// # Errors
 /// [`crate::Error::Limit`] when the statistics are not those of these Gaussians.
-pub fn adc<'a>(
-    gaussians: impl Into<Geometry<'a>>,
+pub fn adc(
+    old: &Gaussians,
     stats: &GradientStatistics,
     rules: &AdcRules,
     rng: &mut ChaCha8Rng,
 ) -> Result<Densification> {
-    let old = gaussians.into();
     let n = old.len();
     ensure!(stats.gradient.len() == n && stats.visible.len() == n,
         limit "rows of the densification statistics"; found "{}", stats.gradient.len(); expected "{n}";
@@ -119,7 +118,7 @@ pub fn adc<'a>(
             if k < copies {
                 (old.means[i], old.log_scales[i])
             } else {
-                child(&old, i, rng)
+                child(old, i, rng)
             }
         })
         .unzip();
@@ -139,7 +138,7 @@ fn largest_scale(log_scales: &[f32; 3]) -> f32 {
 }
 
 /// Mean and log-scales of one child of Gaussian `i`: `mean + R diag(scales) z`, `z` standard normal.
-fn child(old: &Geometry<'_>, i: usize, rng: &mut ChaCha8Rng) -> ([f32; 3], [f32; 3]) {
+fn child(old: &Gaussians, i: usize, rng: &mut ChaCha8Rng) -> ([f32; 3], [f32; 3]) {
     let z: [f64; 3] = std::array::from_fn(|_| standard_normal(rng));
     let scales = DVec3::from(old.log_scales[i].map(|s| f64::from(s).exp()));
     let offset = rotation(&old.rotations[i]) * (scales * DVec3::from(z));

@@ -1,7 +1,6 @@
 //! Screen-space gradients between densifications.
 
-use super::super::optimizer::indices;
-use crate::backend::device::{read, upload};
+use crate::backend::device::{indices, read, upload};
 use crate::error::Result;
 use burn::tensor::{Device, Tensor};
 

@@ -3,6 +3,7 @@
 use crate::data::{Points, View};
 use crate::error::{Result, in_order};
 use crate::splat::camera::{Camera, spread};
+use crate::splat::median;
 use glam::{DMat3, DVec3};
 use image::RgbImage;
 use rand::Rng;
@@ -195,22 +196,12 @@ fn difference(view: &View, photo: &RgbImage, position: DVec3, color: [u8; 3]) ->
     if u < 0.0 || v < 0.0 {
         return None;
     }
-    if view
-        .mask
-        .as_ref()
-        .is_some_and(|mask| !mask.uses(v as usize * view.camera.width + u as usize))
-    {
-        return None;
-    }
+    let place = v as usize * view.camera.width + u as usize;
+    let is_used = view.mask.as_ref().is_none_or(|mask| mask.uses(place));
     let pixel = photo.get_pixel_checked(u as u32, v as u32)?;
-    Some(
-        pixel
-            .0
-            .iter()
-            .zip(color)
-            .map(|(&a, b)| u16::from(a.abs_diff(b)))
-            .sum(),
-    )
+    let channels = pixel.0.into_iter().zip(color);
+    let difference = channels.map(|(a, b)| u16::from(a.abs_diff(b))).sum();
+    is_used.then_some(difference)
 }
 
 /// Mean over the better half of the differences of a depth, which are sorted.
@@ -240,11 +231,9 @@ fn focus_distance(views: &[&View]) -> f64 {
         return fallback;
     }
     let focus = a.inverse() * b + mean;
-    let mut depths: Vec<f64> = views.iter().map(|v| v.camera.to_camera(focus).z).collect();
-    depths.sort_by(f64::total_cmp);
-    let median = depths[depths.len() / 2];
-    if median.is_finite() && median > 0.1 * baseline {
-        median
+    let depth = median(views.iter().map(|v| v.camera.to_camera(focus).z));
+    if depth.is_finite() && depth > 0.1 * baseline {
+        depth
     } else {
         fallback
     }

@@ -5,12 +5,13 @@ mod frusta;
 pub use self::frusta::points as random_points;
 
 use super::schedule::extent;
+use crate::backend::check_finite;
 use crate::config::Config;
 use crate::data::{Points, Scene, View};
 use crate::error::Result;
 use crate::memory;
 use crate::random::{Purpose, stream};
-use crate::segmentation::neighbours::{PointIndex, check_finite};
+use crate::segmentation::neighbours::PointIndex;
 use crate::splat::{Gaussians, SH_0};
 use std::borrow::Cow;
 
@@ -82,8 +83,8 @@ pub fn logit(p: f32) -> f32 {
 /// # Errors
 /// [`crate::Error::NonFinite`] for a position or colour that is not finite; [`crate::Error::Limit`] beyond 2^32 points.
 pub fn from_points(points: &Points, sh_degree: usize, extent: f64) -> Result<Gaussians> {
-    check_finite("points.positions", &points.positions)?;
-    check_finite("points.colors", &points.colors)?;
+    check_finite("points.positions", points.positions.as_flattened(), 3)?;
+    check_finite("points.colors", points.colors.as_flattened(), 3)?;
     let n = points.positions.len();
     let coefficients = 3 * (sh_degree + 1).pow(2);
     let mut sh = vec![0.0; n * coefficients];

@@ -3,6 +3,7 @@
 use super::check;
 use crate::error::{Result, ensure};
 use crate::splat::camera::{Camera, level_up};
+use crate::splat::median;
 use glam::{DMat3, DVec3};
 use nalgebra::Matrix3;
 use std::f64::consts::{FRAC_PI_3, TAU};
@@ -65,12 +66,8 @@ impl Orbit {
     fn about(cameras: &[Camera], target: DVec3) -> Result<Self> {
         let up = level_up(cameras);
         let offsets = cameras.iter().map(|camera| camera.center - target);
-        let height = median(offsets.clone().map(|o| o.dot(up)).collect());
-        let radius = median(
-            offsets
-                .map(|o| o.reject_from_normalized(up).length())
-                .collect(),
-        );
+        let height = median(offsets.clone().map(|o| o.dot(up)));
+        let radius = median(offsets.map(|o| o.reject_from_normalized(up).length()));
         let start = (cameras[0].center - target)
             .reject_from_normalized(up)
             .try_normalize();
@@ -166,9 +163,4 @@ pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
 
 fn forward(camera: &Camera) -> DVec3 {
     camera.rotation.transpose().z_axis
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

@@ -21,26 +21,11 @@ const CHUNK: usize = 256;
 const MAX_LOG_SCALE: f64 = 20.0;
 /// SH coefficients lie within half of this about 0.
 const SH_RANGE: f32 = 8.0;
-/// Bounds of a chunk: three low and three high ones of position, log-scale and colour.
-const BOUNDS: [&str; 18] = [
-    "min_x",
-    "min_y",
-    "min_z",
-    "max_x",
-    "max_y",
-    "max_z",
-    "min_scale_x",
-    "min_scale_y",
-    "min_scale_z",
-    "max_scale_x",
-    "max_scale_y",
-    "max_scale_z",
-    "min_r",
-    "min_g",
-    "min_b",
-    "max_r",
-    "max_g",
-    "max_b",
+/// What a chunk bounds: position, log-scale and colour.
+const BOUNDED: [[&str; 3]; 3] = [
+    ["x", "y", "z"],
+    ["scale_x", "scale_y", "scale_z"],
+    ["r", "g", "b"],
 ];
 const PACKED: [&str; 4] = [
     "packed_position",
@@ -50,6 +35,12 @@ const PACKED: [&str; 4] = [
 ];
 /// Bits of the three parts of a position or log-scale, and how far they are shifted.
 const COARSE: [(u32, u32); 3] = [(11, 21), (10, 11), (11, 0)];
+
+/// Names of the bounds of a chunk: three low and three high ones of each of [`BOUNDED`].
+fn bound_names() -> [String; 18] {
+    let end = |i: usize| ["min", "max"][i / 3 % 2];
+    std::array::from_fn(|i| format!("{}_{}", end(i), BOUNDED[i / 6][i % 3]))
+}
 
 /// The number of `bits` bits for a value of 0 to 1.
 fn pack(value: f64, bits: u32) -> u32 {
@@ -99,7 +90,7 @@ pub(super) fn write(path: &Path, gaussians: &Gaussians, positions: &[DVec3]) -> 
             "ply\nformat binary_little_endian 1.0\nelement chunk {}\n",
             bounds.len()
         )?;
-        BOUNDS
+        bound_names()
             .iter()
             .try_for_each(|name| writeln!(out, "property float {name}"))?;
         writeln!(out, "element vertex {count}")?;
@@ -179,7 +170,7 @@ pub(in crate::splat) fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
     let file = PlyFile::open(path, "chunk", limits)?;
     // Older files have no bounds of colours.
     let has_colors = file.scalar("min_r").is_some();
-    let mut names = BOUNDS.map(|name| Some(name.to_owned()));
+    let mut names = bound_names().map(Some);
     if !has_colors {
         names[12..].fill(None);
     }

@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 use crate::files::atomic;
 use crate::files::ply;
-use crate::splat::Gaussians;
+use crate::splat::{Gaussians, bounds};
 use glam::DVec3;
 use las::point::{Classification, Format};
 use las::{Builder, Color, Point, Transform, Vector, Version, Writer};
@@ -101,16 +101,7 @@ fn classification(label: Option<u16>) -> Classification {
 
 /// Steps by powers of ten, and offsets, so that the box of `positions` has [`MOST_STEPS`] at most.
 fn transforms(positions: &[DVec3]) -> Vector<Transform> {
-    let low = positions
-        .iter()
-        .copied()
-        .reduce(DVec3::min)
-        .unwrap_or_default();
-    let high = positions
-        .iter()
-        .copied()
-        .reduce(DVec3::max)
-        .unwrap_or_default();
+    let (low, high) = bounds(positions.iter().copied()).unwrap_or_default();
     // Points in one place need no finer steps than those of a box of 1.
     let extent = (high - low).max_element().max(1.0);
     let scale = 10_f64.powi((extent / MOST_STEPS).log10().ceil() as i32);

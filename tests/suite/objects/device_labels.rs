@@ -5,7 +5,7 @@ use crate::support::raster_reference::{colored_gaussians as gaussians, numbers};
 use burn::tensor::Device;
 use coseg::config::LabelSource;
 use coseg::data::{Classes, LabelMap, LabelRuns, Scene};
-use coseg::objects::{Identities, LabelMaps, LabelRule, vote};
+use coseg::objects::{Identities, LabelMaps, vote};
 use coseg::raster::{Settings, SplatTensors};
 
 fn classes(count: u16) -> Classes {
@@ -121,11 +121,7 @@ fn label_maps_are_those_of_the_host() {
             (LabelSource::Labels, 0.0),
             (LabelSource::Scores, 0.0),
         ] {
-            let rule = LabelRule {
-                source,
-                min_coverage,
-            };
-            let maps = || LabelMaps::new(&identities, &classes, rule);
+            let maps = || LabelMaps::new(&identities, &classes, source, min_coverage);
             let want = maps().of(&on_cpu).expect("a map");
             let got = on_device(Some(&gpu), || maps().of(&on_gpu).expect("a map"));
             assert_eq!((got.width, got.height), (width, height));
@@ -161,13 +157,9 @@ fn nothing_known_is_the_ignored_id_on_every_device() {
         classes: 3,
     };
     for source in [LabelSource::Labels, LabelSource::Scores] {
-        let rule = LabelRule {
-            source,
-            min_coverage: 0.0,
-        };
         let map = |device: &Device| {
             let view = SplatTensors::new(&gaussians, device).seen_by(&camera, &settings);
-            LabelMaps::new(&identities, &classes, rule)
+            LabelMaps::new(&identities, &classes, source, 0.0)
                 .of(&view)
                 .expect("a map")
         };

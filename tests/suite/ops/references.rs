@@ -5,9 +5,9 @@ use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::Tensor;
 use coseg::config::{Budget, BuildingConfig, Config, LabelSource, Resolution, Variant};
 use coseg::data::{LabelMap, Split};
-use coseg::objects::{Identities, LabelMaps, LabelRule, RenderOptions, Renderer, Votes, vote};
+use coseg::objects::{Identities, LabelMaps, RenderOptions, Renderer, Votes, vote};
 use coseg::ops::{CustomOp, with_references};
-use coseg::pipeline::train_decoder::{DecoderModel, IdentityModel, Training, TrainingPlan};
+use coseg::pipeline::train_decoder::{DecoderModel, Training, TrainingPlan};
 use coseg::pipeline::{Inputs, LiftedFeatures, decoder_training, encode};
 use coseg::progress::Silent;
 use coseg::raster::{Settings, SplatTensors};
@@ -89,8 +89,8 @@ fn moments(training: &Training<DecoderModel>) -> Vec<[Vec<f32>; 2]> {
         }
     }
     let mut sizes = Sizes(Vec::new());
-    training.model.module().visit(&mut sizes);
-    let state = training.optimizer_state().expect("readable");
+    training.module.visit(&mut sizes);
+    let state = training.adam.state().expect("readable");
     let vector = |name: &str| {
         let found = state.iter().find(|(found, _)| found == name);
         found.expect("a moment").1.clone()
@@ -109,10 +109,9 @@ fn moments(training: &Training<DecoderModel>) -> Vec<[Vec<f32>; 2]> {
 fn stage_two(config: &Config) -> StageTwo {
     let (scene, gaussians, labels, _folder) = crate::support::plates::loaded();
     let (device, settings) = (crate::support::device(), Settings::default());
-    let lifted =
-        LiftedFeatures::of_views(&scene, &gaussians, config, &settings, &device, &mut Silent)
-            .expect("features")
-            .expect("not stopped");
+    let lifted = LiftedFeatures::of_views(&scene, &gaussians, config, &device, &mut Silent)
+        .expect("features")
+        .expect("not stopped");
     let gaussians = gaussians.select(&lifted.kept);
     let kept = lifted.kept.iter();
     let labels = kept.map(|&i| labels[i as usize]).collect();
@@ -155,11 +154,7 @@ fn stage_two(config: &Config) -> StageTwo {
     for view in scene.split(Split::Test) {
         let seen = splats.seen_by(&view.camera, &settings);
         for source in [LabelSource::Labels, LabelSource::Scores] {
-            let rule = LabelRule {
-                source,
-                min_coverage: 0.5,
-            };
-            let map = LabelMaps::new(&identities, &scene.classes, rule).of(&seen);
+            let map = LabelMaps::new(&identities, &scene.classes, source, 0.5).of(&seen);
             maps.push(map.expect("a map"));
         }
         let frame = renderer.frame(&view.camera).expect("a frame");

@@ -4,7 +4,7 @@ use crate::support::hard_labels::hard_label_map;
 use crate::support::plate_runs::trained;
 use coseg::config::{Association, Config, LabelSource, SegmentationConfig, Variant};
 use coseg::data::{LoadOptions, Split, load};
-use coseg::objects::{Identities, LabelMaps, LabelRule, vote};
+use coseg::objects::{Identities, LabelMaps, vote};
 use coseg::pipeline::train_decoder::{TrainingPlan, TrainingViews};
 use coseg::pipeline::{Inputs, Outcome, decoder_training, encode};
 use coseg::random::{Purpose, stream};
@@ -31,11 +31,7 @@ fn label_maps_show_the_labels_of_the_ply() {
         let seen = SplatTensors::new(gaussians, &crate::support::device())
             .seen_by(&view.camera, &Settings::default());
         let map = |source| {
-            let rule = LabelRule {
-                source,
-                min_coverage: 0.5,
-            };
-            LabelMaps::new(&identities, classes, rule)
+            LabelMaps::new(&identities, classes, source, 0.5)
                 .of(&seen)
                 .expect("a map")
                 .ids

@@ -8,7 +8,7 @@ use coseg::ops::SparseMatrix;
 use coseg::pipeline::train_decoder::{
     Adam, DecoderInput, DecoderModel, DecoderPlan, Encoded, IdentityModel, ViewSample,
 };
-use coseg::segmentation::decoder::DecoderConfig;
+use coseg::segmentation::decoder::{Decoder, DecoderConfig};
 use coseg::segmentation::encoder::{Cloud, encode, load_spatial};
 use coseg::segmentation::loss::{self, CoSegLoss};
 use coseg::segmentation::pixels::{LabelledPixels, NO_CLASS, PixelWeights};
@@ -94,13 +94,13 @@ impl Scene {
     }
 }
 
-/// A model that decodes `chunk` Gaussians together, from the same parameters as any other of the scene.
+/// A model that decodes `chunk` Gaussians together, and the parameters of any of the scene.
 fn model<'a>(
     scene: &'a Scene,
     config: &'a SegmentationConfig,
     regularised: bool,
     prior: bool,
-) -> DecoderModel<'a> {
+) -> (DecoderModel<'a>, Decoder) {
     let plan = DecoderPlan {
         config,
         regularised,
@@ -113,23 +113,14 @@ fn model<'a>(
     let decoder = DecoderConfig::for_pyramid(pyramid, CLASSES)
         .with_seed(1)
         .init(&device);
-    let mut model = DecoderModel::new(
-        decoder.clone(),
-        &scene.source,
-        &scene.means,
-        1,
-        plan,
-        &device,
-    );
+    let mut model = DecoderModel::new(&scene.source, &scene.means, 1, plan);
     if prior {
         let shares = (0..POINTS * CLASSES)
             .map(|i| (i as f32 * 0.71).sin())
             .collect();
-        model = model.with_prior(shares);
-        // The prior silences the last layer: taken back, so that every parameter has a gradient.
-        model.set_module(decoder);
+        model = model.with_prior(shares, &device);
     }
-    model
+    (model, decoder)
 }
 
 fn config(blend: Blend, chunk: usize) -> SegmentationConfig {
@@ -142,11 +133,14 @@ fn config(blend: Blend, chunk: usize) -> SegmentationConfig {
     }
 }
 
-/// The loss of the first step, and the gradient of each parameter of the model.
-fn gradients(model: &mut DecoderModel, scene: &Scene) -> (f32, Vec<(String, Vec<f32>)>) {
-    let (loss, gradient) = step(model, scene, 0);
+/// The loss of the first step, and the gradient of each parameter of the decoder.
+fn gradients(
+    (mut model, decoder): (DecoderModel, Decoder),
+    scene: &Scene,
+) -> (f32, Vec<(String, Vec<f32>)>) {
+    let (loss, gradient) = step(&mut model, &decoder, scene, 0);
     let mut lengths = Lengths::default();
-    model.module().visit(&mut lengths);
+    decoder.visit(&mut lengths);
     let mut first = 0;
     let named = lengths.found.into_iter().map(|(name, length)| {
         first += length;
@@ -158,7 +152,12 @@ fn gradients(model: &mut DecoderModel, scene: &Scene) -> (f32, Vec<(String, Vec<
 }
 
 /// Loss and gradient `[P]` of a step.
-fn step(model: &mut DecoderModel, scene: &Scene, iteration: usize) -> (f32, Vec<f32>) {
+fn step(
+    model: &mut DecoderModel,
+    decoder: &Decoder,
+    scene: &Scene,
+    iteration: usize,
+) -> (f32, Vec<f32>) {
     let label = loss::LabelLoss::Gjs { pi: 0.9 };
     let loss = CoSegLoss {
         lambda: [0.8, 20.0],
@@ -166,7 +165,7 @@ fn step(model: &mut DecoderModel, scene: &Scene, iteration: usize) -> (f32, Vec<
     };
     let (drawn, blend) = (&scene.drawn, scene.blend);
     let decoded = model
-        .decode(0, &drawn.visible, iteration)
+        .decode(decoder, 0, &drawn.visible, iteration)
         .expect("a prediction");
     let scores = drawn
         .blended(decoded.scores.clone(), blend)
@@ -174,20 +173,23 @@ fn step(model: &mut DecoderModel, scene: &Scene, iteration: usize) -> (f32, Vec<
     let loss = loss
         .forward(scores, &drawn.pixels, decoded.regularisation.clone())
         .expect("a loss");
-    let gradient = model.gradient(0, &decoded, &mut loss.backward());
+    let gradient = model.gradient(decoder, 0, &decoded, &mut loss.backward());
     let gradient = gradient.into_data().into_vec().expect("f32");
     (loss.inner().into_scalar(), gradient)
 }
 
 /// Losses and gradients of some steps of gradient descent.
-fn trained(model: &mut DecoderModel, scene: &Scene, steps: usize) -> Vec<(f32, Vec<f32>)> {
+fn trained(
+    (mut model, mut decoder): (DecoderModel, Decoder),
+    scene: &Scene,
+    steps: usize,
+) -> Vec<(f32, Vec<f32>)> {
     let mut adam = Adam::new(1e-2, None);
     let step = |iteration| {
-        let (loss, gradient) = step(model, scene, iteration);
+        let (loss, gradient) = step(&mut model, &decoder, scene, iteration);
         let device = crate::support::device();
         let values = TensorData::new(gradient.clone(), [gradient.len()]);
-        let module = model.module().clone();
-        model.set_module(adam.step(module, Tensor::from_data(values, &device), 1.0));
+        decoder = adam.step(decoder.clone(), Tensor::from_data(values, &device), 1.0);
         (loss, gradient)
     };
     (0..steps).map(step).collect()
@@ -244,7 +246,7 @@ fn parts_of_any_size_give_the_gradients_of_the_step_at_once() {
                 loss: label_loss,
                 ..config(blend, chunk)
             };
-            gradients(&mut model(&scene, &config, regularised, prior), &scene)
+            gradients(model(&scene, &config, regularised, prior), &scene)
         };
         let (loss, whole) = of(0);
         let layers = if switches.single_scale.is_some() {
@@ -301,8 +303,8 @@ fn a_step_by_references_has_the_same_loss_and_gradients() {
         let scene = Scene::new(Switches::default(), blend);
         let config = config(blend, chunk);
         let step = || {
-            let mut model = model(&scene, &config, true, blend == Blend::Probabilities);
-            gradients(&mut model, &scene)
+            let model = model(&scene, &config, true, blend == Blend::Probabilities);
+            gradients(model, &scene)
         };
         let (loss, found) = step();
         let (reference_loss, references) =
@@ -322,7 +324,7 @@ fn a_step_by_references_has_the_same_loss_and_gradients() {
 fn the_regularisation_matters_in_parts_too() {
     let scene = Scene::new(Switches::default(), Blend::Probabilities);
     let config = config(Blend::Probabilities, 200);
-    let of = |regularised| gradients(&mut model(&scene, &config, regularised, false), &scene);
+    let of = |regularised| gradients(model(&scene, &config, regularised, false), &scene);
     let ((with, a), (without, b)) = (of(true), of(false));
     assert!(with > without + 1e-3, "{with} and {without}");
     assert_ne!(a, b);
@@ -337,7 +339,7 @@ fn parts_have_the_same_bits_at_any_number_of_threads() {
             .build()
             .expect("threads");
         let config = config(Blend::Probabilities, 250);
-        pool.install(|| trained(&mut model(&scene, &config, true, true), &scene, 4))
+        pool.install(|| trained(model(&scene, &config, true, true), &scene, 4))
     };
     let (one, two) = (run(1), run(2));
     assert!(one == two);

@@ -8,7 +8,7 @@ use coseg::config::{AssociationConfig, LabelSource};
 use coseg::data::{LabelMap, LabelRuns, Limits, LoadOptions, Scene, Split, View, load};
 use coseg::error::Result;
 use coseg::metrics::{InstanceScores, instance_scores};
-use coseg::objects::{self, LabelMaps, LabelRule, vote};
+use coseg::objects::{self, LabelMaps, vote};
 use coseg::raster::{Projected, Settings, SplatTensors};
 use coseg::splat::Gaussians;
 use rand::SeedableRng;
@@ -142,11 +142,7 @@ fn rendered(gaussians: &Gaussians, scene: &Scene) -> Vec<LabelMap> {
     )
     .expect("votes")
     .identities();
-    let rule = LabelRule {
-        source: LabelSource::Labels,
-        min_coverage: 0.5,
-    };
-    let maps = LabelMaps::new(&votes, &scene.classes, rule);
+    let maps = LabelMaps::new(&votes, &scene.classes, LabelSource::Labels, 0.5);
     let splats = SplatTensors::new(gaussians, &crate::support::device());
     let render = |view: &View| {
         maps.of(&splats.seen_by(&view.camera, &settings))

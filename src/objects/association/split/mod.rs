@@ -7,7 +7,7 @@ mod candidates;
 mod partition;
 
 use super::groups::{Assigned, Groups};
-use super::merge::PRIOR_VIEWS;
+use super::merge::{MIN_AGREEMENT, PRIOR_VIEWS};
 use super::ownership::Evidence;
 use super::part_evidence::{PartGaussian, part_evidence};
 use super::segments::ViewSegments;
@@ -17,7 +17,7 @@ use partition::{Partition, partition};
 use rayon::prelude::*;
 
 /// Splits each group that the views take for two objects. Returns whether any group was split. More than the share `1 -
-/// min_agreement` of the views that count must say two, and [`PRIOR_VIEWS`] views say one beforehand. The larger part keeps the
+/// MIN_AGREEMENT` of the views that count must say two, and [`PRIOR_VIEWS`] views say one beforehand. The larger part keeps the
 /// number of the group. `groups` has the weights of `assigned`. Asks `progress` whether to go on.
 ///
 /// One pass over the views compares a partition of every group, so there are [`SEEDS`] passes whatever the number of groups.
@@ -26,7 +26,6 @@ pub(super) fn split(
     views: &[ViewSegments],
     assigned: &mut [Assigned<'_>],
     order: &[usize],
-    min_agreement: f64,
     progress: &mut Progress,
 ) -> Result<bool, End> {
     let mut candidates = candidates(groups, assigned, order);
@@ -53,7 +52,7 @@ pub(super) fn split(
         for ((candidate, found), Evidence { one, two }) in
             candidates.into_iter().zip(found).zip(evidence)
         {
-            if min_agreement * two > (1.0 - min_agreement) * (one + PRIOR_VIEWS) {
+            if MIN_AGREEMENT * two > (1.0 - MIN_AGREEMENT) * (one + PRIOR_VIEWS) {
                 candidate.best = Some(found.smaller);
             }
         }
@@ -132,7 +131,6 @@ mod tests {
             views,
             &mut assigned,
             &order,
-            0.5,
             &mut |_| Ok(()),
         ));
         (
@@ -210,7 +208,6 @@ mod tests {
             &views,
             &mut assigned,
             &[0, 1, 2],
-            0.5,
             &mut |_| Ok(())
         )));
     }
@@ -314,7 +311,6 @@ mod tests {
                 &views,
                 &mut assigned,
                 &order,
-                0.5,
                 &mut |_| Ok(()),
             ));
             assert_eq!(any, !found.is_empty());

@@ -77,7 +77,7 @@ impl<E: Real> Entry<E> {
 /// one for each of its Gaussians. Returns the cells of the first Gaussian grid by grid, then those of the next.
 pub fn tile_cell_weights<E: Real>(
     tile: usize,
-    pairs: &TilePairs<'_, E>,
+    pairs: &TilePairs<E>,
     taps: &[Taps],
     entries: &mut [Entry<E>],
 ) -> Vec<CellWeight<E>> {
@@ -208,13 +208,13 @@ fn clipped<T>(all: &[T], from: usize, len: usize) -> &[T] {
 wide_kernel! {
     /// The cell weights of all Gaussians of a tile.
     fn cell_weights(
-        pairs: &TilePairs<'_, E>, grids: &TileGrids<E>, entries: &mut [Entry<E>], out: &mut Vec<CellWeight<E>>,
+        pairs: &TilePairs<E>, grids: &TileGrids<E>, entries: &mut [Entry<E>], out: &mut Vec<CellWeight<E>>,
     ) => add_cell_weights
 }
 
 #[inline(always)]
 fn add_cell_weights<E: Real, const FMA: bool>(
-    pairs: &TilePairs<'_, E>,
+    pairs: &TilePairs<E>,
     grids: &TileGrids<E>,
     entries: &mut [Entry<E>],
     out: &mut Vec<CellWeight<E>>,
@@ -225,7 +225,7 @@ fn add_cell_weights<E: Real, const FMA: bool>(
     // `out` is longer than needed, so that writing a cell needs no capacity check.
     let mut len = 0;
     for (i, entry) in entries.iter_mut().enumerate().take(pairs.len()) {
-        let (_, pixels, weights) = pairs.gaussian(i);
+        let (pixels, weights) = pairs.gaussian(i);
         let (Some(&first), Some(&last)) = (pixels.first(), pixels.last()) else {
             continue;
         };

@@ -12,7 +12,7 @@ use crate::backend::Real;
 use crate::backend::device::in_host_memory;
 use crate::config::Resolution;
 use crate::data::mask::Mask;
-use crate::error::{Result, bail, ensure};
+use crate::error::{Result, ensure};
 use crate::features::{FeatureMap, Lattice};
 use crate::ops::CustomOp;
 use crate::raster::{Projected, Settings, SplatTensors, Splats};
@@ -87,26 +87,13 @@ impl<E: Real> Sums<E> {
         }
         match resolution {
             Resolution::Image => cpu::lift_view(self, splats, camera, maps, mask, &grids, settings),
-            Resolution::Feature => grids.iter().try_for_each(|grid| {
-                // Cells are the pixels of the scaled camera.
-                let pixels = (
-                    Lattice {
-                        steps: None,
-                        ..grid.0
-                    },
-                    grid.1.clone(),
-                );
-                let cells = grid.0.camera(camera);
+            Resolution::Feature => grids.into_iter().try_for_each(|(mut lattice, scales)| {
+                let cells = lattice.camera(camera);
                 let mask = mask.map(|mask| mask_of_cells(mask, camera, &cells));
-                cpu::lift_view(
-                    self,
-                    splats,
-                    &cells,
-                    maps,
-                    mask.as_ref(),
-                    &[pixels],
-                    settings,
-                )
+                // Cells are the pixels of the scaled camera.
+                lattice.steps = None;
+                let (mask, grids) = (mask.as_ref(), [(lattice, scales)]);
+                cpu::lift_view(self, splats, &cells, maps, mask, &grids, settings)
             }),
         }
     }
@@ -114,27 +101,15 @@ impl<E: Real> Sums<E> {
 
 /// `mask`, of the pixels of `camera`, at the centres of the pixels of `cells`, the same camera at another size.
 fn mask_of_cells(mask: &Mask, camera: &Camera, cells: &Camera) -> Mask {
-    let pixel = |cell: usize,
-                 [center, focal]: [f64; 2],
-                 [pixel_center, pixel_focal]: [f64; 2],
-                 pixels: usize| {
+    let axes = |c: &Camera| [(c.cx, c.fx, c.width), (c.cy, c.fy, c.height)];
+    let (from, to) = (axes(cells), axes(camera));
+    let pixel = |axis: usize, cell: usize| {
+        let ((center, focal, _), (pixel_center, pixel_focal, pixels)) = (from[axis], to[axis]);
         let place = (cell as f64 + 0.5 - center) * pixel_focal / focal + pixel_center;
         (place.max(0.0) as usize).min(pixels.saturating_sub(1))
     };
     Mask::new(cells.width, cells.height, |i| {
-        let (x, y) = (i % cells.width, i / cells.width);
-        let x = pixel(
-            x,
-            [cells.cx, cells.fx],
-            [camera.cx, camera.fx],
-            camera.width,
-        );
-        let y = pixel(
-            y,
-            [cells.cy, cells.fy],
-            [camera.cy, camera.fy],
-            camera.height,
-        );
+        let [x, y] = [pixel(0, i % cells.width), pixel(1, i / cells.width)];
         mask.uses(y * camera.width + x)
     })
 }
@@ -144,12 +119,8 @@ fn check_maps(n: usize, channels: &[usize], gaussians: usize, maps: &[FeatureMap
     let found: Vec<usize> = maps.iter().map(|m| m.channels).collect();
     ensure!(found == channels, argument "feature maps"; found "channels {found:?}";
         expected "{channels:?}, one map a scale"; help "reduce all views alike");
-    if gaussians != n {
-        let found = format!("{gaussians} Gaussians");
-        let expected = format!("{n}");
-        bail!(argument "unprojection"; found "{found}"; expected "{expected}";
-            help "use new sums for another scene");
-    }
+    ensure!(gaussians == n, argument "unprojection"; found "{gaussians} Gaussians"; expected "{n}";
+        help "use new sums for another scene");
     for (scale, map) in maps.iter().enumerate() {
         map.check(&format!("feature map of scale {}", scale + 1))?;
         ensure!(map.cells() != 0, argument "feature map"; found "no cells"; expected "one or more";
@@ -219,7 +190,10 @@ impl<'a> LiftedViews<'a> {
                 let pixels = mask.map_or(camera.width * camera.height, Mask::kept);
                 Ok((counts.into_iter().map(u64::from).collect(), pixels as u64))
             }
-            Kernel::Tensors(sums) => sums.disc_pixels(&splats, camera, mask, settings),
+            Kernel::Tensors(sums) => {
+                let projected = sums.project(&splats, camera, mask, settings)?;
+                Ok((projected.counts, projected.pixels))
+            }
         }
     }
 

@@ -93,20 +93,8 @@ impl TensorSums {
         Ok(())
     }
 
-    /// Algorithm 1's counter in the view of `camera`, `[N]`, of the pixels that `mask` uses, and how many these are.
-    pub fn disc_pixels(
-        &self,
-        splats: &Splats<'_, f32>,
-        camera: &Camera,
-        mask: Option<&Mask>,
-        settings: &Settings,
-    ) -> Result<(Vec<u64>, u64)> {
-        let projected = self.project(splats, camera, mask, settings)?;
-        Ok((projected.counts, projected.pixels))
-    }
-
     /// The view of `camera`, of the pixels that `mask` uses.
-    fn project(
+    pub fn project(
         &self,
         splats: &Splats<'_, f32>,
         camera: &Camera,
@@ -182,15 +170,15 @@ impl TensorSums {
 }
 
 /// A view whose maps are lifted, and its pixels that count.
-struct ProjectedPixels {
+pub(super) struct ProjectedPixels {
     view: SplatView,
     /// 1 for pixels that the mask uses, else 0, `[W H, 1]`; `None` without a mask.
     used: Option<Tensor<2>>,
     /// `W^T 1` over the used pixels, `[N, 1]`.
     weights: Tensor<2>,
     /// Disc pixels of each Gaussian among the used ones, and the number of used pixels.
-    counts: Vec<u64>,
-    pixels: u64,
+    pub counts: Vec<u64>,
+    pub pixels: u64,
 }
 
 /// `W^T U F`, `[N, channels]`: a block of channels at a time, so that no image holds them all.
