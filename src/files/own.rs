@@ -25,6 +25,9 @@ pub const RECORD: &str = ".coseg-files";
 const FIRST: &str =
     "SHA-256 and name of each file that coseg wrote here. It writes over no others.\n";
 
+/// Time and size of a file.
+pub type Stamp = (SystemTime, u64);
+
 /// What this process knows of records.
 #[derive(Default)]
 struct Known {
@@ -33,7 +36,7 @@ struct Known {
     /// Lines of the records, by folder.
     lines: HashMap<PathBuf, HashSet<String>>,
     /// Time and size of the files that this process wrote: as long as they stay, nobody else has changed the content.
-    stamps: HashMap<PathBuf, (SystemTime, u64)>,
+    stamps: HashMap<PathBuf, Stamp>,
     /// Files and folders that may be written over.
     allowed: HashSet<PathBuf>,
 }
@@ -88,7 +91,7 @@ pub fn check(path: impl AsRef<Path>) -> Result<()> {
     let Ok(there) = fs::symlink_metadata(path) else {
         return Ok(());
     };
-    let stamp = there.modified().ok().map(|time| (time, there.len()));
+    let stamp = stamp_of(path);
     let is_known = with_known(|known| {
         let is_allowed = |path: &Path| known.allowed.contains(path);
         known.commands.is_empty()
@@ -121,10 +124,7 @@ pub fn check_folder(folder: impl AsRef<Path>) -> Result<()> {
 
 /// Whether the record of its folder has the file as it is.
 fn is_recorded(path: &Path) -> Result<bool> {
-    let mut content = super::open(path)?;
-    let mut hash = Sha256::new();
-    io::copy(&mut content, &mut hash).map_err(|e| Error::io(path, "read", e))?;
-    let digest = hash.finalize();
+    let digest = super::sha256(path)?;
     let lines = read(folder(path))?;
     let commands = with_known(|known| known.commands.clone());
     let mut own = commands.iter().map(|command| line(path, &digest, command));
@@ -148,11 +148,11 @@ fn remove_abandoned(folder: &Path) {
 
 /// Notes that a file with this SHA-256 is about to take its place at `path`. The first time in a folder, removes what killed
 /// processes left there.
-pub(super) fn note(path: &Path, digest: &[u8]) -> Result<()> {
+pub(super) fn note(path: &Path, digest: &str) -> Result<()> {
     with_known(|known| note_in(known, path, digest))
 }
 
-fn note_in(known: &mut Known, path: &Path, digest: &[u8]) -> Result<()> {
+fn note_in(known: &mut Known, path: &Path, digest: &str) -> Result<()> {
     let folder = folder(path);
     let Some(&command) = known.commands.first() else {
         return Ok(());
@@ -183,10 +183,15 @@ fn note_in(known: &mut Known, path: &Path, digest: &[u8]) -> Result<()> {
 
 /// Notes when the file at `path` was written.
 pub(super) fn stamp(path: &Path) {
-    let written = fs::symlink_metadata(path).and_then(|at| Ok((at.modified()?, at.len())));
-    if let Ok(stamp) = written {
+    if let Some(stamp) = stamp_of(path) {
         with_known(|known| known.stamps.insert(path.to_owned(), stamp));
     }
+}
+
+/// Time and size of the file at `path`, which change with its content; `None` where there is none.
+pub fn stamp_of(path: &Path) -> Option<Stamp> {
+    let there = fs::metadata(path).ok()?;
+    Some((there.modified().ok()?, there.len()))
 }
 
 /// Removes the record and the lock of a folder that holds nothing else, and the folder.
@@ -239,14 +244,14 @@ fn read(folder: &Path) -> Result<HashSet<String>> {
     Ok(lines.lines().map(str::to_owned).collect())
 }
 
-fn line(path: &Path, digest: &[u8], command: &str) -> String {
-    let hex: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+fn line(path: &Path, digest: &str, command: &str) -> String {
     // Escaped, because a name may have line ends.
     let name = super::file_name(path).unwrap_or_default();
-    format!("{hex} {command} {}", name.escape_debug())
+    format!("{digest} {command} {}", name.escape_debug())
 }
 
-fn folder(path: &Path) -> &Path {
+/// The folder that `path` is in.
+pub(super) fn folder(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
