@@ -4,10 +4,9 @@ use super::progress::Bars;
 use super::train::{command_line, quoted};
 use super::{BackendArgs, interrupt, terminal};
 use clap::Args;
-use coseg::compare::{Cell, Options, Plan, Tables, Watch, run};
+use coseg::compare::{Options, Plan, Tables, run};
 use coseg::error::Result;
 use coseg::files::{absolute, own};
-use coseg::progress::{Event, Progress};
 use coseg::runs::scene_path;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -98,7 +97,7 @@ impl CompareArgs {
             plan.title, options.device
         ));
         interrupt::watch();
-        let finished = run(&plan, &options, &device, &mut Lines::default())?;
+        let finished = run(&plan, &options, &device, &mut Bars::default())?;
         let tables = Tables::new(&plan, &finished.cells, &options.command);
         for file in tables.write(&out)? {
             terminal::say(&format!("wrote {}", file.display()));
@@ -134,33 +133,5 @@ fn commit(dir: &Path) -> String {
     match git(&["status", "--porcelain", "--untracked-files=no"]) {
         Some(changes) if changes.is_empty() => commit,
         _ => format!("{commit}+changes"),
-    }
-}
-
-/// Shows what a comparison does.
-#[derive(Default)]
-struct Lines(Bars);
-
-impl Progress for Lines {
-    fn event(&mut self, event: &Event) {
-        self.0.event(event);
-    }
-
-    fn stop(&mut self) -> bool {
-        self.0.stop()
-    }
-}
-
-impl Watch for Lines {
-    fn begins(&mut self, what: &str) {
-        terminal::note(what);
-    }
-
-    fn finished(&mut self, cell: &Cell) {
-        let miou = cell.figures.pixels.miou;
-        let miou = miou.map_or("no score".to_owned(), |miou| {
-            format!("mIoU {:.1} %", 100.0 * miou)
-        });
-        terminal::note(&format!("{}: {miou}", cell.id));
     }
 }

@@ -2,7 +2,6 @@
 
 use super::CellId;
 use crate::config::{BuildingConfig, Config, Variant};
-use crate::data::LoadOptions;
 use crate::error::{Error, Result, bail, ensure};
 use crate::files;
 use serde::Deserialize;
@@ -179,16 +178,6 @@ impl Plan {
         config.seed = seed;
         config.building = BuildingConfig::taking(gaussians);
         Ok(config)
-    }
-
-    /// How the scene of a kind of labels is read, to know its files.
-    pub(super) fn load_options(
-        &self,
-        scene: &SceneFolder,
-        labels: &LabelKind,
-    ) -> Result<LoadOptions> {
-        self.reading(scene, labels)
-            .map(|config| LoadOptions::from(&config))
     }
 
     fn check_names(&self) -> Result<()> {

@@ -47,16 +47,16 @@ fn deviation(values: &[f64]) -> Option<f64> {
     Some((squares / (values.len() - 1) as f64).sqrt())
 }
 
-/// The row that is ahead of all others by more than the larger spread of the two first. `None` where a row does not have `all` of
+/// The row whose mean, times `sign`, is ahead of all others by more than the larger spread of the two first. `None` where a row does not have `all` of
 /// its cells: it may be better than those that do.
-pub(super) fn best(rows: &[Option<Statistic>], all: usize) -> Option<usize> {
+pub(super) fn best(rows: &[Option<Statistic>], all: usize, sign: f64) -> Option<usize> {
     let complete = |row: &Option<Statistic>| row.filter(|row| row.cells == all);
     let rows: Option<Vec<Statistic>> = rows.iter().map(complete).collect();
     let mut order: Vec<(usize, Statistic)> = rows?.into_iter().enumerate().collect();
-    order.sort_by(|a, b| b.1.mean.total_cmp(&a.1.mean));
+    order.sort_by(|a, b| (sign * b.1.mean).total_cmp(&(sign * a.1.mean)));
     let [(first, best), (_, next), ..] = order[..] else {
         return None;
     };
     let spread = best.spread?.max(next.spread?);
-    (best.mean - next.mean > spread).then_some(first)
+    (sign * (best.mean - next.mean) > spread).then_some(first)
 }
