@@ -78,15 +78,14 @@ impl CompareArgs {
         for name in Tables::FILES {
             own::check(out.join(name))?;
         }
-        let (backend, device) = self.backend.choose()?;
-        let threads = rayon::current_num_threads();
+        let (device_text, device) = self.backend.choose_with_threads()?;
         let options = Options {
             out: out.clone(),
             command: command_line(),
             commit: self
                 .commit
                 .unwrap_or_else(|| commit(Path::new(env!("CARGO_MANIFEST_DIR")))),
-            device: format!("{backend} backend, {threads} threads"),
+            device: device_text,
             keep_cells: self.keep_cells,
             only: self.only,
             gaussians,
@@ -106,10 +105,8 @@ impl CompareArgs {
         terminal::say(&format!("{empty} of {cells} cells are empty"));
         if finished.stopped {
             let folder = quoted(self.out.display().to_string());
-            terminal::note(&format!(
-                "stopped; the same command with --out {folder} continues"
-            ));
-            return Ok(ExitCode::from(interrupt::EXIT));
+            let how = format!("the same command with --out {folder} continues");
+            return Ok(interrupt::stopped(&how));
         }
         Ok(ExitCode::SUCCESS)
     }

@@ -32,7 +32,7 @@ pub type Stamp = (SystemTime, u64);
 #[derive(Default)]
 struct Known {
     /// This command, and others whose files it may write over; empty without a guard.
-    commands: Vec<&'static str>,
+    commands: Vec<String>,
     /// Lines of the records, by folder.
     lines: HashMap<PathBuf, HashSet<String>>,
     /// Time and size of the files that this process wrote: as long as they stay, nobody else has changed the content.
@@ -56,24 +56,22 @@ fn with_known<T>(work: impl FnOnce(&mut Known) -> T) -> T {
 }
 
 /// From now on this process, which runs the first one of `commands`, writes over no files but those that these commands wrote.
-pub fn guard(commands: &[&'static str]) {
-    with_known(|known| known.commands = commands.to_vec());
+pub fn guard(commands: &[&str]) {
+    let commands = commands.iter().copied().map(str::to_owned).collect();
+    with_known(|known| known.commands = commands);
 }
 
 /// Calls `work` as a process of its own that has this [`guard`]: for programs that run several commands. It holds for what this
 /// thread writes.
-pub fn guarded<T>(commands: &[&'static str], work: impl FnOnce() -> T) -> T {
+pub fn guarded<T>(commands: &[&str], work: impl FnOnce() -> T) -> T {
     struct Restored(Option<Known>);
     impl Drop for Restored {
         fn drop(&mut self) {
             OF_THREAD.set(self.0.take());
         }
     }
-    let known = Known {
-        commands: commands.to_vec(),
-        ..Known::default()
-    };
-    let _restored = Restored(OF_THREAD.replace(Some(known)));
+    let _restored = Restored(OF_THREAD.replace(Some(Known::default())));
+    guard(commands);
     work()
 }
 
@@ -154,7 +152,7 @@ pub(super) fn note(path: &Path, digest: &str) -> Result<()> {
 
 fn note_in(known: &mut Known, path: &Path, digest: &str) -> Result<()> {
     let folder = folder(path);
-    let Some(&command) = known.commands.first() else {
+    let Some(command) = known.commands.first() else {
         return Ok(());
     };
     if !known.lines.contains_key(folder) {

@@ -3,7 +3,7 @@
 use crate::config::Config;
 use crate::data::{Classes, Limits, NamedCamera};
 use crate::error::{Error, Result, ensure, invalid};
-use crate::files::{atomic, extension, own};
+use crate::files::{self, atomic, extension, own};
 use crate::splat::formats;
 use crate::splat::ply::PlyScene;
 use std::path::{Path, PathBuf};
@@ -175,6 +175,5 @@ pub fn copy_cameras(from: &Path, to: &Path) -> Result<()> {
     if !source.is_file() {
         return atomic::remove(&target);
     }
-    let bytes = std::fs::read(&source).map_err(|e| Error::io(&source, "read", e))?;
-    atomic::write_bytes(&target, &bytes)
+    atomic::write_bytes(&target, &files::read(&source)?)
 }
