@@ -41,9 +41,9 @@ pub fn print(scores: &HeldOutScores, what: &str) {
         line(
             ", by class",
             &[
-                ("mIoU", s.miou),
-                ("mIoU per view", s.miou_per_view),
-                ("accuracy", s.accuracy),
+                ("mIoU", s.pixels.miou),
+                ("mIoU per view", s.pixels.miou_per_view),
+                ("accuracy", s.pixels.accuracy),
                 ("PQ", quality.all.pq),
                 ("PQ of things", quality.things.pq),
                 ("PQ of stuff", quality.stuff.pq),

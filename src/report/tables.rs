@@ -178,9 +178,9 @@ pub(super) fn objects_by_class(report: &Report<'_>) -> Option<Markup> {
     let rows = rows_with(report, |scores| scores.semantic.as_ref());
     let (_, first) = rows.first()?;
     let columns: [Column<SemanticScores>; 9] = [
-        ("mIoU pooled, %", |s| percent(s.miou)),
-        ("mIoU per view, %", |s| percent(s.miou_per_view)),
-        ("accuracy, %", |s| percent(s.accuracy)),
+        ("mIoU pooled, %", |s| percent(s.pixels.miou)),
+        ("mIoU per view, %", |s| percent(s.pixels.miou_per_view)),
+        ("accuracy, %", |s| percent(s.pixels.accuracy)),
         ("PQ, %", |s| percent(s.panoptic.and_then(|p| p.all.pq))),
         ("SQ, %", |s| percent(s.panoptic.and_then(|p| p.all.sq))),
         ("RQ, %", |s| percent(s.panoptic.and_then(|p| p.all.rq))),
