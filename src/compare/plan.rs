@@ -26,9 +26,11 @@ const OWN_KEYS: [(&str, &str); 4] = [
 ];
 
 /// A table, as its file states it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Plan {
     /// The file.
+    #[serde(skip)]
     pub path: PathBuf,
     /// Heading of the table.
     pub title: String,
@@ -41,17 +43,29 @@ pub struct Plan {
     /// Lines of each table.
     pub rows: Vec<Row>,
     /// Markdown with figures of papers, shown below the tables; may be empty.
+    #[serde(default)]
     pub published: String,
+    #[serde(default)]
     settings: Table,
 }
 
 /// A scene of a plan.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize)]
+#[serde(from = "String")]
 pub struct SceneFolder {
     /// Name of the folder; `builtin` for the built-in room.
     pub name: String,
     /// The folder; absent for the built-in room.
     pub dir: Option<PathBuf>,
+}
+
+impl From<String> for SceneFolder {
+    fn from(given: String) -> Self {
+        Self {
+            name: files::file_name(Path::new(&given)).unwrap_or_default(),
+            dir: (given != BUILTIN).then(|| given.into()),
+        }
+    }
 }
 
 /// A kind of labels: where they come from.
@@ -78,21 +92,6 @@ pub struct Row {
     settings: Table,
 }
 
-/// The file.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct PlanFile {
-    title: String,
-    scenes: Vec<String>,
-    seeds: u64,
-    #[serde(default)]
-    settings: Table,
-    labels: Vec<LabelKind>,
-    rows: Vec<Row>,
-    #[serde(default)]
-    published: String,
-}
-
 impl Plan {
     /// Reads and checks the plan at `path`. Its scenes are folders within `root`, or else within the folder of the file. `builtin`
     /// is the built-in room.
@@ -104,22 +103,14 @@ impl Plan {
         let text = files::text(path)?;
         let form = "a plan: title, scenes, seeds, published, [settings], [[labels]] with name, labelled_photos and settings, \
                     [[rows]] with name, variant and settings";
-        let file: PlanFile = files::toml(&text, path, form)?;
+        let mut plan: Self = files::toml(&text, path, form)?;
+        plan.path = path.to_owned();
+        plan.title = plan.title.trim().to_owned();
+        plan.published = plan.published.trim().to_owned();
         let root = root.or(path.parent()).unwrap_or(Path::new("."));
-        let scene = |given: &String| SceneFolder {
-            name: files::file_name(Path::new(given)).unwrap_or_default(),
-            dir: (given != BUILTIN).then(|| root.join(given)),
-        };
-        let plan = Self {
-            path: path.to_owned(),
-            title: file.title.trim().to_owned(),
-            scenes: file.scenes.iter().map(scene).collect(),
-            seeds: file.seeds,
-            labels: file.labels,
-            rows: file.rows,
-            published: file.published.trim().to_owned(),
-            settings: file.settings,
-        };
+        for dir in plan.scenes.iter_mut().flat_map(|scene| &mut scene.dir) {
+            *dir = root.join(&dir);
+        }
         plan.check_names()?;
         plan.check_size()?;
         plan.check_settings()?;
@@ -140,13 +131,19 @@ impl Plan {
         cells
     }
 
+    /// Settings of a run on `scene`: those of the plan, and those of `tables`.
+    fn settings(&self, scene: &SceneFolder, tables: &[&Table]) -> Result<Config> {
+        let mut config = Config::of_tables(&[&[&self.settings], tables].concat())?;
+        config.data.dir = scene.dir.clone();
+        Ok(config)
+    }
+
     /// Settings of stage one of a scene.
     ///
     /// # Errors
     /// [`Error::Config`].
     pub(super) fn stage_one(&self, scene: &SceneFolder) -> Result<Config> {
-        let mut config = Config::of_tables(&[&self.settings])?;
-        config.data.dir = scene.dir.clone();
+        let mut config = self.settings(scene, &[])?;
         config.segmentation.rows = Some(Vec::new());
         Ok(config)
     }
@@ -156,9 +153,7 @@ impl Plan {
     /// # Errors
     /// [`Error::Config`].
     pub(super) fn reading(&self, scene: &SceneFolder, labels: &LabelKind) -> Result<Config> {
-        let mut config = Config::of_tables(&[&self.settings, &labels.settings])?;
-        config.data.dir = scene.dir.clone();
-        Ok(config)
+        self.settings(scene, &[&labels.settings])
     }
 
     /// Settings of a cell, without its variant: stage two on Gaussians that are taken as they are.
@@ -173,8 +168,7 @@ impl Plan {
         seed: u64,
         gaussians: PathBuf,
     ) -> Result<Config> {
-        let mut config = Config::of_tables(&[&self.settings, &labels.settings, &row.settings])?;
-        config.data.dir = scene.dir.clone();
+        let mut config = self.settings(scene, &[&labels.settings, &row.settings])?;
         config.seed = seed;
         config.building = BuildingConfig::taking(gaussians);
         Ok(config)

@@ -2,10 +2,10 @@
 
 use super::columns::{COLUMNS, Column, FIELD_COLUMNS, FRAMES, MIOU, SECONDS};
 use super::plots::{ClassRow, Point, bars, points};
-use super::statistics::mean;
 use super::{Cell, CellId, Plan, Row, Statistic};
 use crate::error::Result;
 use crate::files::atomic;
+use crate::metrics::mean;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -302,7 +302,8 @@ impl<'a> Tables<'a> {
                 values.push(class.iou);
             }
             let means = by_class.into_iter();
-            let means = means.filter_map(|(class, iou)| Some((class, mean(iou.iter())?)));
+            let means =
+                means.filter_map(|(class, iou)| Some((class, mean(iou.into_iter().map(Some))?)));
             (row.name.clone(), means.collect())
         };
         self.plan.rows.iter().map(of_row).collect()
