@@ -1,6 +1,6 @@
 //! Camera paths of `coseg render`.
 
-use super::values::numbers;
+use super::values::number;
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
 use coseg::data::formats::transforms;
@@ -52,9 +52,9 @@ pub enum PathKind {
 }
 
 fn parse_radius(text: &str) -> std::result::Result<f64, String> {
-    let radius = numbers(text, ',').map(|[radius]: [f64; 1]| radius);
-    let radius = radius.filter(|radius| radius.is_finite() && *radius > 0.0);
-    radius.ok_or_else(|| "expected a number above 0".into())
+    number(text, "a number above 0", |radius: &f64| {
+        radius.is_finite() && *radius > 0.0
+    })
 }
 
 impl PathArgs {
