@@ -114,21 +114,10 @@ impl CompareArgs {
 
 /// The commit of the sources at `dir`, with `+changes` where files differ from it; `unknown` without git.
 fn commit(dir: &Path) -> String {
-    let git = |words: &[&str]| {
-        let output = Command::new("git")
-            .arg("-C")
-            .arg(dir)
-            .args(words)
-            .output()
-            .ok()?;
-        let text = String::from_utf8(output.stdout).ok()?;
-        output.status.success().then(|| text.trim().to_owned())
-    };
-    let Some(commit) = git(&["rev-parse", "--short", "HEAD"]) else {
-        return "unknown".to_owned();
-    };
-    match git(&["status", "--porcelain", "--untracked-files=no"]) {
-        Some(changes) if changes.is_empty() => commit,
-        _ => format!("{commit}+changes"),
-    }
+    let mut git = Command::new("git");
+    git.arg("-C").arg(dir);
+    git.args(["describe", "--always", "--exclude=*", "--dirty=+changes"]);
+    let output = git.output().ok().filter(|output| output.status.success());
+    let commit = output.and_then(|output| String::from_utf8(output.stdout).ok());
+    commit.map_or("unknown".to_owned(), |commit| commit.trim().to_owned())
 }

@@ -5,7 +5,7 @@ use super::{program, terminal};
 use clap::{Args, ValueEnum};
 use coseg::data::Classes;
 use coseg::error::{Error, Result, bail, ensure};
-use coseg::files::{atomic, extension, names, own};
+use coseg::files::{atomic, extension, names, own, sha256};
 use coseg::runs::{
     CAMERAS, CLASSES, ObjectScene, check_output, copy_cameras, has_table, read_scene, scene_path,
     write_classes,
@@ -234,8 +234,7 @@ impl ExportArgs {
         ensure!(has_table, &table, "classes"; found "those of {other}"; expected "those of the scene to export";
             help "export into another folder, or write over them by --force");
         let [from, to] = [&scene.path, out].map(|path| path.with_file_name(CAMERAS));
-        let content = |path: &Path| std::fs::read(path).map_err(|e| Error::io(path, "read", e));
-        let has_cameras = !from.is_file() || !to.is_file() || content(&from)? == content(&to)?;
+        let has_cameras = !from.is_file() || !to.is_file() || sha256(&from)? == sha256(&to)?;
         ensure!(has_cameras, &to, "cameras"; found "those of {other}"; expected "those of the scene to export";
             help "export into another folder, or write over them by --force");
         Ok(true)

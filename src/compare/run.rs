@@ -5,12 +5,11 @@ use super::plan::{LabelKind, Plan, Row, SceneFolder};
 use super::stage_one::SharedGaussians;
 use super::{Cell, CellId, Figures};
 use crate::config::Config;
-use crate::data::{self, Classes, LoadOptions, Scene, Split, View};
+use crate::data::{self, LoadOptions, Scene, Split, View};
 use crate::error::{Result, bail, ensure};
 use crate::files::lock::Lock;
 use crate::files::own;
-use crate::metrics::ClassIou;
-use crate::pipeline::{self, Scored, VariantOutcome, load_scene};
+use crate::pipeline::{self, Scored, load_scene};
 use crate::progress::{Event, Progress};
 use crate::provenance::Provenance;
 use crate::random::{Purpose, stream};
@@ -266,7 +265,7 @@ impl<'a> Comparison<'a> {
                 command: self.options.command.clone(),
                 device: self.options.device.clone(),
                 figures: Figures::of(row, &outcome, self.device)?,
-                class_iou: named_classes(row, &outcome.scene.classes),
+                class_iou: row.scores.labels.named(&outcome.scene.classes),
             };
             write_cell(&self.options.out, cell.clone(), job.provenance.clone())?;
             self.progress.event(&Event::Stored {
@@ -279,16 +278,6 @@ impl<'a> Comparison<'a> {
         own::remove_folder(&folder)?;
         Ok(true)
     }
-}
-
-/// The IoU of each class in the truth.
-fn named_classes(row: &VariantOutcome, classes: &Classes) -> Vec<ClassIou> {
-    let named = |&(id, iou): &(u16, f64)| ClassIou {
-        id,
-        name: classes.name(id).to_owned(),
-        iou,
-    };
-    row.scores.labels.per_class.iter().map(named).collect()
 }
 
 /// Jobs in groups that a run can train together: of equal settings, each variant once.

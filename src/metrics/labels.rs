@@ -1,6 +1,6 @@
 //! mIoU and accuracy of label maps.
 
-use super::mean;
+use super::{ClassIou, mean};
 use crate::data::Classes;
 use serde::{Deserialize, Serialize};
 
@@ -124,6 +124,18 @@ pub struct LabelScores {
     pub boundary_iou: Option<f64>,
     /// IoU of each class present in the truth, all views together: (id, IoU).
     pub per_class: Vec<(u16, f64)>,
+}
+
+impl LabelScores {
+    /// IoU of each class present in the truth, with its name in `classes`.
+    pub fn named(&self, classes: &Classes) -> Vec<ClassIou> {
+        let named = |&(id, iou): &(u16, f64)| ClassIou {
+            id,
+            name: classes.name(id).to_owned(),
+            iou,
+        };
+        self.per_class.iter().map(named).collect()
+    }
 }
 
 /// Scores `views` of (true ids, predicted ids), each `[H, W]`, one after the other. Pixels whose truth is the ignored id are left

@@ -76,14 +76,9 @@ pub fn semantic_scores<'a>(
         (view.truth, found.collect::<Vec<_>>())
     });
     let scores = label_scores(classes, pairs, Void::Wrong);
-    let named = |(id, iou)| ClassIou {
-        id,
-        name: classes.name(id).to_owned(),
-        iou,
-    };
     SemanticScores {
         pixels: scores.pixels,
-        per_class: scores.per_class.into_iter().map(named).collect(),
+        per_class: scores.named(classes),
         panoptic: panoptic(classes, stuff, &class_of, &views),
     }
 }

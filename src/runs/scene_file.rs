@@ -44,13 +44,10 @@ pub fn scene_path(given: &Path) -> Result<PathBuf> {
     if let Some(newest) = of_graphdeco(given) {
         return Ok(newest);
     }
-    let files = std::fs::read_dir(given).into_iter().flatten().flatten();
-    let plys = files
-        .map(|entry| entry.path())
-        .filter(|path| extension(path) == "ply");
-    let help = plys
-        .min()
-        .map_or(HELP.to_owned(), |other| format!("give {}", other.display()));
+    let plys = files::names(given, |_, path| extension(path) == "ply");
+    let help = plys.first().map_or(HELP.to_owned(), |other| {
+        format!("give {}", given.join(other).display())
+    });
     Err(invalid!(given, "{SCENE}"; found "no such file"; expected "a run folder"; help "{help}"))
 }
 
