@@ -112,12 +112,9 @@ pub fn check(path: impl AsRef<Path>) -> Result<()> {
 /// As [`check`].
 pub fn check_folder(folder: impl AsRef<Path>) -> Result<()> {
     let folder = folder.as_ref();
-    let mut names = super::names(folder, |name, path| {
-        !name.starts_with('.') && !path.is_dir()
-    });
-    names
-        .drain(..)
-        .try_for_each(|name| check(folder.join(name)))
+    let is_file = |name: &str, path: &Path| !name.starts_with('.') && !path.is_dir();
+    let mut names = super::names(folder, is_file).into_iter();
+    names.try_for_each(|name| check(folder.join(name)))
 }
 
 /// Whether the record of its folder has the file as it is.

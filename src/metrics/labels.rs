@@ -47,12 +47,8 @@ impl Confusion {
     /// Counts one view, given as label ids of `classes`; the truth's ignored id leaves a pixel out.
     pub fn add_ids(&mut self, classes: &Classes, truth: &[u16], prediction: &[u16]) {
         let lookup = classes.lookup();
-        let index = |ids: &[u16]| {
-            ids.iter()
-                .map(|&id| usize::from(lookup[usize::from(id)]))
-                .collect::<Vec<_>>()
-        };
-        self.add(index(truth), index(prediction));
+        let index = |&id: &u16| usize::from(lookup[usize::from(id)]);
+        self.add(truth.iter().map(index), prediction.iter().map(index));
     }
 
     /// Adds the counts of another confusion of as many classes; returns `false` for others.
