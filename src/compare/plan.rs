@@ -177,12 +177,9 @@ impl Plan {
     fn check_names(&self) -> Result<()> {
         ensure!(!self.title.is_empty() && !self.title.contains(char::is_control),
             &self.path, "title"; found "{:?}", self.title; expected "a line of text"; help "name what the table shows");
-        let scenes: Vec<&str> = self.scenes.iter().map(|scene| &*scene.name).collect();
-        let labels: Vec<&str> = self.labels.iter().map(|kind| &*kind.name).collect();
-        let rows: Vec<&str> = self.rows.iter().map(|row| &*row.name).collect();
-        for (field, names) in [("scenes", scenes), ("labels", labels), ("rows", rows)] {
-            self.check_list(field, &names)?;
-        }
+        self.check_list("scenes", self.scenes.iter().map(|scene| &*scene.name))?;
+        self.check_list("labels", self.labels.iter().map(|kind| &*kind.name))?;
+        self.check_list("rows", self.rows.iter().map(|row| &*row.name))?;
         for scene in &self.scenes {
             if let Some(dir) = scene.dir.as_ref().filter(|dir| !dir.is_dir()) {
                 let help = format!(
@@ -196,24 +193,24 @@ impl Plan {
     }
 
     /// Checks the names of a list: one or more, each usable as a file name, none twice.
-    fn check_list(&self, field: &str, names: &[&str]) -> Result<()> {
+    fn check_list<'a>(&self, field: &str, names: impl Iterator<Item = &'a str>) -> Result<()> {
         let path = &self.path;
-        ensure!(!names.is_empty(), path, "{field}"; found "none"; expected "one or more"; help "list them");
         let mut seen = BTreeSet::new();
-        for (i, name) in names.iter().enumerate() {
+        for (i, name) in names.enumerate() {
             let field = format!("{field}, number {}", i + 1);
             let forbidden = |c: char| c.is_control() || "/\\|<>\":*?`".contains(c);
             let is_plain = !name.trim().is_empty()
-                && name.trim() == *name
+                && name.trim() == name
                 && name.len() <= MAX_BYTES
                 && !name.starts_with('.')
                 && !name.contains(forbidden);
             ensure!(is_plain, path, "{field}"; found "{name:?}";
                 expected "a name of at most {MAX_BYTES} bytes that can be part of a file name and of a table";
                 help "leave out / \\ | < > \" : * ? ` and a dot at the front");
-            ensure!(seen.insert(*name),
+            ensure!(seen.insert(name),
                 path, "{field}"; found "{name:?} twice"; expected "each name once"; help "rename one of the two");
         }
+        ensure!(!seen.is_empty(), path, "{field}"; found "none"; expected "one or more"; help "list them");
         Ok(())
     }
 

@@ -125,19 +125,15 @@ impl Served<'_> {
         }
         let edits = Edits::read(&self.edits)?;
         let Viewer {
-            gaussians,
-            labels,
-            classes,
-            origin,
-            sha256,
-            ..
+            labels, classes, ..
         } = self.viewer;
-        ensure!(edits.scene == sha256, &self.edits, "scene"; found "edits of another scene";
+        let gaussians = self.viewer.gaussians;
+        ensure!(edits.scene == self.viewer.sha256, &self.edits, "scene"; found "edits of another scene";
             expected "edits of this one, or no file"; help "name another file by --edits, or move this one");
         let unlabelled = || classes.unlabelled(gaussians.len());
         let labels = labels.map_or_else(unlabelled, <[u16]>::to_vec);
         let mut editing = Editing::new(gaussians.clone(), labels, classes.clone());
-        edits.apply(&mut editing, sha256, origin)?;
+        edits.apply(&mut editing, self.viewer.sha256, self.viewer.origin)?;
         Ok(Saved {
             operations: edits.operations,
             saves: 0,
