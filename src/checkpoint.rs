@@ -187,7 +187,7 @@ impl Checkpoint {
         let metadata = HashMap::from([(KEY.to_owned(), settings.to_string())]);
         let views = self.tensors.iter().map(|(name, tensor)| {
             let view = TensorView::new(tensor.dtype, tensor.shape.clone(), &tensor.bytes)?;
-            Ok((name.clone(), view))
+            Ok((name.as_str(), view))
         });
         let views: Result<Vec<_>, SafeTensorError> = views.collect();
         let bytes = views

@@ -44,6 +44,15 @@ pub enum Event {
         /// Mean IoU of the held-out labels, where some have a truth.
         miou: Option<f64>,
     },
+    /// A comparison begins to train this.
+    Begun(String),
+    /// A cell of a comparison is stored.
+    Stored {
+        /// Its name.
+        cell: String,
+        /// Mean IoU of the held-out labels, where some have a truth.
+        miou: Option<f64>,
+    },
     /// The stage is done. Not sent for stages that were stopped early.
     Finished,
 }

@@ -41,26 +41,22 @@ enum Data {
 }
 
 impl Data {
-    fn name(self) -> &'static str {
+    /// Its name, and what to resume with, where this data differs and no setting explains it.
+    fn words(self) -> [&'static str; 2] {
+        const FILES: &str = "the original files, as the settings of data are the same";
         match self {
-            Self::Photos => "photos, masks, cameras and points",
-            Self::Gaussians => "Gaussians",
-            Self::Labels => "raw labels and cameras",
-            Self::ImageFeatures => "image features",
-            Self::PointEncoder => "point encoder",
-            Self::HeldOut => "labels of held-out views",
-        }
-    }
-
-    /// What to resume with, where this data differs and no setting explains it.
-    fn original(self) -> &'static str {
-        match self {
-            Self::Photos | Self::Labels | Self::HeldOut => {
-                "the original files, as the settings of data are the same"
-            }
-            Self::Gaussians => "the original Gaussians",
-            Self::ImageFeatures => "the original weights, or maps in features.source.import",
-            Self::PointEncoder => "the original weights in spatial.source.pretrained",
+            Self::Photos => ["photos, masks, cameras and points", FILES],
+            Self::Gaussians => ["Gaussians", "the original Gaussians"],
+            Self::Labels => ["raw labels and cameras", FILES],
+            Self::ImageFeatures => [
+                "image features",
+                "the original weights, or maps in features.source.import",
+            ],
+            Self::PointEncoder => [
+                "point encoder",
+                "the original weights in spatial.source.pretrained",
+            ],
+            Self::HeldOut => ["labels of held-out views", FILES],
         }
     }
 }
@@ -206,10 +202,8 @@ impl Provenance {
             (Some(now), Some(then)) => first_difference(&now.settings, &then.settings),
             _ => None,
         };
-        explained.or(Some(Difference::Data {
-            name: data.name(),
-            original: data.original(),
-        }))
+        let [name, original] = data.words();
+        explained.or(Some(Difference::Data { name, original }))
     }
 
     /// Whether label maps are rendered by the same rule as in `stored`.

@@ -1,9 +1,9 @@
 //! Safetensors files that hold their own checksum.
 
 use crate::error::{Result, ensure};
-use safetensors::{Dtype, SafeTensorError, SafeTensors, View};
+use safetensors::tensor::TensorView;
+use safetensors::{Dtype, SafeTensorError, SafeTensors};
 use sha2::{Digest, Sha256};
-use std::borrow::Cow;
 use std::collections::HashMap;
 use std::ops::Range;
 use std::path::Path;
@@ -11,52 +11,15 @@ use std::path::Path;
 /// Tensor with the SHA-256 of the file, computed while its own bytes are 0.
 pub(crate) const NAME: &str = "sha256";
 const EMPTY: [u8; 32] = [0; 32];
-static SHAPE: [usize; 1] = [EMPTY.len()];
-
-/// A tensor of the file, or its checksum.
-enum Part<V> {
-    Tensor(V),
-    Checksum,
-}
-
-impl<V: View> View for Part<V> {
-    fn dtype(&self) -> Dtype {
-        match self {
-            Self::Tensor(tensor) => tensor.dtype(),
-            Self::Checksum => Dtype::U8,
-        }
-    }
-
-    fn shape(&self) -> &[usize] {
-        match self {
-            Self::Tensor(tensor) => tensor.shape(),
-            Self::Checksum => &SHAPE,
-        }
-    }
-
-    fn data(&self) -> Cow<'_, [u8]> {
-        match self {
-            Self::Tensor(tensor) => tensor.data(),
-            Self::Checksum => Cow::Borrowed(&EMPTY),
-        }
-    }
-
-    fn data_len(&self) -> usize {
-        match self {
-            Self::Tensor(tensor) => tensor.data_len(),
-            Self::Checksum => EMPTY.len(),
-        }
-    }
-}
 
 /// The bytes of a safetensors file with these tensors and notes, and its checksum.
-pub(crate) fn sealed<V: View>(
-    tensors: impl IntoIterator<Item = (String, V)>,
+pub(crate) fn sealed<'a>(
+    tensors: impl IntoIterator<Item = (&'a str, TensorView<'a>)>,
     notes: Option<HashMap<String, String>>,
 ) -> Result<Vec<u8>, SafeTensorError> {
-    let tensors = tensors.into_iter().map(|(name, v)| (name, Part::Tensor(v)));
-    let parts = tensors.chain([(NAME.to_owned(), Part::Checksum)]);
-    let mut bytes = safetensors::serialize(parts, notes)?;
+    let checksum = TensorView::new(Dtype::U8, vec![EMPTY.len()], &EMPTY)?;
+    let all = tensors.into_iter().chain([(NAME, checksum)]);
+    let mut bytes = safetensors::serialize(all, notes)?;
     if let Some(place) = place(&bytes) {
         let digest = digest(&bytes, &place);
         bytes[place].copy_from_slice(&digest);

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use axum::Router;
 use axum::body::Body;
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use rand::TryRngCore;
@@ -37,15 +37,12 @@ impl Server {
     /// Serves `routes`, which all begin with `/TOKEN/`, on a free port of 127.0.0.1.
     pub fn start(routes: impl FnOnce(&str) -> Router) -> Result<Self> {
         let failed = |action| move |e| Error::io("127.0.0.1", action, e);
-        let listener =
-            TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).map_err(failed("open a port of"))?;
-        listener
-            .set_nonblocking(true)
-            .map_err(failed("open a port of"))?;
-        let host = listener
-            .local_addr()
-            .map_err(failed("open a port of"))?
-            .to_string();
+        let open = || {
+            let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
+            listener.set_nonblocking(true)?;
+            Ok((listener.local_addr()?.to_string(), listener))
+        };
+        let (host, listener) = open().map_err(failed("open a port of"))?;
         let token = token().map_err(failed("draw a token for"))?;
         let address = format!("http://{host}/{token}/");
         let (end, ended) = oneshot::channel();
@@ -103,7 +100,8 @@ fn token() -> std::io::Result<String> {
 async fn guarded(State(host): State<String>, request: Request, next: Next) -> Response {
     let headers = request.headers();
     let is_host = headers.get(header::HOST).is_some_and(|h| *h == *host);
-    let is_own = is_own_origin(headers, &host);
+    let own = format!("http://{host}");
+    let is_own = headers.get(header::ORIGIN).is_none_or(|o| *o == *own);
     let mut response = if is_host && is_own {
         next.run(request).await
     } else {
@@ -114,11 +112,6 @@ async fn guarded(State(host): State<String>, request: Request, next: Next) -> Re
         response.headers_mut().insert(name, value);
     }
     response
-}
-
-fn is_own_origin(headers: &HeaderMap, host: &str) -> bool {
-    let own = format!("http://{host}");
-    headers.get(header::ORIGIN).is_none_or(|o| *o == *own)
 }
 
 /// An answer that is a page.

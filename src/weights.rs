@@ -6,6 +6,7 @@ use crate::files::{self, atomic, extension};
 use crate::seal;
 use burn::store::pytorch_reader::{DType as TorchType, PytorchReader};
 use half::{bf16, f16};
+use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors, View};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
@@ -169,16 +170,10 @@ impl WeightFile {
     /// # Errors
     /// [`Error::Io`] when it cannot be written.
     pub(crate) fn write_one(path: &Path, name: &str, tensor: HostTensor) -> Result<()> {
-        let mut file = Self {
-            origin: path.to_owned(),
-            ..Self::default()
-        };
-        file.insert(name, tensor);
-        let tensors = file
-            .tensors
-            .iter()
-            .map(|(name, tensor)| (name.clone(), tensor));
-        let bytes = seal::sealed(tensors, None).map_err(|e| unreadable(path, "tensors", e))?;
+        let values = f32::to_bytes(&tensor.values);
+        let bytes = TensorView::new(Dtype::F32, tensor.shape, &values)
+            .and_then(|view| seal::sealed([(name, view)], None))
+            .map_err(|e| unreadable(path, "tensors", e))?;
         atomic::write_bytes(path, &bytes)
     }
 

@@ -70,7 +70,7 @@ pub(super) fn measure(bench: &Bench, gaussians: &Gaussians) -> Result<Vec<Figure
     // Round by round, so that a slow moment of the machine meets all points alike. The first round is the warm-up.
     for round in 0..=bench.repeats {
         for point in &mut points {
-            let seconds = [found.forward(point)?, found.forward_and_backward(point)?];
+            let seconds = [found.seconds(point, false)?, found.seconds(point, true)?];
             for (times, seconds) in point.times.iter_mut().zip(seconds) {
                 if round > 0 {
                     times.push(1e3 * seconds / cameras.len() as f64);
@@ -163,25 +163,20 @@ impl Subject<'_> {
         Ok(rasterize(input, camera, settings, [0.0; 3])?.image)
     }
 
-    /// Seconds of the views.
-    fn forward(&self, point: &Point) -> Result<f64> {
+    /// Seconds of the views, or of the views and their gradients.
+    fn seconds(&self, point: &Point, with_gradients: bool) -> Result<f64> {
         let start = Instant::now();
         for camera in self.cameras {
             let image = self.image(camera, &point.settings, point.sh_degree)?;
-            black_box(values(image.inner())?);
-        }
-        Ok(start.elapsed().as_secs_f64())
-    }
-
-    /// Seconds of the views and of their gradients.
-    fn forward_and_backward(&self, point: &Point) -> Result<f64> {
-        let start = Instant::now();
-        for camera in self.cameras {
-            let image = self.image(camera, &point.settings, point.sh_degree)?;
-            let mut gradients = loss(image.clone(), image.inner()).backward();
-            let last = self.input.opacity_logits.grad_remove(&mut gradients);
-            // A device computes in order: with the last gradient all others are there.
-            black_box(last.map(values).transpose()?);
+            let found = image.clone().inner();
+            if with_gradients {
+                let mut gradients = loss(image, found).backward();
+                let last = self.input.opacity_logits.grad_remove(&mut gradients);
+                // A device computes in order: with the last gradient all others are there.
+                black_box(last.map(values).transpose()?);
+            } else {
+                black_box(values(found)?);
+            }
         }
         Ok(start.elapsed().as_secs_f64())
     }
@@ -243,15 +238,9 @@ fn image_errors(found: &[Pass], truth: &[Pass]) -> Vec<f64> {
         let values = found.image.iter().zip(&truth.image);
         values.map(|(found, truth)| (found - truth).abs())
     });
-    let mut sum = 0.0;
-    let mut count = 0;
-    let mut largest = 0.0_f64;
-    for error in errors {
-        sum += error;
-        count += 1;
-        largest = largest.max(error);
-    }
-    vec![sum / f64::from(count.max(1)), largest]
+    let errors: Vec<f64> = errors.collect();
+    let mean = errors.iter().sum::<f64>() / errors.len().max(1) as f64;
+    vec![mean, errors.into_iter().fold(0.0, f64::max)]
 }
 
 /// Error of each gradient over all views, relative to the gradient.
@@ -271,33 +260,29 @@ fn gradient_errors(found: &[Pass], truth: &[Pass]) -> Vec<f64> {
 
 /// The settings to try: the configured ones, then each setting from exact to coarse, then all exact.
 fn points(configured: &Settings, exact: &Settings, sh_degree: usize) -> Vec<Point> {
-    let changed = |name: String, change: &dyn Fn(&mut Settings)| {
-        let mut settings = *configured;
-        change(&mut settings);
-        (name, settings)
-    };
-    let alpha_min =
-        ALPHA_MIN.map(|v| changed(format!("alpha_min {}", number(v)), &|s| s.alpha_min = v));
-    let t_min = T_MIN.map(|v| changed(format!("t_min {}", number(v)), &|s| s.t_min = v));
-    let alpha_max = ALPHA_MAX.map(|v| changed(format!("alpha_max {v}"), &|s| s.alpha_max = v));
-    let mut tried: Vec<_> = alpha_min
-        .into_iter()
-        .chain(t_min)
-        .chain(alpha_max)
-        .collect();
-    tried.push(("all exact".to_owned(), *exact));
-    tried.retain(|(_, settings)| settings != configured);
+    let c = *configured;
+    let alpha_min = ALPHA_MIN.map(|v| {
+        (
+            format!("alpha_min {}", number(v)),
+            Settings { alpha_min: v, ..c },
+        )
+    });
+    let t_min = T_MIN.map(|v| (format!("t_min {}", number(v)), Settings { t_min: v, ..c }));
+    let alpha_max = ALPHA_MAX.map(|v| (format!("alpha_max {v}"), Settings { alpha_max: v, ..c }));
+    let tried = alpha_min.into_iter().chain(t_min).chain(alpha_max);
+    let tried = tried.chain([("all exact".to_owned(), *exact)]);
+    let tried = tried.filter(|(_, settings)| settings != configured);
     let point = |(name, settings)| Point {
         name,
         settings,
         sh_degree,
         times: Default::default(),
     };
-    let mut points = vec![point(("as configured".to_owned(), *configured))];
-    points.extend(tried.into_iter().map(point));
+    let first = ("as configured".to_owned(), c);
+    let mut points: Vec<Point> = [first].into_iter().chain(tried).map(point).collect();
     points.extend((0..sh_degree).map(|degree| Point {
         sh_degree: degree,
-        ..point((format!("SH degree {degree} of {sh_degree}"), *configured))
+        ..point((format!("SH degree {degree} of {sh_degree}"), c))
     }));
     points
 }

@@ -1,10 +1,8 @@
 //! Measured figures with their spread, and the table of them.
 
-use crate::error::Result;
 use crate::report::thousands;
 use serde::Serialize;
 use std::fmt::Write;
-use std::time::Instant;
 
 /// One measured quantity.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -85,7 +83,11 @@ impl Figures {
         }
         out.push('\n');
         for figure in &self.figures {
-            let [median, spread] = figure.cells();
+            let spread = match figure.samples {
+                1 => String::new(),
+                _ => format!("{} .. {}", short(figure.low), short(figure.high)),
+            };
+            let median = format!("{} {}", short(figure.median), figure.unit);
             let _ = write!(out, "  {:<30}{median:>12}{spread:>20}", figure.name);
             for &error in &figure.errors {
                 let _ = write!(out, "{:>12}", short(error));
@@ -93,17 +95,6 @@ impl Figures {
             out.push('\n');
         }
         out
-    }
-}
-
-impl Figure {
-    /// Median and spread.
-    fn cells(&self) -> [String; 2] {
-        let spread = match self.samples {
-            1 => String::new(),
-            _ => format!("{} .. {}", short(self.low), short(self.high)),
-        };
-        [format!("{} {}", short(self.median), self.unit), spread]
     }
 }
 
@@ -115,17 +106,6 @@ fn median(sorted: &[f64]) -> f64 {
     } else {
         0.5 * (sorted[middle - 1] + sorted[middle])
     }
-}
-
-/// Adds the seconds of one run of `work` to `samples`, and returns its result.
-///
-/// # Errors
-/// That of `work`; nothing is added then.
-pub fn timed<T>(samples: &mut Vec<f64>, work: impl FnOnce() -> Result<T>) -> Result<T> {
-    let start = Instant::now();
-    let out = work()?;
-    samples.push(start.elapsed().as_secs_f64());
-    Ok(out)
 }
 
 /// About three digits; whole numbers stay whole.

@@ -1,6 +1,5 @@
 //! Times and peak memory of the stages of a run.
 
-use super::figures::timed;
 use super::machine::reset_peak_memory;
 use super::{Bench, Figures};
 use crate::config::Budget;
@@ -66,13 +65,12 @@ fn stage_one(bench: &Bench, gaussians: &Gaussians, figures: &mut Figures) -> Res
     let mut plain = Vec::new();
     let mut densifying = Vec::new();
     for _ in 0..steps {
-        let mut seconds = Vec::new();
-        let report = timed(&mut seconds, || trainer.step())?;
-        let of_kind = match report.densified {
+        let start = Instant::now();
+        let of_kind = match trainer.step()?.densified {
             Some(_) => &mut densifying,
             None => &mut plain,
         };
-        of_kind.extend(seconds.iter().map(|seconds| 1e3 * seconds));
+        of_kind.push(1e3 * start.elapsed().as_secs_f64());
     }
     figures.add("stage one, a step", "ms", &plain);
     let name = format!("one step of {every}, with densification");
@@ -95,7 +93,10 @@ fn stage_two(
     config.segmentation.eval_every = steps;
     config.segmentation.checkpoint_every = steps;
     config.unprojection.attendance = 0.0;
-    let mut clock = Clock::new();
+    let mut clock = Clock {
+        last: Instant::now(),
+        steps: Vec::new(),
+    };
     let scores = ImageScores::default();
     let scene = &bench.scene;
     let device = &bench.device;
@@ -129,15 +130,6 @@ fn add_peak_memory(stage: &str, figures: &mut Figures) {
 struct Clock {
     last: Instant,
     steps: Vec<f64>,
-}
-
-impl Clock {
-    fn new() -> Self {
-        Self {
-            last: Instant::now(),
-            steps: Vec::new(),
-        }
-    }
 }
 
 impl Progress for Clock {

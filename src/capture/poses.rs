@@ -79,19 +79,19 @@ impl Solver {
         let sparse = place.work.join("sparse");
         if let Self::Pycolmap(python) = self {
             let mut command = Command::new(python);
-            command.args(["-c", include_str!("pycolmap.py"), step.name()]);
+            command.args(["-c", include_str!("pycolmap.py"), step.name]);
             command.args([&database, place.images, &sparse]);
             return command;
         }
         let mut command = Command::new("colmap");
-        command.arg(step.of_colmap());
+        command.arg(step.of_colmap);
         command.arg("--database_path").arg(database);
-        if step != Step::Matches {
+        if step != MATCHES {
             command.arg("--image_path").arg(place.images);
         }
         // Without CUDA it would use OpenGL, which needs a screen.
         if *self == (Self::Colmap { cuda: false }) {
-            let help = says(Command::new("colmap").args([step.of_colmap(), "-h"]));
+            let help = says(Command::new("colmap").args([step.of_colmap, "-h"]));
             let help = help.unwrap_or_default();
             // Its name differs between versions.
             let option = help
@@ -101,15 +101,11 @@ impl Solver {
                 command.args([option, "0"]);
             }
         }
-        match step {
-            Step::Features => {
-                command.args(["--ImageReader.single_camera", "1"]);
-                command.args(["--ImageReader.camera_model", "OPENCV"]);
-            }
-            Step::Matches => {}
-            Step::Poses => {
-                command.arg("--output_path").arg(sparse);
-            }
+        if step == FEATURES {
+            command.args(["--ImageReader.single_camera", "1"]);
+            command.args(["--ImageReader.camera_model", "OPENCV"]);
+        } else if step == POSES {
+            command.arg("--output_path").arg(sparse);
         }
         command
     }
@@ -126,11 +122,12 @@ impl Solver {
     ) -> Result<ControlFlow<()>> {
         let sparse = place.work.join("sparse");
         super::make_empty(&sparse)?;
-        for step in [Step::Features, Step::Matches, Step::Poses] {
-            let mut viewing = Viewing::begin(progress, step.name(), step.length(photos));
+        let blocks = photos.div_ceil(BLOCK).pow(2);
+        for (step, length) in [(FEATURES, photos), (MATCHES, blocks), (POSES, photos)] {
+            let mut viewing = Viewing::begin(progress, step.name, length);
             let mut command = self.command(step, place);
             let done = program::run(&mut command, HELP, &mut viewing, |line| {
-                usize::from(step.advances(line))
+                usize::from(line.contains(step.done))
             })?;
             if done.is_break() {
                 return Ok(done);
@@ -163,43 +160,26 @@ fn says(command: &mut Command) -> Option<String> {
 
 /// A step of COLMAP.
 #[derive(Clone, Copy, PartialEq)]
-enum Step {
-    Features,
-    Matches,
-    Poses,
+struct Step {
+    name: &'static str,
+    /// Its command of the program.
+    of_colmap: &'static str,
+    /// What a line of the output has in it when another photo or block is done.
+    done: &'static str,
 }
 
-impl Step {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Features => "features",
-            Self::Matches => "matches",
-            Self::Poses => "poses",
-        }
-    }
-
-    fn of_colmap(self) -> &'static str {
-        match self {
-            Self::Features => "feature_extractor",
-            Self::Matches => "exhaustive_matcher",
-            Self::Poses => "mapper",
-        }
-    }
-
-    /// Photos or blocks of the step.
-    fn length(self, photos: usize) -> usize {
-        match self {
-            Self::Matches => photos.div_ceil(BLOCK).pow(2),
-            Self::Features | Self::Poses => photos,
-        }
-    }
-
-    /// Whether a line of the output says that another photo or block is done.
-    fn advances(self, line: &str) -> bool {
-        line.contains(match self {
-            Self::Features => "Processed file [",
-            Self::Matches => " block [",
-            Self::Poses => "Registering image #",
-        })
-    }
-}
+const FEATURES: Step = Step {
+    name: "features",
+    of_colmap: "feature_extractor",
+    done: "Processed file [",
+};
+const MATCHES: Step = Step {
+    name: "matches",
+    of_colmap: "exhaustive_matcher",
+    done: " block [",
+};
+const POSES: Step = Step {
+    name: "poses",
+    of_colmap: "mapper",
+    done: "Registering image #",
+};

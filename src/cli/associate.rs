@@ -42,7 +42,7 @@ impl AssociateArgs {
         let mut config = self.input.config()?;
         config.data.association = Association::Gaussians;
         let settings = Settings::from(&config.raster);
-        let device = self.input.device()?;
+        let device = self.input.backend.open()?;
         let (mut scene, ply) = self.input.read(&config, &device, &["labels"])?;
         let found = associate(&ply.gaussians, &mut scene, &config, &mut Bars::default())?;
         let Some(Associated { counts, semantics }) = found else {

@@ -124,7 +124,7 @@ fn write_json(path: &Path, machine: &Machine, bench: &Bench, found: &[Figures]) 
         "repeats": bench.repeats,
         "sections": found,
     });
-    atomic::write_bytes(path, format!("{json:#}\n").as_bytes())?;
+    atomic::write_json(path, &json)?;
     terminal::say("");
     terminal::say(&format!("figures: {}", path.display()));
     Ok(())

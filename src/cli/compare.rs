@@ -4,10 +4,9 @@ use super::progress::Bars;
 use super::train::{command_line, quoted};
 use super::{BackendArgs, interrupt, terminal};
 use clap::Args;
-use coseg::compare::{Cell, Options, Plan, Tables, Watch, run};
+use coseg::compare::{Options, Plan, Tables, run};
 use coseg::error::Result;
 use coseg::files::{absolute, own};
-use coseg::progress::{Event, Progress};
 use coseg::runs::scene_path;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -79,15 +78,14 @@ impl CompareArgs {
         for name in Tables::FILES {
             own::check(out.join(name))?;
         }
-        let (backend, device) = self.backend.choose()?;
-        let threads = rayon::current_num_threads();
+        let (device_text, device) = self.backend.choose_with_threads()?;
         let options = Options {
             out: out.clone(),
             command: command_line(),
             commit: self
                 .commit
                 .unwrap_or_else(|| commit(Path::new(env!("CARGO_MANIFEST_DIR")))),
-            device: format!("{backend} backend, {threads} threads"),
+            device: device_text,
             keep_cells: self.keep_cells,
             only: self.only,
             gaussians,
@@ -98,7 +96,7 @@ impl CompareArgs {
             plan.title, options.device
         ));
         interrupt::watch();
-        let finished = run(&plan, &options, &device, &mut Lines::default())?;
+        let finished = run(&plan, &options, &device, &mut Bars::default())?;
         let tables = Tables::new(&plan, &finished.cells, &options.command);
         for file in tables.write(&out)? {
             terminal::say(&format!("wrote {}", file.display()));
@@ -107,10 +105,8 @@ impl CompareArgs {
         terminal::say(&format!("{empty} of {cells} cells are empty"));
         if finished.stopped {
             let folder = quoted(self.out.display().to_string());
-            terminal::note(&format!(
-                "stopped; the same command with --out {folder} continues"
-            ));
-            return Ok(ExitCode::from(interrupt::EXIT));
+            let how = format!("the same command with --out {folder} continues");
+            return Ok(interrupt::stopped(&how));
         }
         Ok(ExitCode::SUCCESS)
     }
@@ -118,49 +114,10 @@ impl CompareArgs {
 
 /// The commit of the sources at `dir`, with `+changes` where files differ from it; `unknown` without git.
 fn commit(dir: &Path) -> String {
-    let git = |words: &[&str]| {
-        let output = Command::new("git")
-            .arg("-C")
-            .arg(dir)
-            .args(words)
-            .output()
-            .ok()?;
-        let text = String::from_utf8(output.stdout).ok()?;
-        output.status.success().then(|| text.trim().to_owned())
-    };
-    let Some(commit) = git(&["rev-parse", "--short", "HEAD"]) else {
-        return "unknown".to_owned();
-    };
-    match git(&["status", "--porcelain", "--untracked-files=no"]) {
-        Some(changes) if changes.is_empty() => commit,
-        _ => format!("{commit}+changes"),
-    }
-}
-
-/// Shows what a comparison does.
-#[derive(Default)]
-struct Lines(Bars);
-
-impl Progress for Lines {
-    fn event(&mut self, event: &Event) {
-        self.0.event(event);
-    }
-
-    fn stop(&mut self) -> bool {
-        self.0.stop()
-    }
-}
-
-impl Watch for Lines {
-    fn begins(&mut self, what: &str) {
-        terminal::note(what);
-    }
-
-    fn finished(&mut self, cell: &Cell) {
-        let miou = cell.figures.pixels.miou;
-        let miou = miou.map_or("no score".to_owned(), |miou| {
-            format!("mIoU {:.1} %", 100.0 * miou)
-        });
-        terminal::note(&format!("{}: {miou}", cell.id));
-    }
+    let mut git = Command::new("git");
+    git.arg("-C").arg(dir);
+    git.args(["describe", "--always", "--exclude=*", "--dirty=+changes"]);
+    let output = git.output().ok().filter(|output| output.status.success());
+    let commit = output.and_then(|output| String::from_utf8(output.stdout).ok());
+    commit.map_or("unknown".to_owned(), |commit| commit.trim().to_owned())
 }

@@ -143,26 +143,14 @@ pub fn check(dir: &Path, options: &LoadOptions, all: bool) -> Result<()> {
 }
 
 impl InfoArgs {
-    /// Refuses a sheet that would take the place of a file of the scene. Not every file in its subfolders is known, depth maps for
-    /// instance, so none of them is replaced. An earlier sheet in the folder itself may be.
-    fn check_sheet(&self, path: &Path, options: &LoadOptions) -> Result<()> {
-        data::check_output_file("--sheet", path, (&self.dir, options))?;
-        ensure!(extension(path) == "png", argument "--sheet"; found "{}", path.display();
-            expected "a .png file"; help "end the name in .png");
-        let is_in_subfolder = match (path.canonicalize(), self.dir.canonicalize()) {
-            (Ok(path), Ok(dir)) => path.starts_with(&dir) && path.parent() != Some(&dir),
-            _ => false,
-        };
-        ensure!(!is_in_subfolder, argument "--sheet"; found "{}, a file within the scene", path.display();
-            expected "a new file, or one outside the scene's subfolders"; help "name another file");
-        own::check(path)
-    }
-
     fn run(self) -> Result<()> {
         let config = self.settings.load(Some(&self.dir))?;
         let options = LoadOptions::for_training(&config);
         if let Some(path) = &self.sheet {
-            self.check_sheet(path, &options)?;
+            ensure!(extension(path) == "png", argument "--sheet"; found "{}", path.display();
+                expected "a .png file"; help "end the name in .png");
+            ensure!(own::check(path).is_ok(), argument "--sheet"; found "{}, which this command did not write", path.display();
+                expected "a new file, or one that this command wrote"; help "name another file");
         }
         let info = data::info(&self.dir, &options)?;
         if let Some(path) = &self.sheet {

@@ -117,12 +117,8 @@ impl EditArgs {
         let out = self.out.check(&self.input, &scene, &edited.classes)?;
         let mut gaussians = edited.gaussians;
         if self.paint {
-            let color = |&id: &u16| {
-                edited
-                    .classes
-                    .legend_color(id)
-                    .map(|v| f32::from(v) / 255.0)
-            };
+            let classes = &edited.classes;
+            let color = |&id: &u16| classes.legend_color(id).map(|v| f32::from(v) / 255.0);
             let colors: Vec<_> = edited.labels.iter().map(color).collect();
             gaussians = gaussians.painted(&colors);
         }

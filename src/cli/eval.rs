@@ -68,10 +68,8 @@ impl EvalArgs {
         let identities =
             identities_beside(&run.file(SCENE), ply.gaussians.len(), scene.classes.len())?;
         let views = image_scores(&inputs)?;
-        let labels = match identities {
-            Some(identities) => Some(HeldOut::new(&inputs).score(&identities)?),
-            None => None,
-        };
+        let score = |identities| HeldOut::new(&inputs).score(&identities);
+        let labels = identities.map(score).transpose()?;
         let mean = ImageScores::mean(&views.values().copied().collect::<Vec<_>>());
         if self.json {
             let held_out = views.len();

@@ -1,11 +1,11 @@
 //! `coseg export`: a scene, or each of its objects, in formats of other programs.
 
 use super::object_scene::ObjectSceneArgs;
-use super::terminal;
+use super::{program, terminal};
 use clap::{Args, ValueEnum};
 use coseg::data::Classes;
-use coseg::error::{Error, Result, bail, ensure, invalid};
-use coseg::files::{atomic, extension, names, own};
+use coseg::error::{Error, Result, bail, ensure};
+use coseg::files::{atomic, extension, names, own, sha256};
 use coseg::runs::{
     CAMERAS, CLASSES, ObjectScene, check_output, copy_cameras, has_table, read_scene, scene_path,
     write_classes,
@@ -13,7 +13,6 @@ use coseg::runs::{
 use coseg::splat::formats::{self, Format, label_path};
 use coseg::splat::{Gaussians, ply};
 use glam::DVec3;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -75,17 +74,17 @@ enum FileFormat {
 }
 
 impl FileFormat {
-    /// The end of a file name, with its point.
-    fn suffix(self) -> &'static str {
+    /// The end of a file name, with its point, and the format, where this program writes it.
+    fn parts(self) -> (&'static str, Option<Format>) {
         match self {
-            Self::CompressedPly => ".compressed.ply",
-            Self::PointsPly => ".points.ply",
-            Self::Ply => ".ply",
-            Self::Spz => ".spz",
-            Self::Las => ".las",
-            Self::Laz => ".laz",
-            Self::Sog => ".sog",
-            Self::Glb => ".glb",
+            Self::CompressedPly => (".compressed.ply", Some(Format::CompressedPly)),
+            Self::PointsPly => (".points.ply", Some(Format::PointsPly)),
+            Self::Ply => (".ply", Some(Format::Ply)),
+            Self::Spz => (".spz", Some(Format::Spz)),
+            Self::Las => (".las", Some(Format::Las)),
+            Self::Laz => (".laz", Some(Format::Laz)),
+            Self::Sog => (".sog", None),
+            Self::Glb => (".glb", None),
         }
     }
 
@@ -93,7 +92,7 @@ impl FileFormat {
     fn of(path: &Path) -> Option<Self> {
         let name = path.to_string_lossy().to_lowercase();
         let mut all = Self::value_variants().iter().copied();
-        all.find(|format| name.ends_with(format.suffix()))
+        all.find(|format| name.ends_with(format.parts().0))
     }
 
     fn write(
@@ -103,16 +102,10 @@ impl FileFormat {
         origin: DVec3,
         labels: Option<&[u16]>,
     ) -> Result<()> {
-        let format = match self {
-            Self::CompressedPly => Format::CompressedPly,
-            Self::PointsPly => Format::PointsPly,
-            Self::Ply => Format::Ply,
-            Self::Spz => Format::Spz,
-            Self::Las => Format::Las,
-            Self::Laz => Format::Laz,
-            Self::Sog | Self::Glb => return convert(path, self, gaussians, origin),
-        };
-        formats::write(path, format, gaussians, origin, labels)
+        match self.parts() {
+            (_, Some(format)) => formats::write(path, format, gaussians, origin, labels),
+            (suffix, None) => convert(path, suffix, gaussians, origin),
+        }
     }
 }
 
@@ -145,7 +138,7 @@ impl ExportArgs {
                 vec![(self.out.clone(), rows)],
             );
         }
-        let scene = ObjectScene::new(path, ply, self.input.classes.as_ref())?;
+        let scene = ObjectScene::new(path, ply, self.input.classes.as_deref())?;
         let only = scene.ids(&self.only, "--only")?;
         let chosen = scene
             .objects
@@ -163,7 +156,7 @@ impl ExportArgs {
             .map_or(1, |object| object.id.to_string().len());
         let part = |object: &coseg::objects::Object| {
             let name = safe(scene.name(object.id).unwrap_or("label"));
-            let file = format!("{:0digits$}_{name}{}", object.id, format.suffix());
+            let file = format!("{:0digits$}_{name}{}", object.id, format.parts().0);
             (self.out.join(file), object.rows.clone())
         };
         let parts: Vec<Part> = chosen.map(part).collect();
@@ -241,8 +234,7 @@ impl ExportArgs {
         ensure!(has_table, &table, "classes"; found "those of {other}"; expected "those of the scene to export";
             help "export into another folder, or write over them by --force");
         let [from, to] = [&scene.path, out].map(|path| path.with_file_name(CAMERAS));
-        let content = |path: &Path| std::fs::read(path).map_err(|e| Error::io(path, "read", e));
-        let has_cameras = !from.is_file() || !to.is_file() || content(&from)? == content(&to)?;
+        let has_cameras = !from.is_file() || !to.is_file() || sha256(&from)? == sha256(&to)?;
         ensure!(has_cameras, &to, "cameras"; found "those of {other}"; expected "those of the scene to export";
             help "export into another folder, or write over them by --force");
         Ok(true)
@@ -262,25 +254,19 @@ fn safe(name: &str) -> String {
 }
 
 /// Writes `gaussians` through splat-transform.
-fn convert(path: &Path, format: FileFormat, gaussians: &Gaussians, origin: DVec3) -> Result<()> {
+fn convert(path: &Path, suffix: &str, gaussians: &Gaussians, origin: DVec3) -> Result<()> {
     let failed = |e| Error::io(path, "convert", e);
     let folder = tempfile::tempdir().map_err(failed)?;
-    let [from, to] = ["scene.ply".to_owned(), format!("scene{}", format.suffix())]
-        .map(|name| folder.path().join(name));
+    let [from, to] =
+        ["scene.ply".to_owned(), format!("scene{suffix}")].map(|name| folder.path().join(name));
     ply::write(&from, gaussians, origin, None)?;
-    let done = Command::new(CONVERTER)
-        .arg("--quiet")
-        .args([&from, &to])
-        .output();
-    let done = done.map_err(|e| match e.kind() {
-        io::ErrorKind::NotFound => {
-            invalid!(argument "--out"; found "a {} file, which {CONVERTER} has to write, and no {CONVERTER} on the PATH", format.suffix();
-                expected "splat-transform on the PATH, or a name that ends in .ply, .compressed.ply or .spz"; help "npm install -g @playcanvas/splat-transform")
-        }
-        _ => failed(e),
-    })?;
-    let said = String::from_utf8_lossy(&done.stderr);
-    ensure!(done.status.success(), argument "--out"; found "an error of {CONVERTER}: {}", said.trim();
-        expected "a {} file", format.suffix(); help "write a .ply file and convert that; without a GPU: {CONVERTER} --gpu cpu FILE.ply FILE.sog");
+    let missing = format!(
+        "it writes {suffix} files: npm install -g @playcanvas/splat-transform, or name a .ply, .compressed.ply or .spz file"
+    );
+    let help = format!(
+        "write a .ply file and convert that; without a GPU: {CONVERTER} --gpu cpu FILE.ply FILE{suffix}"
+    );
+    let mut command = Command::new(CONVERTER);
+    program::run(command.arg("--quiet").args([&from, &to]), &missing, &help)?;
     atomic::write_bytes(path, &std::fs::read(&to).map_err(failed)?)
 }

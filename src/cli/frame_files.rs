@@ -30,63 +30,43 @@ impl FrameFiles<'_> {
         self.folder.join(format!("{}.{end}", self.name))
     }
 
-    /// Writes the colours of `frame` as a file of `kind`.
-    pub fn write_color(&self, kind: &str, frame: &Frame) -> Result<()> {
-        let file = |extension| self.file(&format!("{kind}.{extension}"));
-        let &Frame { width, height, .. } = frame;
-        match self.format {
-            Format::Npy => write_npy(&file("npy"), &[height, width, 3], &frame.rgb),
-            Format::Png => {
-                let path = file("png");
-                pictures::write(&path, &pictures::from_floats(&frame.rgb, width, height)?)
-            }
-        }
+    /// Writes `values`, `[H, W, 3]` colours, as a file of `kind`.
+    pub fn write_color(&self, kind: &str, size: [usize; 2], values: &[f32]) -> Result<()> {
+        let [width, height] = size;
+        self.write_values(kind, &[height, width, 3], values, |path| {
+            pictures::write(path, &pictures::from_floats(values, width, height)?)
+        })
     }
 
     /// Writes depths, `[H, W]` world units.
-    pub fn write_depth(&self, depth: &[f32], &Frame { width, height, .. }: &Frame) -> Result<()> {
-        let file = |extension| self.file(&format!("depth.{extension}"));
-        match self.format {
-            Format::Npy => write_npy(&file("npy"), &[height, width], depth),
-            Format::Png => {
-                // Casts end at 65,535.
-                let ids = depth.iter().map(|v| (1000.0 * v).round() as u16).collect();
-                LabelMap { width, height, ids }.write_wide(&file("png"))
-            }
-        }
+    pub fn write_depth(&self, [width, height]: [usize; 2], depth: &[f32]) -> Result<()> {
+        self.write_values("depth", &[height, width], depth, |path| {
+            // Casts end at 65,535.
+            let ids = depth.iter().map(|v| (1000.0 * v).round() as u16).collect();
+            LabelMap { width, height, ids }.write_wide(path)
+        })
     }
 
     /// Writes normals, `[H, W, 3]` world directions.
-    pub fn write_normals(
-        &self,
-        normals: &[f32],
-        &Frame { width, height, .. }: &Frame,
-    ) -> Result<()> {
-        let file = |extension| self.file(&format!("normal.{extension}"));
+    pub fn write_normals(&self, size: [usize; 2], normals: &[f32]) -> Result<()> {
         match self.format {
-            Format::Npy => write_npy(&file("npy"), &[height, width, 3], normals),
+            Format::Npy => self.write_color("normal", size, normals),
             Format::Png => {
                 let colors: Vec<f32> = normals.iter().map(|n| 0.5 * (n + 1.0)).collect();
-                pictures::write(
-                    &file("png"),
-                    &pictures::from_floats(&colors, width, height)?,
-                )
+                self.write_color("normal", size, &colors)
             }
         }
     }
 
     /// Writes colour, coverage and, where the frame has them, labels.
     pub fn write(&self, frame: &Frame, classes: &Classes) -> Result<()> {
-        self.write_color("rgb", frame)?;
         let &Frame { width, height, .. } = frame;
-        match self.format {
-            Format::Npy => write_npy(&self.file("alpha.npy"), &[height, width], &frame.alpha)?,
-            Format::Png => {
-                let byte = |a: &f32| (a.clamp(0.0, 1.0) * 255.0).round() as u16;
-                let ids = frame.alpha.iter().map(byte).collect();
-                LabelMap { width, height, ids }.write(&self.file("alpha.png"))?;
-            }
-        }
+        self.write_color("rgb", [width, height], &frame.rgb)?;
+        self.write_values("alpha", &[height, width], &frame.alpha, |path| {
+            let byte = |a: &f32| (a.clamp(0.0, 1.0) * 255.0).round() as u16;
+            let ids = frame.alpha.iter().map(byte).collect();
+            LabelMap { width, height, ids }.write(path)
+        })?;
         let Some(labels) = &frame.labels else {
             return Ok(());
         };
@@ -97,6 +77,20 @@ impl FrameFiles<'_> {
         let path = self.file("label_color.png");
         let colored = pictures::with_legend(&pictures::colored(labels, classes), labels, classes);
         pictures::write(&path, &colored)
+    }
+
+    /// Writes `values` as an array of this `shape`, or calls `picture` for a PNG of them.
+    fn write_values(
+        &self,
+        kind: &str,
+        shape: &[usize],
+        values: &[f32],
+        picture: impl FnOnce(&Path) -> Result<()>,
+    ) -> Result<()> {
+        match self.format {
+            Format::Npy => write_npy(&self.file(&format!("{kind}.npy")), shape, values),
+            Format::Png => picture(&self.file(&format!("{kind}.png"))),
+        }
     }
 }
 

@@ -71,8 +71,7 @@ impl FromPhotosArgs {
             self.make().inspect_err(|_| own::remove_empty(&self.out))?
         };
         if !done {
-            terminal::note("stopped; the same command continues");
-            return Ok(ExitCode::from(interrupt::EXIT));
+            return Ok(interrupt::stopped("the same command continues"));
         }
         Ok(ExitCode::SUCCESS)
     }

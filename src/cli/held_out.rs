@@ -2,6 +2,7 @@
 
 use super::terminal;
 use coseg::data::Classes;
+use coseg::metrics::{ClassIou, PixelScores};
 use coseg::pipeline::HeldOutScores;
 
 /// Prints a line for each kind of score that is there, with `what` at its front.
@@ -15,15 +16,14 @@ pub fn print(scores: &HeldOutScores, what: &str) {
             terminal::say(&format!("{what}{kind}: {}", figures.join(", ")));
         }
     };
-    let labels = &scores.labels.pixels;
-    line(
-        "",
-        &[
-            ("mIoU", labels.miou),
-            ("mIoU per view", labels.miou_per_view),
-            ("accuracy", labels.accuracy),
-        ],
-    );
+    let of_pixels = |p: &PixelScores| {
+        [
+            ("mIoU", p.miou),
+            ("mIoU per view", p.miou_per_view),
+            ("accuracy", p.accuracy),
+        ]
+    };
+    line("", &of_pixels(&scores.labels.pixels));
     if let Some(s) = &scores.instances {
         line(
             "",
@@ -38,27 +38,23 @@ pub fn print(scores: &HeldOutScores, what: &str) {
     }
     if let Some(s) = &scores.semantic {
         let quality = s.panoptic.unwrap_or_default();
+        let panoptic = [
+            ("PQ", quality.all.pq),
+            ("PQ of things", quality.things.pq),
+            ("PQ of stuff", quality.stuff.pq),
+        ];
         line(
             ", by class",
-            &[
-                ("mIoU", s.miou),
-                ("mIoU per view", s.miou_per_view),
-                ("accuracy", s.accuracy),
-                ("PQ", quality.all.pq),
-                ("PQ of things", quality.things.pq),
-                ("PQ of stuff", quality.stuff.pq),
-            ],
+            &[&of_pixels(&s.pixels)[..], &panoptic].concat(),
         );
     }
 }
 
 /// Prints the IoU of each class.
 pub fn print_classes(scores: &HeldOutScores, classes: &Classes) {
-    let of_labels = scores.labels.per_class.iter();
-    let of_labels = of_labels.map(|(id, iou)| (*iou, *id, classes.name(*id)));
+    let of_labels = scores.labels.named(classes);
     let of_objects = scores.semantic.iter().flat_map(|s| &s.per_class);
-    let of_objects = of_objects.map(|class| (class.iou, class.id, class.name.as_str()));
-    for (iou, id, name) in of_labels.chain(of_objects) {
+    for ClassIou { id, name, iou } in of_labels.iter().chain(of_objects) {
         terminal::say(&format!("  {iou:.4}  IoU of {id} {name}"));
     }
 }

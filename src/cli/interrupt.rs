@@ -1,16 +1,23 @@
 //! Ctrl-C while a run trains: the first one asks for a checkpoint and the end of the run, the second one ends the program.
 
 use super::terminal;
+use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Exit code of a run that was stopped, the shells' code for SIGINT.
-pub const EXIT: u8 = 130;
+const EXIT: u8 = 130;
 
 static ASKED: AtomicBool = AtomicBool::new(false);
 
 /// Whether Ctrl-C asked the run to stop.
 pub fn asked() -> bool {
     ASKED.load(Ordering::Relaxed)
+}
+
+/// Says how a run that was stopped goes on, and gives its exit code.
+pub fn stopped(how: &str) -> ExitCode {
+    terminal::note(&format!("stopped; {how}"));
+    ExitCode::from(EXIT)
 }
 
 /// Takes Ctrl-C, and except on Windows SIGTERM and SIGHUP, as a request to stop. Call it once.

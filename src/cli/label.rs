@@ -121,8 +121,7 @@ impl LabelArgs {
         let best = usize::from(self.best);
         let done = self.segmenter.label(scene, &self.model, best, &self.out)?;
         if done.stopped {
-            terminal::note("stopped; the same command continues");
-            return Ok(ExitCode::from(interrupt::EXIT));
+            return Ok(interrupt::stopped("the same command continues"));
         }
         terminal::say(&format!(
             "{}: {} photos, {} labelled before; {} classes; use it with --set data.raw_labels={}",

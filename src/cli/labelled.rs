@@ -24,7 +24,7 @@ pub struct LabelledArgs {
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     #[command(flatten)]
-    backend: BackendArgs,
+    pub backend: BackendArgs,
     #[command(flatten)]
     settings: Settings,
 }
@@ -33,11 +33,6 @@ impl LabelledArgs {
     /// The settings.
     pub fn config(&self) -> Result<Config> {
         self.settings.load(Some(&self.data))
-    }
-
-    /// Where to compute.
-    pub fn device(&self) -> Result<Device> {
-        self.backend.open()
     }
 
     /// Reads both, the scene relative to the origin of the Gaussians. Refuses an output folder, or one of its `folders`, that

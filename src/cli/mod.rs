@@ -21,6 +21,7 @@ mod labelled;
 mod merge;
 mod object_scene;
 mod objects;
+mod program;
 mod progress;
 mod prune;
 mod render;
@@ -148,35 +149,16 @@ pub enum Command {
 }
 
 impl Command {
-    /// The name of the command, and of those whose files it may write over.
-    fn writes_over(&self) -> &'static [&'static str] {
-        match self {
-            Self::Train(_) => &["train"],
-            Self::Label(_) => &["label", "train", "from-photos"],
-            Self::FromPhotos(_) => &["from-photos", "label"],
-            Self::Data(_) => &["data"],
-            Self::Eval(_) => &["eval"],
-            Self::Render(_) => &["render"],
-            Self::View(_) => &["view", "train"],
-            Self::Vote(_) => &["vote"],
-            Self::Associate(_) => &["associate"],
-            Self::Objects(_) => &["objects"],
-            Self::Select(_) => &["select"],
-            Self::Separate(_) => &["separate"],
-            Self::Edit(_) => &["edit"],
-            Self::Export(_) => &["export"],
-            Self::Prune(_) => &["prune"],
-            Self::Split(_) => &["split"],
-            Self::Merge(_) => &["merge"],
-            Self::Bench(_) => &["bench"],
-            Self::Compare(_) => &["compare"],
-            Self::Completions(_) => &[],
-        }
-    }
-
-    /// Runs the command. A run that was stopped is neither an error nor a success.
-    pub fn run(self) -> Result<ExitCode> {
-        own::guard(self.writes_over());
+    /// Runs the command, which is called `name`. A run that was stopped is neither an error nor a success.
+    pub fn run(self, name: &str) -> Result<ExitCode> {
+        // Others whose files it may write over.
+        let others: &[&str] = match self {
+            Self::Label(_) => &["train", "from-photos"],
+            Self::FromPhotos(_) => &["label"],
+            Self::View(_) => &["train"],
+            _ => &[],
+        };
+        own::guard(&[&[name], others].concat());
         let done = match self {
             Self::Train(args) => return args.run(),
             Self::Label(args) => return args.run(),
@@ -221,6 +203,13 @@ impl BackendArgs {
     pub fn choose(&self) -> Result<(String, Device)> {
         let (backend, device) = device::choose(self.backend)?;
         Ok((device::described(backend), device))
+    }
+
+    /// The same, with the processor threads.
+    pub fn choose_with_threads(&self) -> Result<(String, Device)> {
+        let (backend, device) = self.choose()?;
+        let threads = rayon::current_num_threads();
+        Ok((format!("{backend} backend, {threads} threads"), device))
     }
 }
 

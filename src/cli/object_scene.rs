@@ -23,14 +23,14 @@ impl ObjectSceneArgs {
     pub fn read(&self) -> Result<ObjectScene> {
         let path = scene_path(&self.scene)?;
         let ply = read_scene(&path)?;
-        ObjectScene::new(path, ply, self.classes.as_ref())
+        ObjectScene::new(path, ply, self.classes.as_deref())
     }
 
     /// Reads both. Gaussians of a scene without labels are unlabelled.
     pub fn read_or_unlabelled(&self) -> Result<ObjectScene> {
         let path = scene_path(&self.scene)?;
         let ply = read_scene(&path)?;
-        ObjectScene::or_unlabelled(path, ply, self.classes.as_ref())
+        ObjectScene::or_unlabelled(path, ply, self.classes.as_deref())
     }
 }
 

@@ -5,7 +5,7 @@ use super::{terminal, values};
 use clap::Args;
 use coseg::data::{NamedCamera, read_cameras};
 use coseg::error::Result;
-use coseg::objects::pick;
+use coseg::objects::{Object, pick};
 use coseg::raster::{Projected, Settings};
 use coseg::runs::{ObjectScene, cameras_path, frame_with_pixel, rendering_beside};
 use glam::DVec3;
@@ -66,24 +66,17 @@ impl ObjectsArgs {
     fn list(&self, scene: &ObjectScene) {
         let origin = scene.ply.origin;
         if self.json {
-            let entries: Vec<_> = scene
-                .objects
-                .iter()
-                .map(|o| {
-                    let (low, high) = ((o.low + origin).to_array(), (o.high + origin).to_array());
-                    json!({"id": o.id, "name": scene.name(o.id), "gaussians": o.rows.len(), "low": low, "high": high})
-                })
-                .collect();
+            let entry = |o: &Object| {
+                let [low, high] = [o.low, o.high].map(|corner| corner + origin);
+                json!({"id": o.id, "name": scene.name(o.id), "gaussians": o.rows.len(), "low": low, "high": high})
+            };
+            let entries: Vec<_> = scene.objects.iter().map(entry).collect();
             terminal::say_lines(&format!("{:#}", json!(entries)));
             return;
         }
-        let width = scene
-            .objects
-            .iter()
-            .map(|o| shown(scene, o.id).chars().count())
-            .max()
-            .unwrap_or(0)
-            .max(4);
+        let names = scene.objects.iter().map(|o| shown(scene, o.id));
+        let width = names.map(|name| name.chars().count()).max();
+        let width = width.unwrap_or(0).max(4);
         terminal::say(&format!(
             "{:>5}  {:width$}  {:>9}  {:>8} {:>8} {:>8}  {:>7} {:>7} {:>7}",
             "id", "name", "Gaussians", "centre x", "y", "z", "size x", "y", "z"

@@ -122,6 +122,11 @@ impl Progress for Bars {
                 self.print_end();
                 self.clear();
             }
+            Event::Begun(what) => terminal::note(what),
+            Event::Stored { cell, miou } => {
+                let miou = miou.map(|miou| format!("mIoU {:.1} %", 100.0 * miou));
+                terminal::note(&format!("{cell}: {}", miou.unwrap_or("no score".into())));
+            }
             _ => {}
         }
     }

@@ -40,7 +40,7 @@ impl PruneArgs {
     pub fn run(self) -> Result<()> {
         let keep = self.how_many()?;
         let config = self.input.config()?;
-        let device = self.input.device()?;
+        let device = self.input.backend.open()?;
         let (scene, ply) = self.input.read(&config, &device, &[])?;
         let from = scene_path(&self.input.scene)?;
         let classes = classes_beside(&from, None)?;

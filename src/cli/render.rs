@@ -195,17 +195,18 @@ impl RenderArgs {
             times.push(start.elapsed().as_secs_f64());
             let files = self.files(name);
             files.write(&frame, &classes)?;
+            let size = [frame.width, frame.height];
             if self.depth {
-                files.write_depth(&renderer.depth(&camera)?, &frame)?;
+                files.write_depth(size, &renderer.depth(&camera)?)?;
             }
             if self.normals {
-                files.write_normals(&renderer.normals(&camera)?, &frame)?;
+                files.write_normals(size, &renderer.normals(&camera)?)?;
             }
             if let Some(labels) = &frame.labels {
                 annotations.add(name, labels)?;
             }
             if let Some(features) = &features {
-                files.write_color("features", &features.frame(&camera)?)?;
+                files.write_color("features", size, &features.frame(&camera)?.rgb)?;
             }
             bar.inc(1);
         }

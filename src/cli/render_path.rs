@@ -1,12 +1,11 @@
 //! Camera paths of `coseg render`.
 
-use super::values::numbers;
+use super::values::number;
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
-use coseg::data::formats::transforms;
 use coseg::data::{NamedCamera, Split};
 use coseg::error::{Result, bail, ensure};
-use coseg::files::atomic;
+use coseg::files::{atomic, names, own};
 use coseg::runs::{CAMERAS, ObjectScene};
 use coseg::splat::camera::Camera;
 use coseg::splat::camera_path::{CameraPath, Orbit, is_front_facing, sway};
@@ -52,9 +51,9 @@ pub enum PathKind {
 }
 
 fn parse_radius(text: &str) -> std::result::Result<f64, String> {
-    let radius = numbers(text, ',').map(|[radius]: [f64; 1]| radius);
-    let radius = radius.filter(|radius| radius.is_finite() && *radius > 0.0);
-    radius.ok_or_else(|| "expected a number above 0".into())
+    number(text, "a number above 0", |radius: &f64| {
+        radius.is_finite() && *radius > 0.0
+    })
 }
 
 impl PathArgs {
@@ -70,19 +69,11 @@ impl PathArgs {
                 expected "--path orbit"; help "leave one of them out");
         }
         let file = out.join(CAMERAS);
-        // A path that this command wrote is a transforms.json.
-        let is_path = transforms::load_cameras(&file, None)
-            .is_ok_and(|cameras| cameras.iter().all(|c| c.name.starts_with(PREFIX)));
-        if file.exists() && (atomic::same_file(&file, cameras) || !is_path) {
-            bail!(argument "--out"; found "{}", file.display();
-                expected "a folder without cameras.json: the cameras of the path go there";
-                help "name another folder");
-        }
+        ensure!(!atomic::same_file(&file, cameras) && own::check(&file).is_ok(), argument "--out"; found "{}", file.display();
+            expected "a folder without cameras.json: the cameras of the path go there"; help "name another folder");
         // A film of the frames would end with those of the longer path.
         let next = format!("{PREFIX}{:04}.", self.frames.unwrap_or(FRAMES));
-        let files = std::fs::read_dir(out).into_iter().flatten().flatten();
-        let mut names = files.filter_map(|entry| entry.file_name().into_string().ok());
-        if let Some(left) = names.find(|name| name.starts_with(&next)) {
+        if let Some(left) = names(out, |name, _| name.starts_with(&next)).first() {
             bail!(argument "--out"; found "{}", out.join(left).display();
                 expected "a folder without frames of a longer path"; help "remove them, or name another folder");
         }

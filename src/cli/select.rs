@@ -58,12 +58,9 @@ fn parse_name(text: &str) -> std::result::Result<String, String> {
 }
 
 fn parse_threshold(text: &str) -> std::result::Result<f32, String> {
-    let threshold = text
-        .trim()
-        .parse()
-        .ok()
-        .filter(|t: &f32| t.is_finite() && *t >= 0.0);
-    threshold.ok_or_else(|| "expected a number of 0 or more".into())
+    values::number(text, "a number of 0 or more", |t: &f32| {
+        t.is_finite() && *t >= 0.0
+    })
 }
 
 impl SelectArgs {

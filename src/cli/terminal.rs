@@ -75,18 +75,13 @@ pub fn report_panics() {
         if coseg::segmenter::is_guarded() {
             return;
         }
-        let payload = info.payload();
-        let text = payload
-            .downcast_ref::<&str>()
-            .copied()
-            .or_else(|| payload.downcast_ref::<String>().map(|s| &**s));
         let place = info
             .location()
             .map_or(String::new(), |l| format!(" at {}:{}", l.file(), l.line()));
         note(&format!(
             "error: coseg {} has an internal error{place}: {}",
             env!("CARGO_PKG_VERSION"),
-            text.unwrap_or("no message"),
+            info.payload_as_str().unwrap_or("no message"),
         ));
         note(
             "This is a bug. Please report it with the command line. Checkpoints and results written before are intact.",

@@ -104,9 +104,7 @@ impl TrainArgs {
 
     /// Trains in the folder `run`.
     fn train(self, run: &RunFolder, mut config: Config) -> Result<ExitCode> {
-        let (backend, device) = self.backend.choose()?;
-        let threads = rayon::current_num_threads();
-        let device_text = format!("{backend} backend, {threads} threads");
+        let (device_text, device) = self.backend.choose_with_threads()?;
         terminal::note(&format!(
             "{} -> {} ({device_text})",
             scene_name(&config),
@@ -114,8 +112,7 @@ impl TrainArgs {
         ));
         interrupt::watch();
         if self.label(run, &mut config)? {
-            terminal::note("stopped; the same command continues");
-            return Ok(ExitCode::from(interrupt::EXIT));
+            return Ok(interrupt::stopped("the same command continues"));
         }
         let command = Command {
             line: command_line(),
@@ -126,8 +123,7 @@ impl TrainArgs {
         let trained = train(run, &config, command, &device, &mut *progress)?;
         if trained.outcome.stopped {
             let line = self.resume_line(run);
-            terminal::note(&format!("stopped; resume with: {line}"));
-            return Ok(ExitCode::from(interrupt::EXIT));
+            return Ok(interrupt::stopped(&format!("resume with: {line}")));
         }
         summary(&trained.outcome);
         terminal::say(&format!("report: {}", run.file(REPORT).display()));
@@ -257,13 +253,8 @@ fn summary(outcome: &Outcome) {
     if outcome.rows.is_empty() {
         return;
     }
-    let scored = |row: &VariantOutcome| {
-        let scores = &row.scores;
-        scores.labels.pixels.miou.is_some()
-            || scores.instances.is_some()
-            || scores.semantic.is_some()
-    };
-    if !outcome.rows.iter().any(scored) {
+    let is_scored = |row: &VariantOutcome| row.scores.miou().is_some();
+    if !outcome.rows.iter().any(is_scored) {
         let names: Vec<&str> = outcome.rows.iter().map(|row| row.variant.title()).collect();
         terminal::say(&format!(
             "labels: {}; not scored, as no held-out view has true labels",

@@ -16,7 +16,17 @@ pub fn pixel(text: &str) -> Result<[usize; 2], String> {
 
 /// The cap of a splat's opacity.
 pub fn alpha_max(text: &str) -> Result<f64, String> {
-    let alpha = text.trim().parse().ok();
-    let alpha = alpha.filter(|alpha: &f64| *alpha > 0.0 && *alpha <= 1.0);
-    alpha.ok_or_else(|| "expected a number above 0, at most 1".into())
+    number(text, "a number above 0, at most 1", |alpha| {
+        *alpha > 0.0 && *alpha <= 1.0
+    })
+}
+
+/// A number that `fits`.
+pub fn number<T: FromStr>(
+    text: &str,
+    expected: &str,
+    fits: impl FnOnce(&T) -> bool,
+) -> Result<T, String> {
+    let number = text.trim().parse().ok().filter(fits);
+    number.ok_or_else(|| format!("expected {expected}"))
 }

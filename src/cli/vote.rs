@@ -32,7 +32,7 @@ impl VoteArgs {
     pub fn run(self) -> Result<()> {
         let config = self.input.config()?;
         check_vote(&config)?;
-        let device = self.input.device()?;
+        let device = self.input.backend.open()?;
         let (scene, ply) = self.input.read(&config, &device, &[])?;
         let identities = vote(&scene, &ply.gaussians, self.pooled, &config, &device)?;
         let ids = identities.ids(&scene.classes);

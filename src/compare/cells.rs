@@ -87,7 +87,7 @@ pub(super) fn write_cell(out: &Path, cell: Cell, provenance: Provenance) -> Resu
     atomic::write_json(&path, &CellFile { cell, provenance })
 }
 
-/// The finished cell `id` in the folder `out`, if there is one. It has to have `provenance`, and be of `commit` unless that is
+/// The finished cell `id` in the folder `out`. It has to have `provenance`, and be of `commit` unless that is
 /// `None`.
 ///
 /// # Errors
@@ -97,11 +97,8 @@ pub(super) fn read_cell(
     id: &CellId,
     provenance: &Provenance,
     commit: Option<&str>,
-) -> Result<Option<Cell>> {
+) -> Result<Cell> {
     let path = &id.file(out);
-    if !path.exists() {
-        return Ok(None);
-    }
     let stored: CellFile = files::json(path, "a cell of `coseg compare`")?;
     let cell = stored.cell;
     ensure!(cell.id == *id, path, "scene, labels, row, seed"; found "{}", cell.id; expected "{id}"; help "{HELP}");
@@ -110,7 +107,7 @@ pub(super) fn read_cell(
         bail!(path, "commit"; found "{}", cell.commit; expected "{commit}, that of this program";
             help "{HELP}, or keep such cells with --keep-cells");
     }
-    Ok(Some(cell))
+    Ok(cell)
 }
 
 /// Refuses the finished file `path` of a comparison, which has the provenance `stored`, where the plan has another one.

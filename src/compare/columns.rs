@@ -38,20 +38,6 @@ impl Column {
         }
     }
 
-    /// An index of clusters, in no unit.
-    const fn index(
-        key: &'static str,
-        title: &'static str,
-        best: Best,
-        decimals: usize,
-        of: fn(&Figures) -> Option<f64>,
-    ) -> Self {
-        Self {
-            best,
-            ..Self::cost(key, title, (1.0, decimals), of)
-        }
-    }
-
     const fn cost(
         key: &'static str,
         title: &'static str,
@@ -70,19 +56,12 @@ impl Column {
 
     /// The row that is the best beyond the spread, see [`best`].
     pub fn best(&self, rows: &[Option<Statistic>], all: usize) -> Option<usize> {
-        match self.best {
-            Best::Highest => best(rows, all),
-            Best::Lowest => {
-                let negative = |row: &Option<Statistic>| {
-                    row.map(|row| Statistic {
-                        mean: -row.mean,
-                        ..row
-                    })
-                };
-                best(&rows.iter().map(negative).collect::<Vec<_>>(), all)
-            }
-            Best::None => None,
-        }
+        let sign = match self.best {
+            Best::Highest => 1.0,
+            Best::Lowest => -1.0,
+            Best::None => return None,
+        };
+        best(rows, all, sign)
     }
 
     /// `52.3 ± 0.4`. A cost that is the same under all seeds has no spread.
@@ -122,12 +101,18 @@ pub(super) static COLUMNS: [Column; 8] = [
 
 /// Those of feature fields, in tables that have some.
 pub(super) static FIELD_COLUMNS: [Column; 4] = [
-    Column::index("calinski_harabasz", "CH", Best::Highest, 1, |f| {
-        f.field?.calinski_harabasz
-    }),
-    Column::index("davies_bouldin", "DB", Best::Lowest, 2, |f| {
-        f.field?.davies_bouldin
-    }),
+    Column {
+        best: Best::Highest,
+        ..Column::cost("calinski_harabasz", "CH", (1.0, 1), |f| {
+            f.field?.calinski_harabasz
+        })
+    },
+    Column {
+        best: Best::Lowest,
+        ..Column::cost("davies_bouldin", "DB", (1.0, 2), |f| {
+            f.field?.davies_bouldin
+        })
+    },
     Column::cost("field_seconds", "features, s", (1.0, 0), |f| {
         Some(f.field?.seconds)
     }),

@@ -2,7 +2,6 @@
 
 use super::CellId;
 use crate::config::{BuildingConfig, Config, Variant};
-use crate::data::LoadOptions;
 use crate::error::{Error, Result, bail, ensure};
 use crate::files;
 use serde::Deserialize;
@@ -27,9 +26,11 @@ const OWN_KEYS: [(&str, &str); 4] = [
 ];
 
 /// A table, as its file states it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Plan {
     /// The file.
+    #[serde(skip)]
     pub path: PathBuf,
     /// Heading of the table.
     pub title: String,
@@ -42,17 +43,29 @@ pub struct Plan {
     /// Lines of each table.
     pub rows: Vec<Row>,
     /// Markdown with figures of papers, shown below the tables; may be empty.
+    #[serde(default)]
     pub published: String,
+    #[serde(default)]
     settings: Table,
 }
 
 /// A scene of a plan.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize)]
+#[serde(from = "String")]
 pub struct SceneFolder {
     /// Name of the folder; `builtin` for the built-in room.
     pub name: String,
     /// The folder; absent for the built-in room.
     pub dir: Option<PathBuf>,
+}
+
+impl From<String> for SceneFolder {
+    fn from(given: String) -> Self {
+        Self {
+            name: files::file_name(Path::new(&given)).unwrap_or_default(),
+            dir: (given != BUILTIN).then(|| given.into()),
+        }
+    }
 }
 
 /// A kind of labels: where they come from.
@@ -79,21 +92,6 @@ pub struct Row {
     settings: Table,
 }
 
-/// The file.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct PlanFile {
-    title: String,
-    scenes: Vec<String>,
-    seeds: u64,
-    #[serde(default)]
-    settings: Table,
-    labels: Vec<LabelKind>,
-    rows: Vec<Row>,
-    #[serde(default)]
-    published: String,
-}
-
 impl Plan {
     /// Reads and checks the plan at `path`. Its scenes are folders within `root`, or else within the folder of the file. `builtin`
     /// is the built-in room.
@@ -105,22 +103,14 @@ impl Plan {
         let text = files::text(path)?;
         let form = "a plan: title, scenes, seeds, published, [settings], [[labels]] with name, labelled_photos and settings, \
                     [[rows]] with name, variant and settings";
-        let file: PlanFile = files::toml(&text, path, form)?;
+        let mut plan: Self = files::toml(&text, path, form)?;
+        plan.path = path.to_owned();
+        plan.title = plan.title.trim().to_owned();
+        plan.published = plan.published.trim().to_owned();
         let root = root.or(path.parent()).unwrap_or(Path::new("."));
-        let scene = |given: &String| SceneFolder {
-            name: files::file_name(Path::new(given)).unwrap_or_default(),
-            dir: (given != BUILTIN).then(|| root.join(given)),
-        };
-        let plan = Self {
-            path: path.to_owned(),
-            title: file.title.trim().to_owned(),
-            scenes: file.scenes.iter().map(scene).collect(),
-            seeds: file.seeds,
-            labels: file.labels,
-            rows: file.rows,
-            published: file.published.trim().to_owned(),
-            settings: file.settings,
-        };
+        for dir in plan.scenes.iter_mut().flat_map(|scene| &mut scene.dir) {
+            *dir = root.join(&dir);
+        }
         plan.check_names()?;
         plan.check_size()?;
         plan.check_settings()?;
@@ -141,13 +131,19 @@ impl Plan {
         cells
     }
 
+    /// Settings of a run on `scene`: those of the plan, and those of `tables`.
+    fn settings(&self, scene: &SceneFolder, tables: &[&Table]) -> Result<Config> {
+        let mut config = Config::of_tables(&[&[&self.settings], tables].concat())?;
+        config.data.dir = scene.dir.clone();
+        Ok(config)
+    }
+
     /// Settings of stage one of a scene.
     ///
     /// # Errors
     /// [`Error::Config`].
     pub(super) fn stage_one(&self, scene: &SceneFolder) -> Result<Config> {
-        let mut config = Config::of_tables(&[&self.settings])?;
-        config.data.dir = scene.dir.clone();
+        let mut config = self.settings(scene, &[])?;
         config.segmentation.rows = Some(Vec::new());
         Ok(config)
     }
@@ -157,9 +153,7 @@ impl Plan {
     /// # Errors
     /// [`Error::Config`].
     pub(super) fn reading(&self, scene: &SceneFolder, labels: &LabelKind) -> Result<Config> {
-        let mut config = Config::of_tables(&[&self.settings, &labels.settings])?;
-        config.data.dir = scene.dir.clone();
-        Ok(config)
+        self.settings(scene, &[&labels.settings])
     }
 
     /// Settings of a cell, without its variant: stage two on Gaussians that are taken as they are.
@@ -174,32 +168,18 @@ impl Plan {
         seed: u64,
         gaussians: PathBuf,
     ) -> Result<Config> {
-        let mut config = Config::of_tables(&[&self.settings, &labels.settings, &row.settings])?;
-        config.data.dir = scene.dir.clone();
+        let mut config = self.settings(scene, &[&labels.settings, &row.settings])?;
         config.seed = seed;
         config.building = BuildingConfig::taking(gaussians);
         Ok(config)
     }
 
-    /// How the scene of a kind of labels is read, to know its files.
-    pub(super) fn load_options(
-        &self,
-        scene: &SceneFolder,
-        labels: &LabelKind,
-    ) -> Result<LoadOptions> {
-        self.reading(scene, labels)
-            .map(|config| LoadOptions::from(&config))
-    }
-
     fn check_names(&self) -> Result<()> {
         ensure!(!self.title.is_empty() && !self.title.contains(char::is_control),
             &self.path, "title"; found "{:?}", self.title; expected "a line of text"; help "name what the table shows");
-        let scenes: Vec<&str> = self.scenes.iter().map(|scene| &*scene.name).collect();
-        let labels: Vec<&str> = self.labels.iter().map(|kind| &*kind.name).collect();
-        let rows: Vec<&str> = self.rows.iter().map(|row| &*row.name).collect();
-        for (field, names) in [("scenes", scenes), ("labels", labels), ("rows", rows)] {
-            self.check_list(field, &names)?;
-        }
+        self.check_list("scenes", self.scenes.iter().map(|scene| &*scene.name))?;
+        self.check_list("labels", self.labels.iter().map(|kind| &*kind.name))?;
+        self.check_list("rows", self.rows.iter().map(|row| &*row.name))?;
         for scene in &self.scenes {
             if let Some(dir) = scene.dir.as_ref().filter(|dir| !dir.is_dir()) {
                 let help = format!(
@@ -213,24 +193,24 @@ impl Plan {
     }
 
     /// Checks the names of a list: one or more, each usable as a file name, none twice.
-    fn check_list(&self, field: &str, names: &[&str]) -> Result<()> {
+    fn check_list<'a>(&self, field: &str, names: impl Iterator<Item = &'a str>) -> Result<()> {
         let path = &self.path;
-        ensure!(!names.is_empty(), path, "{field}"; found "none"; expected "one or more"; help "list them");
         let mut seen = BTreeSet::new();
-        for (i, name) in names.iter().enumerate() {
+        for (i, name) in names.enumerate() {
             let field = format!("{field}, number {}", i + 1);
             let forbidden = |c: char| c.is_control() || "/\\|<>\":*?`".contains(c);
             let is_plain = !name.trim().is_empty()
-                && name.trim() == *name
+                && name.trim() == name
                 && name.len() <= MAX_BYTES
                 && !name.starts_with('.')
                 && !name.contains(forbidden);
             ensure!(is_plain, path, "{field}"; found "{name:?}";
                 expected "a name of at most {MAX_BYTES} bytes that can be part of a file name and of a table";
                 help "leave out / \\ | < > \" : * ? ` and a dot at the front");
-            ensure!(seen.insert(*name),
+            ensure!(seen.insert(name),
                 path, "{field}"; found "{name:?} twice"; expected "each name once"; help "rename one of the two");
         }
+        ensure!(!seen.is_empty(), path, "{field}"; found "none"; expected "one or more"; help "list them");
         Ok(())
     }
 

@@ -5,13 +5,12 @@ use super::plan::{LabelKind, Plan, Row, SceneFolder};
 use super::stage_one::SharedGaussians;
 use super::{Cell, CellId, Figures};
 use crate::config::Config;
-use crate::data::{self, Classes, Scene, Split, View};
+use crate::data::{self, LoadOptions, Scene, Split, View};
 use crate::error::{Result, bail, ensure};
 use crate::files::lock::Lock;
 use crate::files::own;
-use crate::metrics::ClassIou;
-use crate::pipeline::{self, Scored, VariantOutcome, load_scene};
-use crate::progress::Progress;
+use crate::pipeline::{self, Scored, load_scene};
+use crate::progress::{Event, Progress};
 use crate::provenance::Provenance;
 use crate::random::{Purpose, stream};
 use burn::tensor::Device;
@@ -37,20 +36,11 @@ pub struct Options {
     pub gaussians: BTreeMap<String, PathBuf>,
 }
 
-/// Listens to a comparison.
-pub trait Watch: Progress {
-    /// Something is about to be trained.
-    fn begins(&mut self, what: &str);
-
-    /// A cell is finished and written.
-    fn finished(&mut self, cell: &Cell);
-}
-
 /// What a comparison has.
 pub struct Finished {
     /// All finished cells of the plan by their names, those of earlier commands too.
     pub cells: Vec<Cell>,
-    /// Whether `watch` stopped it. The same command continues.
+    /// Whether `progress` stopped it. The same command continues.
     pub stopped: bool,
 }
 
@@ -64,7 +54,7 @@ pub fn run(
     plan: &Plan,
     options: &Options,
     device: &Device,
-    watch: &mut dyn Watch,
+    progress: &mut dyn Progress,
 ) -> Result<Finished> {
     check_options(plan, options)?;
     let _lock = Lock::new(&options.out)?;
@@ -72,26 +62,26 @@ pub fn run(
         plan,
         options,
         device,
+        progress,
         cells: Vec::new(),
     };
-    // First, so that a table is refused before hours of training.
-    for scene in &plan.scenes {
-        if !comparison.read_finished(scene, watch)? {
-            return Ok(comparison.end(true));
-        }
-    }
-    for scene in &plan.scenes {
-        if !comparison.train_missing(scene, watch)? {
-            return Ok(comparison.end(true));
-        }
-    }
-    Ok(comparison.end(false))
+    let is_finished = |id: &CellId| id.file(&options.out).exists();
+    let is_missing = |id: &CellId| options.wants(id) && !is_finished(id);
+    // Finished ones first, so that a table is refused before hours of training.
+    let done = comparison.visit(is_finished, Comparison::read)?
+        && comparison.visit(is_missing, Comparison::train)?;
+    let mut cells = comparison.cells;
+    cells.sort_by(|a, b| a.id.cmp(&b.id));
+    Ok(Finished {
+        cells,
+        stopped: !done,
+    })
 }
 
 fn check_options(plan: &Plan, options: &Options) -> Result<()> {
     for scene in &plan.scenes {
         if let Some(dir) = &scene.dir {
-            let read = plan.load_options(scene, &plan.labels[0])?;
+            let read = LoadOptions::from(&plan.reading(scene, &plan.labels[0])?);
             data::check_outputs("--out", &[&options.out], Some((dir, &read)))?;
         }
     }
@@ -116,13 +106,6 @@ impl Options {
     }
 }
 
-/// Cells of one scene that share labels and seed.
-struct Part<'p> {
-    labels: &'p LabelKind,
-    seed: u64,
-    rows: Vec<&'p Row>,
-}
-
 /// A cell with all that it follows from.
 struct Job<'p> {
     id: CellId,
@@ -136,47 +119,39 @@ struct Comparison<'a> {
     plan: &'a Plan,
     options: &'a Options,
     device: &'a Device,
+    progress: &'a mut dyn Progress,
     cells: Vec<Cell>,
 }
 
 impl<'a> Comparison<'a> {
-    /// Checks the finished cells of `scene`, and keeps them. False where it was stopped.
-    fn read_finished(&mut self, scene: &SceneFolder, watch: &mut dyn Watch) -> Result<bool> {
-        let out = &self.options.out;
-        let parts = self.parts(scene, |id| id.file(out).exists());
-        if parts.is_empty() {
-            return Ok(true);
-        }
-        let Some(gaussians) = self.gaussians(scene, watch)? else {
-            return Ok(false);
-        };
-        let commit = (!self.options.keep_cells).then_some(&*self.options.commit);
-        for part in &parts {
-            let loaded = self.load(scene, part)?;
-            for job in self.jobs(scene, part, &loaded, &gaussians)? {
-                let cell = read_cell(out, &job.id, &job.provenance, commit)?;
-                self.cells.extend(cell);
-            }
-        }
-        Ok(true)
-    }
-
-    /// Trains the missing cells of `scene` that are wanted. False where it was stopped.
-    fn train_missing(&mut self, scene: &SceneFolder, watch: &mut dyn Watch) -> Result<bool> {
-        let options = self.options;
-        let parts = self.parts(scene, |id| {
-            options.wants(id) && !id.file(&options.out).exists()
-        });
-        if parts.is_empty() {
-            return Ok(true);
-        }
-        let Some(gaussians) = self.gaussians(scene, watch)? else {
-            return Ok(false);
-        };
-        for part in &parts {
-            let loaded = self.load(scene, part)?;
-            for jobs in grouped(self.jobs(scene, part, &loaded, &gaussians)?) {
-                if watch.stop() || !self.train(&jobs, &loaded, watch)? {
+    /// Calls `work` with the cells that `chosen` accepts, those of one scene, labels and seed together, and with the scene that they
+    /// are trained on. False where it was stopped.
+    fn visit(
+        &mut self,
+        chosen: impl Fn(&CellId) -> bool,
+        work: impl Fn(&mut Self, Vec<Job<'a>>, &Scene) -> Result<bool>,
+    ) -> Result<bool> {
+        let plan = self.plan;
+        for scene in &plan.scenes {
+            let mut shared = None;
+            let of_labels = |labels| (0..plan.seeds).map(move |seed| (labels, seed));
+            for (labels, seed) in plan.labels.iter().flat_map(of_labels) {
+                let is_chosen = |row: &&Row| chosen(&CellId::new(scene, labels, row, seed));
+                let rows: Vec<&Row> = plan.rows.iter().filter(is_chosen).collect();
+                if rows.is_empty() {
+                    continue;
+                }
+                if shared.is_none() {
+                    let of = SharedGaussians::of;
+                    shared = of(scene, plan, self.options, self.device, self.progress)?;
+                }
+                let Some(gaussians) = &shared else {
+                    return Ok(false);
+                };
+                let loaded = self.load(scene, labels, seed)?;
+                let job = |row: &'a Row| self.job((scene, labels, row, seed), &loaded, gaussians);
+                let jobs = rows.into_iter().map(job).collect::<Result<_>>()?;
+                if !work(self, jobs, &loaded)? {
                     return Ok(false);
                 }
             }
@@ -184,47 +159,19 @@ impl<'a> Comparison<'a> {
         Ok(true)
     }
 
-    /// The cells of `scene` that `chosen` accepts.
-    fn parts(&self, scene: &SceneFolder, chosen: impl Fn(&CellId) -> bool) -> Vec<Part<'a>> {
-        let mut parts = Vec::new();
-        for labels in &self.plan.labels {
-            for seed in 0..self.plan.seeds {
-                let rows = self.plan.rows.iter();
-                let rows: Vec<&Row> = rows
-                    .filter(|row| chosen(&CellId::new(scene, labels, row, seed)))
-                    .collect();
-                if !rows.is_empty() {
-                    parts.push(Part { labels, seed, rows });
-                }
-            }
-        }
-        parts
-    }
-
-    fn gaussians(
-        &self,
-        scene: &SceneFolder,
-        watch: &mut dyn Watch,
-    ) -> Result<Option<SharedGaussians>> {
-        SharedGaussians::of(scene, self.plan, self.options, self.device, watch)
-    }
-
-    /// The scene of `part`, with raw labels of as many training photos as its labels keep.
-    fn load(&self, scene: &SceneFolder, part: &Part<'_>) -> Result<Scene> {
-        let mut scene = load_scene(&self.plan.reading(scene, part.labels)?)?;
-        let Some(kept) = part.labels.labelled_photos else {
+    /// The scene under a kind of labels, with raw labels of as many training photos as these keep.
+    fn load(&self, scene: &SceneFolder, labels: &LabelKind, seed: u64) -> Result<Scene> {
+        let mut scene = load_scene(&self.plan.reading(scene, labels)?)?;
+        let Some(kept) = labels.labelled_photos else {
             return Ok(scene);
         };
         let is_labelled = |view: &&mut View| view.split == Split::Train && view.raw.is_some();
         let labelled: Vec<&mut View> = scene.views.iter_mut().filter(is_labelled).collect();
         let count = labelled.len();
-        if kept > count {
-            let path = &self.plan.path;
-            bail!(path, "labels {:?}, labelled_photos", part.labels.name; found "{kept}";
-                expected "at most {count}, the training photos of {} with raw labels", scene.name;
-                help "give fewer, or name another data.raw_labels");
-        }
-        let mut random = stream(part.seed, Purpose::LabelledPhotos, 0);
+        ensure!(kept <= count, &self.plan.path, "labels {:?}, labelled_photos", labels.name; found "{kept}";
+            expected "at most {count}, the training photos of {} with raw labels", scene.name;
+            help "give fewer, or name another data.raw_labels");
+        let mut random = stream(seed, Purpose::LabelledPhotos, 0);
         let drawn = rand::seq::index::sample(&mut random, count, kept).into_vec();
         for (index, view) in labelled.into_iter().enumerate() {
             if !drawn.contains(&index) {
@@ -235,44 +182,57 @@ impl<'a> Comparison<'a> {
         Ok(scene)
     }
 
-    /// The cells of `part` on the scene that was `loaded` for it.
-    fn jobs(
+    /// A cell on the scene that was `loaded` for it.
+    fn job(
         &self,
-        scene: &SceneFolder,
-        part: &Part<'a>,
+        (scene, labels, row, seed): (&SceneFolder, &LabelKind, &'a Row, u64),
         loaded: &Scene,
         gaussians: &SharedGaussians,
-    ) -> Result<Vec<Job<'a>>> {
-        let labels = part.labels;
-        let seed = part.seed;
-        let job = |row: &&'a Row| {
-            let file = gaussians.file.clone();
-            let config = self.plan.stage_two(scene, labels, row, seed, file)?;
-            let decodes = row.variant.trains_decoder();
-            Ok(Job {
-                id: CellId::new(scene, labels, row, seed),
-                row,
-                provenance: Provenance::scores(&config, loaded, &gaussians.gaussians, decodes)?,
-                config,
-            })
-        };
-        part.rows.iter().map(job).collect()
+    ) -> Result<Job<'a>> {
+        let file = gaussians.file.clone();
+        let config = self.plan.stage_two(scene, labels, row, seed, file)?;
+        let decodes = row.variant.trains_decoder();
+        Ok(Job {
+            id: CellId::new(scene, labels, row, seed),
+            row,
+            provenance: Provenance::scores(&config, loaded, &gaussians.gaussians, decodes)?,
+            config,
+        })
+    }
+
+    /// Keeps finished cells that are of the plan.
+    fn read(&mut self, jobs: Vec<Job<'a>>, _: &Scene) -> Result<bool> {
+        let options = self.options;
+        let commit = (!options.keep_cells).then_some(&*options.commit);
+        for job in jobs {
+            let cell = read_cell(&options.out, &job.id, &job.provenance, commit)?;
+            self.cells.push(cell);
+        }
+        Ok(true)
+    }
+
+    /// Trains cells. False where it was stopped.
+    fn train(&mut self, jobs: Vec<Job<'a>>, scene: &Scene) -> Result<bool> {
+        for group in grouped(jobs) {
+            if self.progress.stop() || !self.train_group(&group, scene)? {
+                return Ok(false);
+            }
+        }
+        Ok(true)
     }
 
     /// Trains cells of equal settings in one run, and writes each. False where it was stopped.
-    fn train(&mut self, jobs: &[Job<'a>], scene: &Scene, watch: &mut dyn Watch) -> Result<bool> {
-        let Some(first) = jobs.first() else {
-            return Ok(true);
-        };
+    fn train_group(&mut self, jobs: &[Job<'a>], scene: &Scene) -> Result<bool> {
+        let first = &jobs[0];
         let names: Vec<&str> = jobs.iter().map(|job| &*job.row.name).collect();
         let id = &first.id;
-        watch.begins(&format!(
+        self.progress.event(&Event::Begun(format!(
             "{}/{}/seed {}: {}",
             id.scene,
             id.labels,
             id.seed,
             names.join(", ")
-        ));
+        )));
         let mut config = first.config.clone();
         config.segmentation.rows = Some(jobs.iter().map(|job| job.row.variant).collect());
         let folder = self.options.out.join("runs").join(&id.scene);
@@ -284,7 +244,7 @@ impl<'a> Comparison<'a> {
             Scored::LabelsAndFeatures,
             &folder,
             self.device,
-            watch,
+            self.progress,
         )?;
         if outcome.stopped {
             return Ok(false);
@@ -305,34 +265,19 @@ impl<'a> Comparison<'a> {
                 command: self.options.command.clone(),
                 device: self.options.device.clone(),
                 figures: Figures::of(row, &outcome, self.device)?,
-                class_iou: named_classes(row, &outcome.scene.classes),
+                class_iou: row.scores.labels.named(&outcome.scene.classes),
             };
             write_cell(&self.options.out, cell.clone(), job.provenance.clone())?;
-            watch.finished(&cell);
+            self.progress.event(&Event::Stored {
+                cell: cell.id.to_string(),
+                miou: cell.figures.pixels.miou,
+            });
             self.cells.push(cell);
         }
         // Its checkpoints are as large as the scene, and have served.
         own::remove_folder(&folder)?;
         Ok(true)
     }
-
-    fn end(mut self, stopped: bool) -> Finished {
-        self.cells.sort_by(|a, b| a.id.cmp(&b.id));
-        Finished {
-            cells: self.cells,
-            stopped,
-        }
-    }
-}
-
-/// The IoU of each class in the truth.
-fn named_classes(row: &VariantOutcome, classes: &Classes) -> Vec<ClassIou> {
-    let named = |&(id, iou): &(u16, f64)| ClassIou {
-        id,
-        name: classes.name(id).to_owned(),
-        iou,
-    };
-    row.scores.labels.per_class.iter().map(named).collect()
 }
 
 /// Jobs in groups that a run can train together: of equal settings, each variant once.

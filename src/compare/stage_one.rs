@@ -1,13 +1,14 @@
 //! The Gaussians of a scene that all of its cells share: trained once, or taken from a file.
 
+use super::Options;
 use super::cells::check_provenance;
 use super::plan::{Plan, SceneFolder};
-use super::{Options, Watch};
 use crate::config::{BuildingConfig, Config};
 use crate::data::Limits;
 use crate::error::{Result, bail};
 use crate::files::{self, atomic};
 use crate::pipeline::{self, load_scene};
+use crate::progress::{Event, Progress};
 use crate::provenance::Provenance;
 use crate::splat::{Gaussians, ply};
 use burn::tensor::Device;
@@ -23,7 +24,7 @@ pub(super) struct SharedGaussians {
 }
 
 impl SharedGaussians {
-    /// Those of `scene`, trained first or taken from the file that `options` name, unless that is done. None where `watch` stopped
+    /// Those of `scene`, trained first or taken from the file that `options` name, unless that is done. None where `progress` stopped
     /// it.
     ///
     /// # Errors
@@ -33,7 +34,7 @@ impl SharedGaussians {
         plan: &Plan,
         options: &Options,
         device: &Device,
-        watch: &mut dyn Watch,
+        progress: &mut dyn Progress,
     ) -> Result<Option<Self>> {
         let folder = options.out.join("scenes").join(&scene.name);
         let record = folder.join("stage_one.json");
@@ -43,9 +44,9 @@ impl SharedGaussians {
             let done: Record = files::json(&record, "what `coseg compare` says of stage one")?;
             done.check(&record, scene, plan, named.as_deref())?;
         } else {
-            watch.begins(&format!("{}: Gaussians", scene.name));
+            progress.event(&Event::Begun(format!("{}: Gaussians", scene.name)));
             let config = settings(plan, scene, named.as_deref())?;
-            let outcome = pipeline::run(&config, &folder, device, watch)?;
+            let outcome = pipeline::run(&config, &folder, device, progress)?;
             if outcome.stopped {
                 return Ok(None);
             }

@@ -1,12 +1,11 @@
 //! Means and spreads of the cells of a plan, as JSON, Markdown and plots.
 
 use super::columns::{COLUMNS, Column, FIELD_COLUMNS, FRAMES, MIOU, SECONDS};
-use super::plots::{Bars, Points};
-use super::statistics::mean;
-use super::{Cell, CellId, Plan, Statistic};
+use super::plots::{ClassRow, Point, bars, points};
+use super::{Cell, CellId, Plan, Row, Statistic};
 use crate::error::Result;
 use crate::files::atomic;
-use serde::Serialize;
+use crate::metrics::mean;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -22,16 +21,6 @@ type Key<'a> = (&'a str, &'a str, &'a str, u64);
 
 fn key(id: &CellId) -> Key<'_> {
     (&id.scene, &id.labels, &id.row, id.seed)
-}
-
-/// A line of a table, for programs.
-#[derive(Serialize)]
-struct Line<'a> {
-    labels: &'a str,
-    row: &'a str,
-    figures: BTreeMap<&'static str, Option<Statistic>>,
-    /// By scene.
-    miou: BTreeMap<&'a str, Option<Statistic>>,
 }
 
 impl<'a> Tables<'a> {
@@ -119,12 +108,12 @@ impl<'a> Tables<'a> {
                 let columns = self.columns().into_iter();
                 let figures = columns.map(|column| (column.key, of(&scenes, column)));
                 let miou = scenes.iter().map(|scene| (*scene, of(&[scene], &MIOU)));
-                lines.push(Line {
-                    labels: &labels.name,
-                    row: &row.name,
-                    figures: figures.collect(),
-                    miou: miou.collect(),
-                });
+                lines.push(serde_json::json!({
+                    "labels": labels.name,
+                    "row": row.name,
+                    "figures": figures.collect::<BTreeMap<_, _>>(),
+                    "miou": miou.collect::<BTreeMap<_, _>>(),
+                }));
             }
         }
         let all = self.plan.cells();
@@ -258,13 +247,21 @@ impl<'a> Tables<'a> {
         let mut plots = Vec::new();
         for labels in &self.plan.labels {
             let kind = &*labels.name;
-            let frames = self.points(kind, &FRAMES, "frames a second, colour and labels");
-            let seconds = self.points(kind, &SECONDS, "seconds of stage two");
-            plots.push((format!("miou_frames_{kind}"), frames.svg(self.command)));
-            plots.push((format!("miou_seconds_{kind}"), seconds.svg(self.command)));
+            let title = format!("{}: mIoU, %, labels {kind}", self.plan.title);
+            for (name, cost, x_title) in [
+                ("frames", &FRAMES, "frames a second, colour and labels"),
+                ("seconds", &SECONDS, "seconds of stage two"),
+            ] {
+                let svg = points(&title, x_title, &self.points(kind, cost), self.command);
+                plots.push((format!("miou_{name}_{kind}"), svg));
+            }
             for scene in self.scenes() {
-                let bars = self.class_bars(kind, scene);
-                plots.push((format!("iou_{kind}_{scene}"), bars.svg(self.command)));
+                let title = format!(
+                    "{}: IoU by class, %, {scene}, labels {kind}",
+                    self.plan.title
+                );
+                let svg = bars(&title, &self.class_iou(kind, scene), self.command);
+                plots.push((format!("iou_{kind}_{scene}"), svg));
             }
         }
         plots
@@ -273,54 +270,42 @@ impl<'a> Tables<'a> {
             .collect()
     }
 
-    /// mIoU against a cost. Rows without all of their cells have no point: others are means over more scenes.
-    fn points(&self, labels: &str, cost: &Column, x_title: &'static str) -> Points {
+    /// mIoU against a cost. Rows without all of their cells have no place: others are means over more scenes.
+    fn points(&self, labels: &str, cost: &Column) -> Vec<Point> {
         let scenes = self.scenes();
         let all = scenes.len() * self.plan.seeds as usize;
-        let mut points = Points {
-            title: format!("{}: mIoU, %, labels {labels}", self.plan.title),
-            x_title,
-            points: Vec::new(),
-        };
-        for row in &self.plan.rows {
-            let finished = self.finished(labels, &row.name, &scenes);
+        let point = |row: &Row| {
+            let name = &row.name;
+            let finished = self.finished(labels, name, &scenes);
             if finished < all {
-                let name = format!("{}: {finished} of {all} cells", row.name);
-                points.add(name, None, None);
-                continue;
+                return (format!("{name}: {finished} of {all} cells"), None, 0.0);
             }
-            let x = self.statistic(labels, &row.name, &scenes, cost);
-            let y = self.statistic(labels, &row.name, &scenes, &MIOU);
-            let name = match (&x, &y) {
-                (Some(_), Some(y)) => format!("{}: {:.1}", row.name, MIOU.unit * y.mean),
-                _ => format!("{}: not measured", row.name),
+            let x = self.statistic(labels, name, &scenes, cost);
+            let Some((x, y)) = x.zip(self.statistic(labels, name, &scenes, &MIOU)) else {
+                return (format!("{name}: not measured"), None, 0.0);
             };
-            points.add(name, x.map(|x| x.mean * cost.unit), y);
-        }
-        points
+            let [x, miou] = [cost.unit * x.mean, MIOU.unit * y.mean];
+            let spread = MIOU.unit * y.spread.unwrap_or(0.0);
+            (format!("{name}: {miou:.1}"), Some([x, miou]), spread)
+        };
+        self.plan.rows.iter().map(point).collect()
     }
 
-    /// The IoU of each class of a scene, in the mean over seeds.
-    fn class_bars(&self, labels: &str, scene: &str) -> Bars {
-        let mut bars = Bars::new(format!(
-            "{}: IoU by class, %, {scene}, labels {labels}",
-            self.plan.title
-        ));
-        for row in &self.plan.rows {
-            let mut by_class: BTreeMap<(u16, &str), Vec<f64>> = BTreeMap::new();
+    /// The IoU of each class of a scene in each row, in the mean over seeds.
+    fn class_iou(&self, labels: &str, scene: &str) -> Vec<ClassRow<'_>> {
+        let of_row = |row: &Row| {
+            let mut by_class: BTreeMap<_, Vec<f64>> = BTreeMap::new();
             let cells = (0..self.plan.seeds)
                 .filter_map(|seed| self.cells.get(&(scene, labels, &*row.name, seed)));
             for class in cells.flat_map(|cell| &cell.class_iou) {
-                by_class
-                    .entry((class.id, &class.name))
-                    .or_default()
-                    .push(class.iou);
+                let values = by_class.entry((class.id, &*class.name)).or_default();
+                values.push(class.iou);
             }
-            let means = by_class
-                .into_iter()
-                .filter_map(|(class, iou)| Some((class, mean(iou.iter())?)));
-            bars.add(&row.name, means);
-        }
-        bars
+            let means = by_class.into_iter();
+            let means =
+                means.filter_map(|(class, iou)| Some((class, mean(iou.into_iter().map(Some))?)));
+            (row.name.clone(), means.collect())
+        };
+        self.plan.rows.iter().map(of_row).collect()
     }
 }

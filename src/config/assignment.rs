@@ -2,6 +2,7 @@
 
 use super::Config;
 use crate::error::{Error, Result, bail, invalid};
+use crate::files::line_at;
 use std::path::Path;
 use toml::{Table, Value};
 
@@ -20,14 +21,19 @@ pub(super) fn assignments<'a>(path: &'a Path, text: &'a str) -> Result<Vec<Assig
     let table = text
         .parse::<Table>()
         .map_err(|e| syntax_error(path, text, &e))?;
+    Ok(assigned(table, Some((path, text))))
+}
+
+/// The values of a table, of a file if it is given.
+pub(super) fn assigned<'a>(table: Table, file: Option<(&'a Path, &'a str)>) -> Vec<Assignment<'a>> {
     let mut values = Vec::new();
     flatten(table, "", &mut values);
     let assignment = |(key, value)| Assignment {
         key,
         readings: vec![value],
-        file: Some((path, text)),
+        file,
     };
-    Ok(values.into_iter().map(assignment).collect())
+    values.into_iter().map(assignment).collect()
 }
 
 /// The values of a table by their dotted keys.
@@ -198,49 +204,31 @@ pub(super) fn fault(
     help: String,
 ) -> Error {
     match file {
-        Some((path, text)) => invalid!(path, "{}", located(text, key); found "{found}";
-            expected "{expected}"; help "{help}"),
+        Some((path, text)) => {
+            let line = line_of(text, key).map(|line| format!("line {line}, "));
+            invalid!(path, "{}{key}", line.unwrap_or_default(); found "{found}";
+                expected "{expected}"; help "{help}")
+        }
         None => invalid!(setting "{key}"; found "{found}"; expected "{expected}"; help "{help}"),
-    }
-}
-
-/// `line 12, building.iterations`, or the key alone when the line is not to be found.
-fn located(text: &str, key: &str) -> String {
-    match line_of(text, key) {
-        Some(line) => format!("line {line}, {key}"),
-        None => key.to_owned(),
     }
 }
 
 /// Line on which a dotted key is given, from 1.
 fn line_of(text: &str, key: &str) -> Option<usize> {
     let document = toml::de::DeTable::parse(text).ok()?;
+    let names: Vec<&str> = key.split('.').collect();
+    let (name, sections) = names.split_last()?;
     let mut table = document.get_ref();
-    let mut name = key;
-    loop {
-        let (first, rest) = name
-            .split_once('.')
-            .map_or((name, None), |(first, rest)| (first, Some(rest)));
-        let (found, value) = table.iter().find(|(k, _)| k.get_ref() == first)?;
-        match rest {
-            None => return Some(line_at(text, found.span().start)),
-            Some(rest) => (table, name) = (value.get_ref().as_table()?, rest),
-        }
+    for section in sections {
+        table = table.get(*section)?.get_ref().as_table()?;
     }
-}
-
-fn line_at(text: &str, offset: usize) -> usize {
-    text.bytes().take(offset).filter(|&b| b == b'\n').count() + 1
+    let (found, _) = table.get_key_value(*name)?;
+    Some(line_at(text, found.span().start))
 }
 
 fn syntax_error(path: &Path, text: &str, error: &toml::de::Error) -> Error {
     let line = error.span().map_or(1, |span| line_at(text, span.start));
-    let found = text
-        .lines()
-        .nth(line - 1)
-        .unwrap_or_default()
-        .trim()
-        .to_owned();
-    invalid!(path, "line {line}"; found "`{found}`"; expected "TOML";
+    let found = text.lines().nth(line - 1).unwrap_or_default();
+    invalid!(path, "line {line}"; found "`{}`", found.trim(); expected "TOML";
         help "{}", error.message().replace('\n', ", "))
 }

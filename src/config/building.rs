@@ -1,6 +1,6 @@
 //! Settings of stage one and of the blending.
 
-use super::budget::{Budget, EXPECTED};
+use super::Budget;
 use super::range::{Range, checked};
 use crate::error::{Result, ensure};
 use serde::{Deserialize, Serialize};
@@ -120,7 +120,7 @@ impl BuildingConfig {
         checked!(self, "building": { lr_means: NotNegative });
         Range::Within(1.0, MAX_POINTS).check("building.random_points", self.random_points)?;
         ensure!(self.max_gaussians != Budget::AtMost(0), setting "building.max_gaussians"; found "0";
-            expected "{EXPECTED}"; help "\"unlimited\" sets no limit");
+            expected "\"auto\", \"unlimited\" or a number from 1"; help "\"unlimited\" sets no limit");
         Range::NotNegative.check("building.gradient_threshold", self.gradient_threshold())
     }
 }

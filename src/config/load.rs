@@ -1,6 +1,6 @@
 //! From files and `--set` overrides to a checked [`Config`], and back to TOML.
 
-use super::assignment::{Assignment, assignments, fault, flatten, parse_set};
+use super::assignment::{Assignment, assigned, assignments, fault, parse_set};
 use super::{Config, Preset};
 use crate::error::{Error, Result, invalid};
 use crate::files;
@@ -57,16 +57,8 @@ impl Config {
     /// # Errors
     /// [`Error::Config`] for an unknown key, a wrong type or a value out of range.
     pub(crate) fn of_tables(tables: &[&Table]) -> Result<Self> {
-        let mut values = Vec::new();
-        for table in tables {
-            flatten((*table).clone(), "", &mut values);
-        }
-        let assignment = |(key, value)| Assignment {
-            key,
-            readings: vec![value],
-            file: None,
-        };
-        let given: Vec<_> = values.into_iter().map(assignment).collect();
+        let tables = tables.iter().map(|table| (*table).clone());
+        let given: Vec<_> = tables.flat_map(|table| assigned(table, None)).collect();
         Self::preset(chosen_preset(&given)?).with(&given)
     }
 

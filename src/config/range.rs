@@ -30,32 +30,23 @@ impl Range {
     /// [`crate::Error::Config`] naming `key`.
     pub fn check(self, key: &str, value: impl AsPrimitive<f64> + Display) -> Result<()> {
         let v: f64 = value.as_();
-        let (inside, expected) = match self {
-            Self::Positive => (
-                (1.0..=f64::from(u32::MAX)).contains(&v),
-                "a whole number above 0, fewer than 2^32".to_owned(),
-            ),
-            Self::AboveZero => (
-                v > 0.0 && v.is_finite(),
-                "a finite number above 0".to_owned(),
-            ),
-            Self::NotNegative => (
-                v >= 0.0 && v.is_finite(),
-                "a finite number of 0 or more".to_owned(),
-            ),
-            Self::OpenUnit => (
-                v > 0.0 && v < 1.0,
-                "a number above 0 and below 1".to_owned(),
-            ),
-            Self::Share => (
-                v > 0.0 && v <= 1.0,
-                "a number above 0, at most 1".to_owned(),
-            ),
-            Self::Unit => return Self::Within(0.0, 1.0).check(key, value),
-            Self::Within(low, high) => (
-                v >= low && v <= high,
-                format!("a number from {low} to {high}"),
-            ),
+        let inside = match self {
+            Self::Positive => (1.0..=f64::from(u32::MAX)).contains(&v),
+            Self::AboveZero => v > 0.0 && v.is_finite(),
+            Self::NotNegative => v >= 0.0 && v.is_finite(),
+            Self::OpenUnit => v > 0.0 && v < 1.0,
+            Self::Share => v > 0.0 && v <= 1.0,
+            Self::Unit => (0.0..=1.0).contains(&v),
+            Self::Within(low, high) => (low..=high).contains(&v),
+        };
+        let expected = match self {
+            Self::Positive => "a whole number above 0, fewer than 2^32",
+            Self::AboveZero => "a finite number above 0",
+            Self::NotNegative => "a finite number of 0 or more",
+            Self::OpenUnit => "a number above 0 and below 1",
+            Self::Share => "a number above 0, at most 1",
+            Self::Unit => "a number from 0 to 1",
+            Self::Within(low, high) => &format!("a number from {low} to {high}"),
         };
         ensure!(inside, setting "{key}"; found "{value}"; expected "{expected}";
             help "leave the key out for the default");

@@ -22,10 +22,7 @@ pub fn write(
 ) -> Result<()> {
     let path = path.as_ref();
     let failed = |action| move |source| Error::io(path, action, source);
-    let parent = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
+    let parent = own::folder(path);
     if path.file_name().is_none() {
         let source = io::Error::new(io::ErrorKind::InvalidInput, "not a file name");
         return Err(Error::io(path, "create", source));
@@ -52,7 +49,7 @@ pub fn write(
     file.sync_all().map_err(failed("sync"))?;
     drop(file);
     // Before the file is there: a process that is killed now leaves no file of its own that it does not know.
-    own::note(path, &hash.finalize())?;
+    own::note(path, &format!("{:x}", hash.finalize()))?;
     temporary
         .persist(path)
         .map_err(|e| Error::io(path, "rename into place", e.error))?;

@@ -78,11 +78,15 @@ pub(crate) fn json<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<T
 /// The TOML `text` of the file at `path`; `expected` describes its form in errors.
 pub(crate) fn toml<T: DeserializeOwned>(text: &str, path: &Path, expected: &str) -> Result<T> {
     toml::from_str(text).map_err(|e: toml::de::Error| {
-        let start = e.span().map_or(0, |span| span.start);
-        let line = text.bytes().take(start).filter(|&b| b == b'\n').count() + 1;
+        let line = line_at(text, e.span().map_or(0, |span| span.start));
         invalid!(path, "line {line}"; found "{}", e.message().replace('\n', ", ");
             expected "{expected}"; help "correct the file there")
     })
+}
+
+/// The line, from 1, of the byte `offset` of a text.
+pub(crate) fn line_at(text: &str, offset: usize) -> usize {
+    text.bytes().take(offset).filter(|&b| b == b'\n').count() + 1
 }
 
 /// The error for JSON that does not parse.

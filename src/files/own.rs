@@ -25,15 +25,18 @@ pub const RECORD: &str = ".coseg-files";
 const FIRST: &str =
     "SHA-256 and name of each file that coseg wrote here. It writes over no others.\n";
 
+/// Time and size of a file.
+pub type Stamp = (SystemTime, u64);
+
 /// What this process knows of records.
 #[derive(Default)]
 struct Known {
     /// This command, and others whose files it may write over; empty without a guard.
-    commands: Vec<&'static str>,
+    commands: Vec<String>,
     /// Lines of the records, by folder.
     lines: HashMap<PathBuf, HashSet<String>>,
     /// Time and size of the files that this process wrote: as long as they stay, nobody else has changed the content.
-    stamps: HashMap<PathBuf, (SystemTime, u64)>,
+    stamps: HashMap<PathBuf, Stamp>,
     /// Files and folders that may be written over.
     allowed: HashSet<PathBuf>,
 }
@@ -53,24 +56,22 @@ fn with_known<T>(work: impl FnOnce(&mut Known) -> T) -> T {
 }
 
 /// From now on this process, which runs the first one of `commands`, writes over no files but those that these commands wrote.
-pub fn guard(commands: &[&'static str]) {
-    with_known(|known| known.commands = commands.to_vec());
+pub fn guard(commands: &[&str]) {
+    let commands = commands.iter().copied().map(str::to_owned).collect();
+    with_known(|known| known.commands = commands);
 }
 
 /// Calls `work` as a process of its own that has this [`guard`]: for programs that run several commands. It holds for what this
 /// thread writes.
-pub fn guarded<T>(commands: &[&'static str], work: impl FnOnce() -> T) -> T {
+pub fn guarded<T>(commands: &[&str], work: impl FnOnce() -> T) -> T {
     struct Restored(Option<Known>);
     impl Drop for Restored {
         fn drop(&mut self) {
             OF_THREAD.set(self.0.take());
         }
     }
-    let known = Known {
-        commands: commands.to_vec(),
-        ..Known::default()
-    };
-    let _restored = Restored(OF_THREAD.replace(Some(known)));
+    let _restored = Restored(OF_THREAD.replace(Some(Known::default())));
+    guard(commands);
     work()
 }
 
@@ -88,7 +89,7 @@ pub fn check(path: impl AsRef<Path>) -> Result<()> {
     let Ok(there) = fs::symlink_metadata(path) else {
         return Ok(());
     };
-    let stamp = there.modified().ok().map(|time| (time, there.len()));
+    let stamp = stamp_of(path);
     let is_known = with_known(|known| {
         let is_allowed = |path: &Path| known.allowed.contains(path);
         known.commands.is_empty()
@@ -111,20 +112,14 @@ pub fn check(path: impl AsRef<Path>) -> Result<()> {
 /// As [`check`].
 pub fn check_folder(folder: impl AsRef<Path>) -> Result<()> {
     let folder = folder.as_ref();
-    let mut names = super::names(folder, |name, path| {
-        !name.starts_with('.') && !path.is_dir()
-    });
-    names
-        .drain(..)
-        .try_for_each(|name| check(folder.join(name)))
+    let is_file = |name: &str, path: &Path| !name.starts_with('.') && !path.is_dir();
+    let mut names = super::names(folder, is_file).into_iter();
+    names.try_for_each(|name| check(folder.join(name)))
 }
 
 /// Whether the record of its folder has the file as it is.
 fn is_recorded(path: &Path) -> Result<bool> {
-    let mut content = super::open(path)?;
-    let mut hash = Sha256::new();
-    io::copy(&mut content, &mut hash).map_err(|e| Error::io(path, "read", e))?;
-    let digest = hash.finalize();
+    let digest = super::sha256(path)?;
     let lines = read(folder(path))?;
     let commands = with_known(|known| known.commands.clone());
     let mut own = commands.iter().map(|command| line(path, &digest, command));
@@ -148,13 +143,13 @@ fn remove_abandoned(folder: &Path) {
 
 /// Notes that a file with this SHA-256 is about to take its place at `path`. The first time in a folder, removes what killed
 /// processes left there.
-pub(super) fn note(path: &Path, digest: &[u8]) -> Result<()> {
+pub(super) fn note(path: &Path, digest: &str) -> Result<()> {
     with_known(|known| note_in(known, path, digest))
 }
 
-fn note_in(known: &mut Known, path: &Path, digest: &[u8]) -> Result<()> {
+fn note_in(known: &mut Known, path: &Path, digest: &str) -> Result<()> {
     let folder = folder(path);
-    let Some(&command) = known.commands.first() else {
+    let Some(command) = known.commands.first() else {
         return Ok(());
     };
     if !known.lines.contains_key(folder) {
@@ -183,10 +178,15 @@ fn note_in(known: &mut Known, path: &Path, digest: &[u8]) -> Result<()> {
 
 /// Notes when the file at `path` was written.
 pub(super) fn stamp(path: &Path) {
-    let written = fs::symlink_metadata(path).and_then(|at| Ok((at.modified()?, at.len())));
-    if let Ok(stamp) = written {
+    if let Some(stamp) = stamp_of(path) {
         with_known(|known| known.stamps.insert(path.to_owned(), stamp));
     }
+}
+
+/// Time and size of the file at `path`, which change with its content; `None` where there is none.
+pub fn stamp_of(path: &Path) -> Option<Stamp> {
+    let there = fs::metadata(path).ok()?;
+    Some((there.modified().ok()?, there.len()))
 }
 
 /// Removes the record and the lock of a folder that holds nothing else, and the folder.
@@ -239,14 +239,14 @@ fn read(folder: &Path) -> Result<HashSet<String>> {
     Ok(lines.lines().map(str::to_owned).collect())
 }
 
-fn line(path: &Path, digest: &[u8], command: &str) -> String {
-    let hex: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+fn line(path: &Path, digest: &str, command: &str) -> String {
     // Escaped, because a name may have line ends.
     let name = super::file_name(path).unwrap_or_default();
-    format!("{hex} {command} {}", name.escape_debug())
+    format!("{digest} {command} {}", name.escape_debug())
 }
 
-fn folder(path: &Path) -> &Path {
+/// The folder that `path` is in.
+pub(super) fn folder(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),

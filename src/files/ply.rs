@@ -210,11 +210,7 @@ impl PlyFile {
         mut each: impl FnMut(usize, &Row<N>) -> Result<()>,
     ) -> Result<()> {
         // Rows without columns take no bytes in a binary file, so their number is not bounded by its size.
-        let rows = if def.properties.is_empty() {
-            0
-        } else {
-            def.count
-        };
+        let rows = def.count * usize::from(!def.properties.is_empty());
         let mut block = def.clone();
         for first in (0..rows).step_by(BLOCK) {
             block.count = BLOCK.min(rows - first);
@@ -234,29 +230,18 @@ impl PlyFile {
     /// read. Much longer files have rows with more in them than declared, such as a column name used twice.
     fn check_size(&mut self) -> Result<()> {
         let unreadable = |e| Error::io(&self.path, "measure", e);
-        let start = self
-            .reader
-            .get_mut()
-            .stream_position()
-            .map_err(unreadable)?;
-        let length = self
-            .reader
-            .get_ref()
-            .get_ref()
-            .metadata()
-            .map_err(unreadable)?
-            .len();
+        let file = self.reader.get_mut();
+        let start = file.stream_position().map_err(unreadable)?;
+        let length = file.get_ref().metadata().map_err(unreadable)?.len();
+        if self.header.encoding == Encoding::Ascii {
+            return Ok(());
+        }
         let mut expected = u128::from(start);
         let mut rows = 0;
         for element in self.header.elements.values() {
-            let sizes = element
-                .properties
-                .values()
-                .map(|property| size_of_scalar(&property.data_type));
-            let Some(stride) = sizes
-                .sum::<Option<u128>>()
-                .filter(|_| self.header.encoding != Encoding::Ascii)
-            else {
+            let sizes = element.properties.values();
+            let sizes = sizes.map(|property| size_of_scalar(&property.data_type));
+            let Some(stride) = sizes.sum::<Option<u128>>() else {
                 return Ok(());
             };
             expected += element.count as u128 * stride;

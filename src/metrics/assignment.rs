@@ -12,22 +12,18 @@ pub fn assignment(values: &[i64], columns: usize) -> Vec<Option<usize>> {
         return partners;
     };
     // The algorithm needs as many columns as rows.
-    if rows <= columns {
-        let (_, found) = kuhn_munkres(&matrix);
-        found
-            .into_iter()
-            .enumerate()
-            .for_each(|(row, column)| partners[row] = Some(column));
+    let is_turned = rows > columns;
+    let matrix = if is_turned {
+        matrix.transposed()
     } else {
-        let (_, found) = kuhn_munkres(&matrix.transposed());
-        found
-            .into_iter()
-            .enumerate()
-            .for_each(|(column, row)| partners[row] = Some(column));
-    }
-    let is_pair = |row: usize, column: usize| values[row * columns + column] > 0;
-    for (row, partner) in partners.iter_mut().enumerate() {
-        *partner = partner.filter(|column| is_pair(row, *column));
+        matrix
+    };
+    let (_, found) = kuhn_munkres(&matrix);
+    for pair in found.into_iter().enumerate() {
+        let (row, column) = if is_turned { (pair.1, pair.0) } else { pair };
+        if values[row * columns + column] > 0 {
+            partners[row] = Some(column);
+        }
     }
     partners
 }

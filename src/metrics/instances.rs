@@ -66,10 +66,9 @@ impl Pairs {
     }
 
     pub fn merge(&mut self, other: &Self) {
-        other
-            .0
-            .iter()
-            .for_each(|(&pair, &n)| self.count(Some((pair, n))));
+        for (&pair, &n) in &other.0 {
+            self.count(Some((pair, n)));
+        }
     }
 
     fn get(&self, truth: u16, prediction: u16) -> u64 {
@@ -139,22 +138,13 @@ impl PanopticQuality {
                 matched[1].push(prediction);
             }
         }
-        for &truth in areas[0]
-            .keys()
-            .filter(|id| **id != VOID && !matched[0].contains(id))
-        {
-            self.0.entry(true_class(truth)).or_default().unmatched += 1;
-        }
-        for (&prediction, &area) in areas[1]
-            .iter()
-            .filter(|(id, _)| **id != VOID && !matched[1].contains(id))
-        {
-            if 2 * pairs.get(VOID, prediction) <= area {
-                self.0
-                    .entry(predicted_class(prediction))
-                    .or_default()
-                    .unmatched += 1;
-            }
+        let is_left = |side: usize, id| id != VOID && !matched[side].contains(&id);
+        let missed = areas[0].keys().filter(|id| is_left(0, **id));
+        let missed = missed.map(|&id| true_class(id));
+        let is_false = |id: u16, area: u64| is_left(1, id) && 2 * pairs.get(VOID, id) <= area;
+        let false_ones = areas[1].iter().filter(|(id, area)| is_false(**id, **area));
+        for class in missed.chain(false_ones.map(|(&id, _)| predicted_class(id))) {
+            self.0.entry(class).or_default().unmatched += 1;
         }
     }
 
@@ -174,13 +164,8 @@ impl PanopticQuality {
         };
         Quality {
             pq: mean(occurs().map(|t| Some(t.iou / weight(t)))),
-            sq: mean(occurs().map(|t| {
-                Some(if t.matched > 0 {
-                    t.iou / t.matched as f64
-                } else {
-                    0.0
-                })
-            })),
+            // The sum is 0 where none match.
+            sq: mean(occurs().map(|t| Some(t.iou / t.matched.max(1) as f64))),
             rq: mean(occurs().map(|t| Some(t.matched as f64 / weight(t)))),
         }
     }
@@ -204,35 +189,30 @@ pub fn instance_scores(
     scene.count(&pooled, [one, one]);
     let areas = pooled.areas();
     let [instances, objects] = areas.each_ref().map(|areas| {
-        areas
-            .keys()
-            .copied()
-            .filter(|id| *id != VOID)
-            .collect::<Vec<_>>()
+        let ids = areas.keys().copied().filter(|id| *id != VOID);
+        ids.collect::<Vec<_>>()
     });
-    let values: Vec<i64> = instances
+    let all_pairs = instances
         .iter()
-        .flat_map(|&t| objects.iter().map(move |&p| (t, p)))
-        .map(|(t, p)| pooled.get(t, p) as i64)
-        .collect();
+        .flat_map(|&t| objects.iter().map(move |&p| (t, p)));
+    let values: Vec<i64> = all_pairs.map(|(t, p)| pooled.get(t, p) as i64).collect();
     let mut partners = assignment(&values, objects.len());
     partners.resize(instances.len(), None);
-    let matched: Vec<Option<u16>> = partners
-        .into_iter()
-        .map(|p| p.map(|p| objects[p]))
-        .collect();
-    let pairs = || instances.iter().zip(&matched).map(|(&t, p)| (t, *p));
-    let right: u64 = pairs()
-        .map(|(t, p)| p.map_or(0, |p| pooled.get(t, p)))
-        .sum();
-    let all: u64 = areas[0]
+    let partner = |place: Option<usize>| place.map(|place| objects[place]);
+    let matched = partners.into_iter().map(partner);
+    let pairs: Vec<(u16, Option<u16>)> = instances.iter().copied().zip(matched).collect();
+    let right = pairs
         .iter()
-        .filter(|(id, _)| **id != VOID)
-        .map(|(_, n)| n)
-        .sum();
+        .map(|&(t, p)| p.map_or(0, |p| pooled.get(t, p)));
+    let right: u64 = right.sum();
+    let all: u64 = instances.iter().map(|id| areas[0][id]).sum();
     InstanceScores {
         accuracy: (all > 0).then(|| right as f64 / all as f64),
-        miou: mean(pairs().map(|(t, p)| Some(p.map_or(0.0, |p| pooled.iou(t, p, &areas))))),
+        miou: mean(
+            pairs
+                .iter()
+                .map(|&(t, p)| Some(p.map_or(0.0, |p| pooled.iou(t, p, &areas)))),
+        ),
         panoptic: per_view.quality(),
         scene: scene.quality(),
         instances: instances.len(),

@@ -1,6 +1,6 @@
 //! mIoU and accuracy of label maps.
 
-use super::mean;
+use super::{ClassIou, mean};
 use crate::data::Classes;
 use serde::{Deserialize, Serialize};
 
@@ -47,12 +47,8 @@ impl Confusion {
     /// Counts one view, given as label ids of `classes`; the truth's ignored id leaves a pixel out.
     pub fn add_ids(&mut self, classes: &Classes, truth: &[u16], prediction: &[u16]) {
         let lookup = classes.lookup();
-        let index = |ids: &[u16]| {
-            ids.iter()
-                .map(|&id| usize::from(lookup[usize::from(id)]))
-                .collect::<Vec<_>>()
-        };
-        self.add(index(truth), index(prediction));
+        let index = |&id: &u16| usize::from(lookup[usize::from(id)]);
+        self.add(truth.iter().map(index), prediction.iter().map(index));
     }
 
     /// Adds the counts of another confusion of as many classes; returns `false` for others.
@@ -124,6 +120,18 @@ pub struct LabelScores {
     pub boundary_iou: Option<f64>,
     /// IoU of each class present in the truth, all views together: (id, IoU).
     pub per_class: Vec<(u16, f64)>,
+}
+
+impl LabelScores {
+    /// IoU of each class present in the truth, with its name in `classes`.
+    pub fn named(&self, classes: &Classes) -> Vec<ClassIou> {
+        let named = |&(id, iou): &(u16, f64)| ClassIou {
+            id,
+            name: classes.name(id).to_owned(),
+            iou,
+        };
+        self.per_class.iter().map(named).collect()
+    }
 }
 
 /// Scores `views` of (true ids, predicted ids), each `[H, W]`, one after the other. Pixels whose truth is the ignored id are left

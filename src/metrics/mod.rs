@@ -20,7 +20,7 @@ pub use self::labels::{Confusion, LabelScores, PixelScores, Void, label_scores};
 pub use self::semantic::{ClassIou, PanopticScores, SemanticScores, SemanticView, semantic_scores};
 
 /// Mean of the values that are there; `None` when there are none.
-fn mean(values: impl IntoIterator<Item = Option<f64>>) -> Option<f64> {
+pub(crate) fn mean(values: impl IntoIterator<Item = Option<f64>>) -> Option<f64> {
     let (sum, n) = values
         .into_iter()
         .flatten()

@@ -1,7 +1,7 @@
 //! Scores of objects by what they are: mIoU over classes, and panoptic quality of things and stuff.
 
 use super::instances::{Pairs, PanopticQuality, Quality};
-use super::labels::{Void, label_scores};
+use super::labels::{PixelScores, Void, label_scores};
 use crate::data::Classes;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -9,12 +9,9 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Scores of a set of views against true classes, each in 0..1. An object counts as its class.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SemanticScores {
-    /// Mean IoU of all views counted together, over the classes in their truth.
-    pub miou: Option<f64>,
-    /// Mean over views of each view's mean IoU over the classes in its own truth.
-    pub miou_per_view: Option<f64>,
-    /// Share of labelled pixels whose object is of the right class.
-    pub accuracy: Option<f64>,
+    /// Scores that count pixels.
+    #[serde(flatten)]
+    pub pixels: PixelScores,
     /// IoU of each class in the truth, all views together, ascending by id.
     pub per_class: Vec<ClassIou>,
     /// Panoptic quality by class, where views have true instances too.
@@ -69,37 +66,19 @@ pub fn semantic_scores<'a>(
 ) -> SemanticScores {
     let views: Vec<SemanticView<'_>> = views.into_iter().collect();
     let mut class_of = vec![classes.ignore; 1 << 16];
-    for (object, of) in objects
-        .entries
-        .iter()
-        .filter_map(|object| Some((object, object.object_of?)))
-    {
-        class_of[usize::from(object.id)] = of.class;
+    for object in &objects.entries {
+        if let Some(of) = object.object_of {
+            class_of[usize::from(object.id)] = of.class;
+        }
     }
-    let found: Vec<Vec<u16>> = views
-        .iter()
-        .map(|view| {
-            view.objects
-                .iter()
-                .map(|&id| class_of[usize::from(id)])
-                .collect()
-        })
-        .collect();
-    let pairs = views
-        .iter()
-        .zip(&found)
-        .map(|(view, found)| (view.truth, &found[..]));
+    let pairs = views.iter().map(|view| {
+        let found = view.objects.iter().map(|&id| class_of[usize::from(id)]);
+        (view.truth, found.collect::<Vec<_>>())
+    });
     let scores = label_scores(classes, pairs, Void::Wrong);
-    let named = |(id, iou)| ClassIou {
-        id,
-        name: classes.name(id).to_owned(),
-        iou,
-    };
     SemanticScores {
-        miou: scores.pixels.miou,
-        miou_per_view: scores.pixels.miou_per_view,
-        accuracy: scores.pixels.accuracy,
-        per_class: scores.per_class.into_iter().map(named).collect(),
+        pixels: scores.pixels,
+        per_class: scores.named(classes),
         panoptic: panoptic(classes, stuff, &class_of, &views),
     }
 }
@@ -132,14 +111,15 @@ fn panoptic(
             )
             .collect();
         // Objects without a class show nothing.
-        let object = |&id: &u16| {
+        let found = view.objects.iter();
+        let found = found.map(|&id| {
             if known(class_of[usize::from(id)]) {
                 id
             } else {
                 0
             }
-        };
-        let found: Vec<u16> = view.objects.iter().map(object).collect();
+        });
+        let found: Vec<u16> = found.collect();
         let mut pairs = Pairs::default();
         pairs.add(&truth, &found);
         pooled.merge(&pairs);

@@ -2,6 +2,8 @@
 
 use super::units::thousands;
 use maud::{Markup, PreEscaped, html};
+use plotters::chart::MeshStyle;
+use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use std::ops::Range;
 
@@ -25,12 +27,16 @@ pub(super) struct Chart {
     pub decimals: usize,
 }
 
+/// The grid of a chart.
+type Mesh<'a, 'b, 's> = MeshStyle<'a, 'b, RangedCoordf64, RangedCoordf64, SVGBackend<'s>>;
+
 /// The page shows charts at about half this size: plotters places points on whole units.
 const SIZE: (u32, u32) = (960, 520);
 pub(crate) const TEXT: RGBColor = RGBColor(118, 121, 130);
-pub(crate) const GRID: RGBColor = RGBColor(226, 226, 221);
+const GRID: RGBColor = RGBColor(226, 226, 221);
+pub(crate) const FONT: &str = "sans-serif";
 /// Ticks of an axis, about.
-const TICKS: usize = 6;
+pub(crate) const TICKS: usize = 6;
 /// A logarithmic axis spans this ratio or more.
 const MIN_RATIO: f64 = 3.0;
 /// Lines with more points than this are averaged in groups.
@@ -111,19 +117,10 @@ impl Chart {
                 .x_label_area_size(64)
                 .y_label_area_size(92)
                 .build_cartesian_2d(0.0..end, y)?;
-            let font = ("sans-serif", 24).into_font().color(&TEXT);
-            chart
-                .configure_mesh()
+            styled(&mut chart.configure_mesh(), 2, 24)
                 .disable_x_mesh()
-                .bold_line_style(GRID.stroke_width(2))
-                .light_line_style(TRANSPARENT)
-                .axis_style(TEXT.stroke_width(2))
-                .label_style(font.clone())
-                .axis_desc_style(font)
                 .x_desc("iteration")
-                .x_labels(TICKS)
                 .y_labels(TICKS)
-                .x_label_formatter(&|x| tick(*x))
                 .y_label_formatter(&|y| if log { tick(two_digits(*y)) } else { tick(*y) })
                 .draw()?;
             for line in &self.lines {
@@ -150,6 +147,22 @@ impl Chart {
             out.replace(" xmlns=\"http://www.w3.org/2000/svg\"", ""),
         ))
     }
+}
+
+/// `mesh` in the style of all charts, with lines and text of these sizes, and ticks of the horizontal axis.
+pub(crate) fn styled<'m, 'a, 'b, 's>(
+    mesh: &'m mut Mesh<'a, 'b, 's>,
+    line: u32,
+    text: u32,
+) -> &'m mut Mesh<'a, 'b, 's> {
+    let font = (FONT, text).into_font().color(&TEXT);
+    mesh.bold_line_style(GRID.stroke_width(line))
+        .light_line_style(TRANSPARENT)
+        .axis_style(TEXT.stroke_width(line))
+        .label_style(font.clone())
+        .axis_desc_style(font)
+        .x_labels(TICKS)
+        .x_label_formatter(&|x| tick(*x))
 }
 
 /// A small square of a colour.

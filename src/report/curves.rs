@@ -28,14 +28,16 @@ pub(super) fn color(row: Variant) -> [u8; 3] {
     }
 }
 
-fn single(title: &str, samples: &[Sample], decimals: usize) -> Chart {
+/// A chart of one line.
+fn single(title: String, color: [u8; 3], points: Vec<(f64, f64)>, decimals: usize) -> Chart {
+    let line = Line {
+        name: "",
+        color,
+        points,
+    };
     Chart {
-        title: title.into(),
-        lines: vec![Line {
-            name: "",
-            color: BLUE,
-            points: thinned(samples).0,
-        }],
+        title,
+        lines: vec![line],
         log: false,
         decimals,
     }
@@ -51,25 +53,22 @@ fn loss(title: &str, color: [u8; 3], samples: &[Sample]) -> Chart {
         _ => String::new(),
     };
     Chart {
-        title: format!("{title}{span}"),
-        lines: vec![Line {
-            name: "",
-            color,
-            points,
-        }],
         log: true,
-        decimals: 4,
+        ..single(format!("{title}{span}"), color, points, 4)
     }
 }
 
 /// Charts of stage one.
 pub(super) fn building(report: &Report<'_>) -> Vec<Markup> {
     let b = &report.metrics.curves.building;
+    let chart = |title: &str, samples, decimals| {
+        single(title.to_owned(), BLUE, thinned(samples).0, decimals)
+    };
     let charts = [
-        single("Held-out PSNR, dB", &b.psnr, 2),
-        single("Held-out SSIM", &b.ssim, 3),
+        chart("Held-out PSNR, dB", &b.psnr, 2),
+        chart("Held-out SSIM", &b.ssim, 3),
         loss("Training loss", ORANGE, &b.loss),
-        single("Gaussians", &b.gaussians, 0),
+        chart("Gaussians", &b.gaussians, 0),
     ];
     charts.iter().filter_map(Chart::figure).collect()
 }

@@ -25,10 +25,6 @@ fn row_name(row: Variant) -> Markup {
     html! { th scope="row" { (swatch(color(row))) (row.title()) } }
 }
 
-fn shares(shares: &[Option<f64>]) -> Markup {
-    html! { @for share in shares { td { (percent(*share)) } } }
-}
-
 /// A share, bold where it is the best and above 0.
 fn share(share: Option<f64>, best: Option<f64>) -> Markup {
     let is_best = share.is_some_and(|share| share > 0.0) && share == best;
@@ -75,7 +71,7 @@ pub(super) fn scores(report: &Report<'_>) -> Markup {
             @if let Some(s) = scores.void_left_out {
                 tr.quiet {
                     th scope="row" { (swatch(color(*row))) (row.title()) ", unlabelled left out" }
-                    (shares(&[s.miou, s.miou_per_view, s.accuracy]))
+                    @for pick in columns { td { (percent(pick(&s))) } }
                     td { "–" } td { "–" } td { "–" }
                 }
             }
@@ -178,9 +174,9 @@ pub(super) fn objects_by_class(report: &Report<'_>) -> Option<Markup> {
     let rows = rows_with(report, |scores| scores.semantic.as_ref());
     let (_, first) = rows.first()?;
     let columns: [Column<SemanticScores>; 9] = [
-        ("mIoU pooled, %", |s| percent(s.miou)),
-        ("mIoU per view, %", |s| percent(s.miou_per_view)),
-        ("accuracy, %", |s| percent(s.accuracy)),
+        ("mIoU pooled, %", |s| percent(s.pixels.miou)),
+        ("mIoU per view, %", |s| percent(s.pixels.miou_per_view)),
+        ("accuracy, %", |s| percent(s.pixels.accuracy)),
         ("PQ, %", |s| percent(s.panoptic.and_then(|p| p.all.pq))),
         ("SQ, %", |s| percent(s.panoptic.and_then(|p| p.all.sq))),
         ("RQ, %", |s| percent(s.panoptic.and_then(|p| p.all.rq))),

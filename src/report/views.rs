@@ -95,15 +95,13 @@ fn one(report: &Report<'_>, held_out: &HeldOutView<'_>, path: &Path) -> Result<M
     let psnr = held_out.scores.psnr.map(|v| format!("{v:.2} dB"));
     let ssim = held_out.scores.ssim.map(|v| format!("SSIM {v:.3}"));
     let scores = psnr.into_iter().chain(ssim).collect::<Vec<_>>().join(", ");
-    let colour =
-        |image: &RgbImage, caption: &str, note: &str| figure(image, caption, note, None, path);
     let labels = |image: &RgbImage, caption: &str, note: &str| {
         figure(image, caption, note, Some("labels"), path)
     };
     let mut pictures = vec![
-        colour(&*view.image.pixels()?, "photo", "")?,
-        colour(&rgb, "render", &scores)?,
-        colour(&held_out.color_error(&rgb)?, "colour error", "")?,
+        figure(&*view.image.pixels()?, "photo", "", None, path)?,
+        figure(&rgb, "render", &scores, None, path)?,
+        figure(&held_out.color_error(&rgb)?, "colour error", "", None, path)?,
     ];
     let truth = view.truth.as_ref().map(LabelRuns::map);
     if let Some(truth) = &truth {
@@ -124,11 +122,8 @@ fn one(report: &Report<'_>, held_out: &HeldOutView<'_>, path: &Path) -> Result<M
         pictures.push(labels(&colored(map, classes), row.title(), &note)?);
         if let Some(truth) = truth {
             let caption = format!("errors: {}", row.title());
-            errors.push(labels(
-                &label_error(map, truth, classes.ignore),
-                &caption,
-                "",
-            )?);
+            let error = label_error(map, truth, classes.ignore);
+            errors.push(labels(&error, &caption, "")?);
         }
     }
     Ok(html! {

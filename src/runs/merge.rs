@@ -10,11 +10,19 @@ use crate::data::{self, Classes, Limits, NamedCamera, read_cameras};
 use crate::error::{Result, bail, ensure};
 use crate::files::lock::Lock;
 use crate::files::{atomic, own};
-use crate::objects::{BlockObjects, Identities, join_objects};
+use crate::objects::{BlockObjects, Identities, JoinedObjects, join_objects};
 use crate::splat::{Gaussians, ply};
 use glam::DVec3;
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
+
+/// Settings that count for the whole scene.
+const SHARED: [&str; 4] = [
+    "data.association",
+    "data.raw_labels",
+    "data.transforms",
+    "raster",
+];
 
 /// A run on a block.
 struct Part {
@@ -24,6 +32,7 @@ struct Part {
     /// The folder of the whole scene.
     scene: PathBuf,
     gaussians: Gaussians,
+    origin: DVec3,
     /// Centres of the Gaussians in the world.
     places: Vec<DVec3>,
     labels: Option<Vec<u16>>,
@@ -62,40 +71,31 @@ pub struct Merged {
 /// [`crate::Error::Argument`] naming a run that is of no block or of another split, a block that is missing or there twice;
 /// [`crate::Error::Input`] for class tables that contradict each other; those of reading the runs.
 pub fn merge(runs: &[PathBuf]) -> Result<Merged> {
-    let mut parts = opened(runs)?;
-    parts.sort_by_key(|(part, _)| part.block.index);
+    ensure!(!runs.is_empty(), argument "RUN"; found "nothing"; expected "the runs of all blocks"; help "name their folders");
+    let parts = runs.iter().map(|run| Part::open(run));
+    let mut parts = parts.collect::<Result<Vec<Part>>>()?;
+    parts.sort_by_key(|part| part.block.index);
     check_complete(&parts)?;
     check_alike(&parts)?;
-    let origin = parts[0].1;
-    let parts: Vec<Part> = parts
-        .into_iter()
-        .map(|(part, own)| part.moved(own - origin))
-        .collect();
+    let origin = parts[0].origin;
+    parts.iter_mut().for_each(|part| part.move_to(origin));
     let kept: Vec<Vec<u32>> = parts.iter().map(Part::core).collect();
     let is_labelled = parts.iter().all(|part| part.labels.is_some());
-    let are_objects = parts
-        .iter()
-        .any(|part| part.config.data.association != Association::None);
-    let (ids, classes, joined) = if is_labelled && are_objects {
-        objects(&parts, &kept)?
+    let are_objects = |part: &Part| part.config.data.association != Association::None;
+    let (classes, joined) = if is_labelled && parts.iter().any(are_objects) {
+        let found = objects(&parts, &kept)?;
+        for (part, ids) in parts.iter_mut().zip(&found.ids) {
+            part.renumber(|id| ids.get(&id).copied().unwrap_or(found.classes.ignore));
+        }
+        (found.classes, Some(found.joined))
     } else {
-        (Vec::new(), classes(&parts)?, None)
+        (classes(&parts)?, None)
     };
-    let id = |part: usize, id: u16| match ids.get(part) {
-        Some(ids) => ids.get(&id).copied().unwrap_or(classes.ignore),
-        None => id,
-    };
-    let labels = is_labelled.then(|| {
-        let labels = parts
-            .iter()
-            .zip(&kept)
-            .enumerate()
-            .flat_map(|(i, (part, rows))| {
-                let labels = part.labels.as_deref().unwrap_or_default();
-                rows.iter().map(move |&row| (i, labels[row as usize]))
-            });
-        labels.map(|(part, label)| id(part, label)).collect()
+    let labels = parts.iter().zip(&kept).flat_map(|(part, rows)| {
+        let labels = part.labels.as_deref().unwrap_or_default();
+        rows.iter().map(|&row| labels[row as usize])
     });
+    let labels = is_labelled.then(|| labels.collect());
     let mut config = parts[0].config.clone();
     let scene = parts[0].scene.clone();
     parts[0].block.reading.apply(scene, &mut config.data);
@@ -108,7 +108,7 @@ pub fn merge(runs: &[PathBuf]) -> Result<Merged> {
         gaussians: gaussians(&parts, &kept),
         origin,
         labels,
-        identities: identities(&parts, &kept, &classes, &id),
+        identities: identities(&parts, &kept, &classes),
         cameras: cameras.collect(),
         config,
         blocks: parts.iter().zip(&kept).map(count).collect(),
@@ -117,17 +117,11 @@ pub fn merge(runs: &[PathBuf]) -> Result<Merged> {
     })
 }
 
-/// The runs, and the origin of each.
-fn opened(runs: &[PathBuf]) -> Result<Vec<(Part, DVec3)>> {
-    ensure!(!runs.is_empty(), argument "RUN"; found "nothing"; expected "the runs of all blocks"; help "name their folders");
-    runs.iter().map(|run| Part::open(run)).collect()
-}
-
 /// Refuses runs of different splits, and blocks that are missing or there twice.
-fn check_complete(parts: &[(Part, DVec3)]) -> Result<()> {
-    let first = &parts[0].0;
+fn check_complete(parts: &[Part]) -> Result<()> {
+    let first = &parts[0];
     let mut found: BTreeMap<[usize; 2], &Path> = BTreeMap::new();
-    for (part, _) in parts {
+    for part in parts {
         let run = part.run.display();
         ensure!(part.scene == first.scene && part.block.grid == first.block.grid && part.block.reading == first.block.reading,
             argument "RUN"; found "{run}, a run on a block of another split than {}", first.run.display();
@@ -149,27 +143,16 @@ fn check_complete(parts: &[(Part, DVec3)]) -> Result<()> {
 }
 
 /// Refuses runs that differ in a setting that counts for the whole scene, or of which only some have labels.
-fn check_alike(parts: &[(Part, DVec3)]) -> Result<()> {
-    let first = &parts[0].0;
-    for (part, _) in parts {
+fn check_alike(parts: &[Part]) -> Result<()> {
+    let first = &parts[0];
+    for part in parts {
         let [run, other] = [&part.run, &first.run].map(|run| run.display());
-        let [now, then] = [part, first].map(|part| &part.config);
-        let differs = [
-            (
-                "data.association",
-                now.data.association != then.data.association,
-            ),
-            (
-                "data.raw_labels",
-                now.data.raw_labels != then.data.raw_labels,
-            ),
-            (
-                "data.transforms",
-                now.data.transforms != then.data.transforms,
-            ),
-            ("raster", now.raster != then.raster),
-        ];
-        if let Some((key, _)) = differs.iter().find(|(_, differs)| *differs) {
+        let [now, then] = [part, first].map(|part| serde_json::json!(part.config));
+        let differs = |key: &&str| {
+            let place = format!("/{}", key.replace('.', "/"));
+            now.pointer(&place) != then.pointer(&place)
+        };
+        if let Some(key) = SHARED.into_iter().find(differs) {
             bail!(argument "RUN"; found "{run}, whose settings of {key} are not those of {other}";
                 expected "runs with the same settings"; help "train this block again with the settings of the others");
         }
@@ -181,7 +164,7 @@ fn check_alike(parts: &[(Part, DVec3)]) -> Result<()> {
 }
 
 impl Part {
-    fn open(dir: &Path) -> Result<(Self, DVec3)> {
+    fn open(dir: &Path) -> Result<Self> {
         let run = RunFolder::existing(dir)?;
         let config = run.config(&[])?;
         let help = "leave it out, or put the folder of the block back";
@@ -202,31 +185,38 @@ impl Part {
             bail!(argument "RUN"; found "{}, trained on {}, which {} does not have", dir.display(), camera.name, folder.join(BLOCK).display();
                 expected "a run on the block as it is"; help "the scene was split anew since: train the block again");
         }
-        let part = Self {
+        Ok(Self {
             run: dir.to_owned(),
             scene: block.scene_folder(folder)?,
             config,
             block,
             places: ply.gaussians.positions(ply.origin),
+            origin: ply.origin,
             identities: identities_beside(&scene, ply.gaussians.len(), classes.len())?,
             cameras,
             gaussians: ply.gaussians,
             labels: ply.labels,
             classes,
-        };
-        Ok((part, ply.origin))
+        })
     }
 
-    /// With centres moved by `offset`.
-    fn moved(mut self, offset: DVec3) -> Self {
+    /// Makes the centres relative to `origin`.
+    fn move_to(&mut self, origin: DVec3) {
+        let offset = self.origin - origin;
         if offset != DVec3::ZERO {
             for mean in &mut self.gaussians.means {
-                *mean = (DVec3::from(mean.map(f64::from)) + offset)
-                    .as_vec3()
-                    .to_array();
+                let moved = DVec3::from(mean.map(f64::from)) + offset;
+                *mean = moved.as_vec3().to_array();
             }
         }
-        self
+    }
+
+    /// Gives labels and classes other ids.
+    fn renumber(&mut self, id: impl Fn(u16) -> u16) {
+        let labels = self.labels.iter_mut().flatten();
+        let classes = self.classes.entries.iter_mut();
+        let ids = labels.chain(classes.map(|class| &mut class.id));
+        ids.for_each(|old| *old = id(*old));
     }
 
     /// The Gaussians of the core.
@@ -280,10 +270,8 @@ fn classes(parts: &[Part]) -> Result<Classes> {
     Ok(Classes { entries, ignore })
 }
 
-/// For each part the new ids of its objects, all objects, and how many were joined.
-type Objects = (Vec<BTreeMap<u16, u16>>, Classes, Option<usize>);
-
-fn objects(parts: &[Part], kept: &[Vec<u32>]) -> Result<Objects> {
+/// The objects of all parts, joined over the borders.
+fn objects(parts: &[Part], kept: &[Vec<u32>]) -> Result<JoinedObjects> {
     let of_parts = parts.iter().zip(kept).map(|(part, kept)| BlockObjects {
         kept,
         means: &part.gaussians.means,
@@ -303,30 +291,22 @@ fn objects(parts: &[Part], kept: &[Vec<u32>]) -> Result<Objects> {
             shared.push(([i, j], [inside(a), inside(b)]));
         }
     }
-    let joined = join_objects(&of_parts.collect::<Vec<_>>(), &shared)?;
-    Ok((joined.ids, joined.classes, Some(joined.joined)))
+    join_objects(&of_parts.collect::<Vec<_>>(), &shared)
 }
 
 /// The scores of the Gaussians `kept` for `classes`. A class that a block does not know is as unlikely as its unlikeliest.
-fn identities(
-    parts: &[Part],
-    kept: &[Vec<u32>],
-    classes: &Classes,
-    id: &dyn Fn(usize, u16) -> u16,
-) -> Option<Identities> {
+fn identities(parts: &[Part], kept: &[Vec<u32>], classes: &Classes) -> Option<Identities> {
     let mut scores = Vec::new();
-    for (i, (part, rows)) in parts.iter().zip(kept).enumerate() {
+    for (part, rows) in parts.iter().zip(kept) {
         let own = part.identities.as_ref()?;
-        let column = |class: &data::Class| classes.index(id(i, class.id));
-        let columns: Vec<Option<usize>> = part.classes.entries.iter().map(column).collect();
+        let own_classes = part.classes.entries.iter();
+        let columns: Vec<_> = own_classes.map(|class| classes.index(class.id)).collect();
         for &row in rows {
             let own = &own.scores[row as usize * own.classes..][..own.classes];
             let lowest = own.iter().copied().fold(f32::INFINITY, f32::min);
             let start = scores.len();
-            scores.resize(
-                start + classes.len(),
-                if lowest.is_finite() { lowest } else { 0.0 },
-            );
+            let lowest = if lowest.is_finite() { lowest } else { 0.0 };
+            scores.resize(start + classes.len(), lowest);
             for (column, score) in columns.iter().zip(own) {
                 if let Some(column) = column {
                     let to: &mut f32 = &mut scores[start + column];

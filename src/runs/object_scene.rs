@@ -133,24 +133,19 @@ impl ObjectScene {
     ///
     /// # Errors
     /// [`Error::Input`] for a scene without labels; as [`Classes::read`].
-    pub fn new(path: PathBuf, mut ply: PlyScene, classes: Option<&PathBuf>) -> Result<Self> {
-        let Some(labels) = ply.labels.take() else {
+    pub fn new(path: PathBuf, ply: PlyScene, classes: Option<&Path>) -> Result<Self> {
+        if ply.labels.is_none() {
             return Err(without_labels(&path));
-        };
-        let classes = classes_beside(&path, classes.map(PathBuf::as_path))?;
-        Ok(Self::with_labels(path, ply, labels, classes))
+        }
+        Self::or_unlabelled(path, ply, classes)
     }
 
     /// As [`Self::new`], but Gaussians of a scene without labels are unlabelled.
     ///
     /// # Errors
     /// As [`Classes::read`].
-    pub fn or_unlabelled(
-        path: PathBuf,
-        mut ply: PlyScene,
-        classes: Option<&PathBuf>,
-    ) -> Result<Self> {
-        let classes = classes_beside(&path, classes.map(PathBuf::as_path))?;
+    pub fn or_unlabelled(path: PathBuf, mut ply: PlyScene, classes: Option<&Path>) -> Result<Self> {
+        let classes = classes_beside(&path, classes)?;
         let unlabelled = || classes.unlabelled(ply.gaussians.len());
         let labels = ply.labels.take().unwrap_or_else(unlabelled);
         Ok(Self::with_labels(path, ply, labels, classes))

@@ -3,7 +3,7 @@
 use crate::config::Config;
 use crate::data::{Classes, Limits, NamedCamera};
 use crate::error::{Error, Result, ensure, invalid};
-use crate::files::{atomic, extension, own};
+use crate::files::{self, atomic, extension, own};
 use crate::splat::formats;
 use crate::splat::ply::PlyScene;
 use std::path::{Path, PathBuf};
@@ -44,13 +44,10 @@ pub fn scene_path(given: &Path) -> Result<PathBuf> {
     if let Some(newest) = of_graphdeco(given) {
         return Ok(newest);
     }
-    let files = std::fs::read_dir(given).into_iter().flatten().flatten();
-    let plys = files
-        .map(|entry| entry.path())
-        .filter(|path| extension(path) == "ply");
-    let help = plys
-        .min()
-        .map_or(HELP.to_owned(), |other| format!("give {}", other.display()));
+    let plys = files::names(given, |_, path| extension(path) == "ply");
+    let help = plys.first().map_or(HELP.to_owned(), |other| {
+        format!("give {}", given.join(other).display())
+    });
     Err(invalid!(given, "{SCENE}"; found "no such file"; expected "a run folder"; help "{help}"))
 }
 
@@ -175,6 +172,5 @@ pub fn copy_cameras(from: &Path, to: &Path) -> Result<()> {
     if !source.is_file() {
         return atomic::remove(&target);
     }
-    let bytes = std::fs::read(&source).map_err(|e| Error::io(&source, "read", e))?;
-    atomic::write_bytes(&target, &bytes)
+    atomic::write_bytes(&target, &files::read(&source)?)
 }

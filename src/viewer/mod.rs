@@ -10,14 +10,14 @@ mod served;
 
 use crate::data::labels::palette::UNLABELLED_COLOR;
 use crate::data::{Class, Classes, NamedCamera, Split};
-use crate::error::{Error, Result, bail, ensure};
+use crate::error::{Result, bail, ensure};
 use crate::files::atomic;
 use crate::objects::{Object, Regions, inventory};
 use crate::splat::Gaussians;
 use crate::splat::camera::{Camera, level_up};
 use base64::Engine;
 use glam::{DMat3, DVec3};
-use serde::Serialize;
+use serde_json::{Value, json};
 use std::path::Path;
 
 #[cfg(feature = "serve")]
@@ -85,61 +85,6 @@ pub struct Viewer<'a> {
     pub alpha_max: f64,
 }
 
-/// The input of the page's program beside the columns.
-#[derive(Serialize)]
-struct Header<'a> {
-    title: &'a str,
-    path: &'a str,
-    names: Option<&'a str>,
-    sha256: &'a str,
-    origin: DVec3,
-    gaussians: usize,
-    /// Regions of the tree in the page; none without labels, and on watched pages.
-    regions: usize,
-    /// Bytes of the columns in the page.
-    bytes: usize,
-    /// How many blocks of columns a server has instead, 0 without one.
-    blocks: usize,
-    /// The value of `--edits` in the commands that the page writes.
-    edits: &'a str,
-    degree: usize,
-    alpha_max: f64,
-    up: DVec3,
-    extent: Extent,
-    start: CameraEntry<'a>,
-    objects: Vec<Entry<'a>>,
-    /// Classes that no Gaussian has.
-    absent: Vec<Absent<'a>>,
-    /// The label of unlabelled Gaussians.
-    ignore: u16,
-    cameras: Vec<CameraEntry<'a>>,
-}
-
-#[derive(Serialize)]
-struct Absent<'a> {
-    id: u16,
-    name: &'a str,
-    color: [u8; 3],
-}
-
-/// A box without the outermost 1 % on each side, relative to the origin.
-#[derive(Serialize)]
-struct Extent {
-    low: DVec3,
-    high: DVec3,
-}
-
-#[derive(Serialize)]
-struct Entry<'a> {
-    /// `None` for the single entry of a scene without labels.
-    id: Option<u16>,
-    name: Option<&'a str>,
-    color: [u8; 3],
-    gaussians: usize,
-    low: DVec3,
-    high: DVec3,
-}
-
 /// The objects that a page lists.
 struct Listed {
     /// All Gaussians as one object.
@@ -149,21 +94,11 @@ struct Listed {
     places: Vec<u16>,
 }
 
-/// A camera relative to the origin.
-#[derive(Serialize)]
-struct CameraEntry<'a> {
-    name: &'a str,
-    split: Split,
-    /// Its rotation is transposed: matrices are written column by column, and the page reads them row by row.
-    #[serde(flatten)]
-    camera: Camera,
-}
-
 impl Viewer<'_> {
     /// Writes the page to `path`; it appears complete or not at all.
     ///
     /// # Errors
-    /// As [`Viewer::page`]; [`Error::Io`].
+    /// As [`Viewer::page`]; [`crate::Error::Io`].
     pub fn write(&self, path: &Path) -> Result<()> {
         atomic::write_bytes(path, self.page()?.as_bytes())
     }
@@ -177,8 +112,8 @@ impl Viewer<'_> {
     /// its [`Regions`] too, 16 bytes for each.
     ///
     /// # Errors
-    /// [`Error::Argument`] for no Gaussian, fields or labels of another length, or an `alpha_max` or `up` out of range;
-    /// [`Error::NonFinite`].
+    /// [`crate::Error::Argument`] for no Gaussian, fields or labels of another length, or an `alpha_max` or `up` out of range;
+    /// [`crate::Error::NonFinite`].
     pub fn page(&self) -> Result<String> {
         let regions = self.labels.map(|_| Regions::new(self.gaussians));
         self.page_with(&regions.transpose()?.unwrap_or_default())
@@ -198,13 +133,11 @@ impl Viewer<'_> {
         let mut columns = packing::tree(regions);
         columns.extend(packing::places(self.gaussians, &listed.places));
         columns.extend(packing::looks(self.gaussians, 0..self.gaussians.len()));
-        let header = Header {
-            regions: regions.parents.len(),
-            bytes: columns.len(),
-            ..self.header(&listed)
-        };
+        let mut header = self.header(&listed);
+        header["regions"] = regions.parents.len().into();
+        header["bytes"] = columns.len().into();
         let parts: String = columns.chunks(PART_BYTES).map(part).collect();
-        shell(&header, &parts)
+        Ok(shell(&header, &parts))
     }
 
     /// The objects of the scene, after its checks.
@@ -236,7 +169,8 @@ impl Viewer<'_> {
         })
     }
 
-    fn header(&self, listed: &Listed) -> Header<'_> {
+    /// The input of the page's program beside the columns. Places are relative to the origin.
+    fn header(&self, listed: &Listed) -> Value {
         let Listed { all, objects, .. } = listed;
         // Beside other objects of a scene without classes, label 0 may be one too.
         let is_bare = self.classes.is_empty() && objects.len() == 1;
@@ -249,14 +183,12 @@ impl Viewer<'_> {
         };
         let entry = |object: &Object| {
             let (name, color) = look(object.id);
-            Entry {
-                id: self.labels.map(|_| object.id),
-                name,
-                color,
-                gaussians: object.rows.len(),
-                low: object.low,
-                high: object.high,
-            }
+            // The single entry of a scene without labels has no id.
+            let id = self.labels.map(|_| object.id);
+            json!({
+                "id": id, "name": name, "color": color, "gaussians": object.rows.len(),
+                "low": object.low, "high": object.high,
+            })
         };
         let moved = |named: &NamedCamera| named.camera.moved(-self.origin);
         let cameras: Vec<Camera> = self.cameras.iter().map(moved).collect();
@@ -266,43 +198,40 @@ impl Viewer<'_> {
             None => upright(level_up(&cameras)),
         };
         let start = self.without_cameras(all, up);
+        // Classes that no Gaussian has.
         let is_absent = |class: &&Class| {
             self.labels.is_some() && objects.binary_search_by_key(&class.id, |o| o.id).is_err()
         };
         let absent = self.classes.entries.iter().filter(is_absent);
+        let absent = absent.map(|c| json!({"id": c.id, "name": c.name, "color": c.color}));
         let views = self.cameras.iter().zip(&cameras);
-        Header {
-            title: self.title,
-            path: self.scene,
-            names: self.names,
-            sha256: self.sha256,
-            origin: self.origin,
-            gaussians: self.gaussians.len(),
-            regions: 0,
-            bytes: 0,
-            blocks: 0,
-            edits: "edits.json",
-            degree: self.gaussians.sh_degree,
-            alpha_max: self.alpha_max,
-            up,
-            extent: Extent {
-                low: all.low,
-                high: all.high,
-            },
-            start: camera_entry("", Split::Train, &start),
-            objects: objects.iter().map(entry).collect(),
-            absent: absent
-                .map(|class| Absent {
-                    id: class.id,
-                    name: &class.name,
-                    color: class.color,
-                })
-                .collect(),
-            ignore: self.classes.ignore,
-            cameras: views
-                .map(|(named, camera)| camera_entry(&named.name, named.split, camera))
-                .collect(),
-        }
+        let views = views.map(|(named, camera)| camera_entry(&named.name, named.split, camera));
+        json!({
+            "title": self.title,
+            "path": self.scene,
+            "names": self.names,
+            "sha256": self.sha256,
+            "origin": self.origin,
+            "gaussians": self.gaussians.len(),
+            // Of the tree in the page: none without labels, and on watched pages.
+            "regions": 0,
+            // Of the columns in the page.
+            "bytes": 0,
+            // Of columns that a server has instead.
+            "blocks": 0,
+            // The value of --edits in the commands that the page writes.
+            "edits": "edits.json",
+            "degree": self.gaussians.sh_degree,
+            "alpha_max": self.alpha_max,
+            "up": up,
+            // Without the outermost 1 % on each side.
+            "extent": {"low": all.low, "high": all.high},
+            "start": camera_entry("", Split::Train, &start),
+            "objects": objects.iter().map(entry).collect::<Vec<_>>(),
+            "absent": absent.collect::<Vec<_>>(),
+            "ignore": self.classes.ignore,
+            "cameras": views.collect::<Vec<_>>(),
+        })
     }
 
     /// The start without cameras: in front of the box `all`, a little above it.
@@ -343,45 +272,45 @@ fn upright(up: DVec3) -> DVec3 {
         .unwrap_or(up)
 }
 
-fn camera_entry<'a>(name: &'a str, split: Split, camera: &Camera) -> CameraEntry<'a> {
+/// A camera for the page. Its rotation is transposed: matrices are written column by column, and the page reads them row by row.
+fn camera_entry(name: &str, split: Split, camera: &Camera) -> Value {
     let camera = Camera {
         rotation: camera.rotation.transpose(),
         ..camera.clone()
     };
-    CameraEntry {
-        name,
-        split,
-        camera,
-    }
+    let mut entry = json!(camera);
+    entry["name"] = name.into();
+    entry["split"] = json!(split);
+    entry
 }
 
 /// A page with `header` and the elements `parts`.
-fn shell(header: &Header, parts: &str) -> Result<String> {
-    let shaders = json(&serde_json::json!({
+fn shell(header: &Value, parts: &str) -> String {
+    let shaders = text(&json!({
         "splatVertex": include_str!("page/splat.vert"),
         "splatFragment": include_str!("page/splat.frag"),
         "screenVertex": include_str!("page/screen.vert"),
         "screenFragment": include_str!("page/screen.frag"),
-    }))?;
-    let (network, server) = match header.blocks {
-        0 => ("", ""),
-        _ => ("connect-src 'self'; ", include_str!("page/served.js")),
+    }));
+    let (network, server) = if header["blocks"] == 0 {
+        ("", "")
+    } else {
+        ("connect-src 'self'; ", include_str!("page/served.js"))
     };
-    Ok(filled(&[
+    filled(&[
         ("version", env!("CARGO_PKG_VERSION")),
         ("style", include_str!("page/viewer.css")),
-        ("header", &json(header)?),
+        ("header", &text(header)),
         ("shaders", &shaders),
         ("network", network),
         ("columns", parts),
         ("script", &[server, &SCRIPT.concat()].concat()),
-    ]))
+    ])
 }
 
 /// JSON for a page: no text in it can end its element.
-fn json(value: &impl Serialize) -> Result<String> {
-    let text = serde_json::to_string(value).map_err(|e| Error::io("viewer", "encode", e.into()))?;
-    Ok(text.replace('<', "\\u003c"))
+fn text(value: &Value) -> String {
+    value.to_string().replace('<', "\\u003c")
 }
 
 /// The shell with its `{{names}}` replaced. The replacements are not searched for names.

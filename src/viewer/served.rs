@@ -3,9 +3,10 @@
 //! The page has where all Gaussians are, and then what they look like in blocks. Block k of B has the Gaussians k, k + B, k + 2 B and
 //! so on, so each one is spread over the scene, and a few show all of it.
 
-use super::{Header, Viewer, packing, shell};
+use super::{Viewer, packing, shell};
 use crate::error::{Error, Result, ensure};
-use crate::files::{atomic, own};
+use crate::files::atomic;
+use crate::files::own::{self, Stamp, stamp_of};
 use crate::objects::{Editing, Edits, Operation, Regions};
 use crate::server::{Server, failed, html, typed};
 use axum::Router;
@@ -19,7 +20,7 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 use tokio::sync::watch;
 
 /// Bytes of edits at most: all Gaussians of a scene of 10 million, some times over.
@@ -57,15 +58,7 @@ struct Saved {
     /// How often it was written: a page that does not know of the last time must not write.
     saves: usize,
     #[serde(skip)]
-    file: FileState,
-}
-
-/// Time and size of a file; `None` where there is none.
-type FileState = Option<(SystemTime, u64)>;
-
-fn state(path: &std::path::Path) -> FileState {
-    let there = std::fs::metadata(path).ok()?;
-    Some((there.modified().ok()?, there.len()))
+    file: Option<Stamp>,
 }
 
 impl Content {
@@ -89,19 +82,16 @@ impl Served<'_> {
         let gaussians = self.viewer.gaussians;
         let saved = self.saved()?;
         let blocks = gaussians.len().div_ceil(self.block.max(1));
-        let edits = self.edits.display().to_string();
-        let header = Header {
-            blocks,
-            edits: &edits,
-            ..self.viewer.header(&listed)
-        };
+        let mut header = self.viewer.header(&listed);
+        header["blocks"] = blocks.into();
+        header["edits"] = self.edits.display().to_string().into();
         let looks = (0..blocks).into_par_iter().map(|first| {
             let rows = (first..gaussians.len()).step_by(blocks);
             packing::looks(gaussians, rows).into()
         });
         let (tree, computed) = watch::channel(None);
         let content = Arc::new(Content {
-            page: shell(&header, "")?,
+            page: shell(&header, ""),
             places: packing::places(gaussians, &listed.places).into(),
             looks: looks.collect(),
             tree: computed,
@@ -129,25 +119,21 @@ impl Served<'_> {
     fn saved(&self) -> Result<Saved> {
         // A later change is noticed before the file is written over.
         own::allow(&self.edits);
-        let file = state(&self.edits);
+        let file = stamp_of(&self.edits);
         if file.is_none() {
             return Ok(Saved::default());
         }
         let edits = Edits::read(&self.edits)?;
         let Viewer {
-            gaussians,
-            labels,
-            classes,
-            origin,
-            sha256,
-            ..
+            labels, classes, ..
         } = self.viewer;
-        ensure!(edits.scene == sha256, &self.edits, "scene"; found "edits of another scene";
+        let gaussians = self.viewer.gaussians;
+        ensure!(edits.scene == self.viewer.sha256, &self.edits, "scene"; found "edits of another scene";
             expected "edits of this one, or no file"; help "name another file by --edits, or move this one");
         let unlabelled = || classes.unlabelled(gaussians.len());
         let labels = labels.map_or_else(unlabelled, <[u16]>::to_vec);
         let mut editing = Editing::new(gaussians.clone(), labels, classes.clone());
-        edits.apply(&mut editing, sha256, origin)?;
+        edits.apply(&mut editing, self.viewer.sha256, self.viewer.origin)?;
         Ok(Saved {
             operations: edits.operations,
             saves: 0,
@@ -214,14 +200,14 @@ async fn save(
         let mut saved = content.saved();
         ensure!(saves == saved.saves, path, "file"; found "edits that another window has saved since";
             expected "those that this page began with"; help "load the page again, and repeat what is missing");
-        let there = state(path);
+        let there = stamp_of(path);
         ensure!(there.is_none() || there == saved.file, path, "file"; found "a file that another program has changed since";
             expected "the one that the page was saved in or began with"; help "move it away, and save again");
         atomic::write_bytes(path, body.as_bytes())?;
         *saved = Saved {
             operations: edits.operations,
             saves: saves + 1,
-            file: state(path),
+            file: stamp_of(path),
         };
         Ok::<_, Error>(saved.saves)
     };

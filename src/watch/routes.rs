@@ -1,7 +1,8 @@
 //! What the server of a run answers.
 
 use super::{Shared, locked};
-use crate::error::Error;
+use crate::error::Result;
+use crate::report::pictures::png;
 use crate::server::{failed, html, typed};
 use axum::Router;
 use axum::body::Body;
@@ -9,8 +10,6 @@ use axum::extract::{Path, State};
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
-use image::ImageFormat;
-use std::io::Cursor;
 use std::time::Instant;
 
 const PAGE: &str = concat!(
@@ -49,13 +48,9 @@ async fn scene(State(shared): State<Shared>) -> Response {
         return StatusCode::NOT_FOUND.into_response();
     };
     let start = Instant::now();
-    let made = tokio::task::spawn_blocking(page).await;
+    let answer = made(page, html).await;
     locked(&shared).rest(start.elapsed());
-    match made {
-        Ok(Ok(page)) => html(page),
-        Ok(Err(error)) => failed(error),
-        Err(error) => failed(error),
-    }
+    answer
 }
 
 /// The photo of a view, as PNG.
@@ -63,15 +58,17 @@ async fn photo(State(shared): State<Shared>, Path(index): Path<usize>) -> Respon
     let Some(photo) = locked(&shared).photo(index) else {
         return StatusCode::NOT_FOUND.into_response();
     };
-    let encode = move || {
-        let mut bytes = Cursor::new(Vec::new());
-        let pixels = photo.pixels()?;
-        let written = pixels.write_to(&mut bytes, ImageFormat::Png);
-        written.map_err(|e| Error::io("photo", "encode", std::io::Error::other(e)))?;
-        Ok::<_, Error>(bytes.into_inner())
-    };
-    match tokio::task::spawn_blocking(encode).await {
-        Ok(Ok(bytes)) => typed("image/png", Body::from(bytes)),
+    let encode = move || png(&*photo.pixels()?, "photo".as_ref());
+    made(encode, |bytes| typed("image/png", Body::from(bytes))).await
+}
+
+/// What `answer` makes of the result of long `work`.
+async fn made<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T> + Send + 'static,
+    answer: impl FnOnce(T) -> Response,
+) -> Response {
+    match tokio::task::spawn_blocking(work).await {
+        Ok(Ok(done)) => answer(done),
         Ok(Err(error)) => failed(error),
         Err(error) => failed(error),
     }

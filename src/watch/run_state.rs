@@ -29,7 +29,8 @@ pub(super) struct RunState {
     next_copy: Instant,
     alpha_max: f64,
     scene: Arc<SceneInfo>,
-    copy: Option<Arc<GaussianCopy>>,
+    /// The Gaussians at some iteration, and their labels.
+    copy: Option<Arc<(Gaussians, Option<Vec<u16>>)>>,
 }
 
 /// The figures, as JSON for the page.
@@ -88,12 +89,6 @@ struct SceneInfo {
     photos: Vec<Photo>,
 }
 
-/// The Gaussians at some iteration.
-struct GaussianCopy {
-    gaussians: Gaussians,
-    labels: Option<Vec<u16>>,
-}
-
 impl RunState {
     pub fn new(title: &str, alpha_max: f64) -> Self {
         let now = Instant::now();
@@ -148,7 +143,7 @@ impl RunState {
                 variant,
                 miou: *miou,
             }),
-            Event::Reviewed(_) => {}
+            Event::Reviewed(_) | Event::Begun(_) | Event::Stored { .. } => {}
         }
     }
 
@@ -216,7 +211,7 @@ impl RunState {
     pub fn set_gaussians(&mut self, gaussians: Gaussians, labels: Option<Vec<u16>>) {
         self.status.copy += 1;
         self.status.labelled = labels.is_some();
-        self.copy = Some(Arc::new(GaussianCopy { gaussians, labels }));
+        self.copy = Some(Arc::new((gaussians, labels)));
     }
 
     /// Lets the run go on undisturbed after work that took `cost`.
@@ -232,7 +227,8 @@ impl RunState {
         let title = self.status.title.clone();
         let alpha_max = self.alpha_max;
         Some(move || {
-            let bytes = Viewer::bytes(&copy.gaussians, false);
+            let (gaussians, labels) = &*copy;
+            let bytes = Viewer::bytes(gaussians, false);
             ensure!(bytes <= MAX_PAGE_BYTES, argument "scene"; found "a scene of {} MB", bytes / 1_000_000;
                 expected "at most {} MB", MAX_PAGE_BYTES / 1_000_000; help "watch its curves; `coseg view` shows the scene");
             let viewer = Viewer {
@@ -240,9 +236,9 @@ impl RunState {
                 scene: "",
                 names: None,
                 sha256: "",
-                gaussians: &copy.gaussians,
+                gaussians,
                 origin: scene.origin,
-                labels: copy.labels.as_deref(),
+                labels: labels.as_deref(),
                 classes: &scene.classes,
                 cameras: &scene.cameras,
                 up: scene.up,

@@ -33,7 +33,7 @@ impl HeldOutScores {
     pub fn miou(&self) -> Option<f64> {
         let [instances, semantic] = [
             self.instances.as_ref().and_then(|s| s.miou),
-            self.semantic.as_ref().and_then(|s| s.miou),
+            self.semantic.as_ref().and_then(|s| s.pixels.miou),
         ];
         self.labels.pixels.miou.or(instances).or(semantic)
     }

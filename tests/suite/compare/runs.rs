@@ -3,7 +3,7 @@
 use crate::support::assert_names;
 use crate::support::comparison::{PLAN, write_plan};
 use crate::support::program::read_json;
-use coseg::compare::{Cell, Finished, Options, Plan, Tables, Watch, run};
+use coseg::compare::{Cell, Finished, Options, Plan, Tables, run};
 use coseg::error::Error;
 use coseg::progress::{Event, Progress};
 use std::path::{Path, PathBuf};
@@ -17,22 +17,18 @@ pub(super) struct Notes {
 }
 
 impl Progress for Notes {
-    fn event(&mut self, _: &Event) {}
+    fn event(&mut self, event: &Event) {
+        match event {
+            Event::Begun(what) => self.begun.push(what.clone()),
+            Event::Stored { cell, .. } => self.finished.push(cell.clone()),
+            _ => {}
+        }
+    }
 
     fn stop(&mut self) -> bool {
         let last = self.begun.last();
         self.stop_at
             .is_some_and(|part| last.is_some_and(|last| last.contains(part)))
-    }
-}
-
-impl Watch for Notes {
-    fn begins(&mut self, what: &str) {
-        self.begun.push(what.to_owned());
-    }
-
-    fn finished(&mut self, cell: &Cell) {
-        self.finished.push(cell.id.to_string());
     }
 }
 

@@ -64,9 +64,9 @@ fn scores_by_class_by_hand() {
     let scores = semantic_scores(&objects(), &classes, &stuff, [view]);
     // Wall: 8 of 10, and one of the chair. Chair: 11 of 13, and two of the wall; an object without a class is wrong.
     let (wall, chair) = (8.0 / 11.0, 11.0 / 15.0);
-    near(scores.miou, (wall + chair) / 2.0);
-    near(scores.miou_per_view, (wall + chair) / 2.0);
-    near(scores.accuracy, 19.0 / 23.0);
+    near(scores.pixels.miou, (wall + chair) / 2.0);
+    near(scores.pixels.miou_per_view, (wall + chair) / 2.0);
+    near(scores.pixels.accuracy, 19.0 / 23.0);
     let per_class: Vec<(u16, &str)> = scores.per_class.iter().map(|c| (c.id, &*c.name)).collect();
     assert_eq!(per_class, [(1, "wall"), (2, "chair")]);
     near(Some(scores.per_class[1].iou), chair);
@@ -112,7 +112,7 @@ fn an_object_that_changes_its_id_is_two_in_the_scene() {
     );
     let panoptic = scores.panoptic.expect("instances");
     assert_eq!(
-        (scores.miou, panoptic.all.pq, panoptic.scene.pq),
+        (scores.pixels.miou, panoptic.all.pq, panoptic.scene.pq),
         (Some(1.0), Some(1.0), Some(0.0))
     );
     let without = SemanticView {
@@ -120,10 +120,10 @@ fn an_object_that_changes_its_id_is_two_in_the_scene() {
         ..view(&first)
     };
     let scores = semantic_scores(&objects(), &classes, &BTreeSet::new(), [without]);
-    assert_eq!((scores.accuracy, scores.panoptic), (Some(1.0), None));
+    assert_eq!((scores.pixels.accuracy, scores.panoptic), (Some(1.0), None));
     let scores = semantic_scores(&objects(), &classes, &BTreeSet::new(), []);
     assert_eq!(
-        (scores.miou, scores.accuracy, scores.panoptic),
+        (scores.pixels.miou, scores.pixels.accuracy, scores.panoptic),
         (None, None, None)
     );
 }
