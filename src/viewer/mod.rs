@@ -31,7 +31,7 @@ const PART_BYTES: usize = 3 << 25;
 const MIN_COSINE: f64 = 0.9986;
 
 /// The parts of the page's program, in order.
-const SCRIPT: [&str; 24] = [
+const SCRIPT: [&str; 25] = [
     include_str!("page/vector.js"),
     include_str!("page/scene.js"),
     include_str!("page/state.js"),
@@ -50,6 +50,7 @@ const SCRIPT: [&str; 24] = [
     include_str!("page/list.js"),
     include_str!("page/details.js"),
     include_str!("page/tools.js"),
+    include_str!("page/gizmo.js"),
     include_str!("page/toolbar.js"),
     include_str!("page/keys.js"),
     include_str!("page/hint.js"),
@@ -108,7 +109,7 @@ impl Viewer<'_> {
         packing::bytes(gaussians, has_labels).div_ceil(3) * 4
     }
 
-    /// The page: 116 bytes for each Gaussian of SH degree 3 (111 without labels), and about 100 kB. A scene with labels has the tree of
+    /// The page: 116 bytes for each Gaussian of SH degree 3 (111 without labels), and about 125 kB. A scene with labels has the tree of
     /// its [`Regions`] too, 16 bytes for each.
     ///
     /// # Errors

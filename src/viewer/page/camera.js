@@ -35,6 +35,12 @@ class Camera {
     return apply(transpose(this.rotation), [(x - this.cx) / this.fx, (y - this.cy) / this.fy, 1]);
   }
 
+  /** Where a point before the camera is in the image. */
+  project(point) {
+    const [x, y, z] = apply(this.rotation, minus(point, this.center));
+    return [(this.fx * x) / z + this.cx, (this.fy * y) / z + this.cy];
+  }
+
   depth(point) {
     return dot(this.forward, minus(point, this.center));
   }

@@ -18,7 +18,7 @@ class Details {
     this.facts = element("p");
     this.hide = button("Hide", "key H", () => page.toggle());
     this.only = button("Only this", "hide all others", () => page.showOnly(page.chosen));
-    this.move = button("Move", "move by dragging (key M)", () => page.setMoving(!page.moving));
+    this.move = button("Move", "move by dragging it or its arrows (key M)", () => page.setMoving(!page.moving));
     this.split = button("Split off", "make the selected Gaussians an object of their own (key N)", () => page.split());
     this.grow = button("Grow", "take the whole superpoints that are touched (key G)", () => page.grow());
     this.remove = button("Delete", "key Delete", () => page.remove());

@@ -44,6 +44,7 @@ class Page extends Editor {
     document.body.classList.toggle("bare", this.bare);
     document.body.classList.toggle("watched", this.watched);
     this.tools = new Tools(this);
+    this.gizmo = new Gizmo(this);
     this.details = new Details(this);
     this.panel = new Panel(this);
     new ResizeObserver(() => this.resized()).observe(this.canvas.parentElement);
@@ -175,6 +176,7 @@ class Page extends Editor {
     this.renderer.setOrder(this.order);
     if (this.partsStale) this.renderer.setParts(this.state, this.selection, this.bare ? new Set() : this.chosen);
     this.partsStale = false;
+    this.gizmo.update();
     const scale = moving ? this.coarse : 1;
     const [w, h] = [width, height].map((v) => Math.max(1, Math.round(v * scale)));
     this.renderer.draw(camera.fitted(w, h), MODES[this.mode], this.background);
@@ -259,13 +261,18 @@ class Page extends Editor {
       const screen = ((from[1] - to[1]) * depth) / camera.fy / steep;
       way = add(times(((to[0] - from[0]) * depth) / camera.fx, unit(camera.right)), times(screen, ahead));
     }
+    this.moveHeld(held, way);
+    held.point = add(point, way);
+    return true;
+  }
+
+  /** Moves the object that a drag holds. All of a drag is one edit. */
+  moveHeld(held, way) {
     if (!held.move || !this.edits.extend(held.move, way)) {
       held.move = { op: "move", object: held.object, shift: way };
       this.push(held.move);
     }
-    held.point = add(point, way);
     this.refresh();
-    return true;
   }
 
   /** A drag has ended. */

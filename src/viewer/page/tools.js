@@ -4,6 +4,18 @@ const DRAWING = ["brush", "lasso", "box"]; // the others leave drags to the came
 const RADII = [4, 200]; // pixels of the brush
 const NO_LIMIT = 100; // of the depth slider
 
+/** Sets attributes of an element. */
+function setAll(part, values) {
+  for (const [name, value] of Object.entries(values)) part.setAttribute(name, value);
+}
+
+/** A part of a drawing over the picture. */
+function drawn(kind, values = {}) {
+  const part = document.createElementNS(document.getElementById("overlay").namespaceURI, kind);
+  setAll(part, values);
+  return part;
+}
+
 class Tools {
   /** `page` is the page of main.js. */
   constructor(page) {
@@ -119,11 +131,7 @@ class Tools {
     if (this.tool === "brush") marks.push(["circle", { cx: x, cy: y, r: this.radius }]);
     const corners = this.shape && this.corners();
     if (corners) marks.push(["polygon", { points: corners.map((corner) => corner.join(",")).join(" ") }]);
-    this.overlay.replaceChildren(...marks.map(([kind, values]) => {
-      const made = document.createElementNS(this.overlay.namespaceURI, kind);
-      for (const [name, value] of Object.entries(values)) made.setAttribute(name, value);
-      return made;
-    }));
+    this.overlay.replaceChildren(...marks.map(([kind, values]) => drawn(kind, values)));
   }
 
   clear() {

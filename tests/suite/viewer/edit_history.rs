@@ -96,6 +96,48 @@ fn everything_is_undone_and_done_again_bit_for_bit() {
 }
 
 #[test]
+fn an_arrow_moves_the_object_along_its_axis() {
+    let Some((dir, mut tab)) = opened() else {
+        return;
+    };
+    let start = state(&mut tab);
+    let tip = |axis: usize| format!("page.gizmo.arrows[{axis}].tip");
+    let hidden = "page.gizmo.drawing.hasAttribute('hidden')";
+    tab.value("page.choose(2); page.draw()");
+    assert_eq!(tab.value(hidden), json!(true), "not asked for");
+    tab.key("KeyM", 0);
+    tab.value("page.draw()");
+    assert_eq!(tab.value(hidden), json!(false));
+    for axis in [0, 1] {
+        let place = format!(
+            "['cx', 'cy'].map((k) => Number({}.getAttribute(k)))",
+            tip(axis)
+        );
+        let from: [f64; 2] = serde_json::from_value(tab.value(&place)).unwrap();
+        let middle = spot(&mut tab, [0.0, 0.3, 0.0]);
+        let ahead = [0, 1].map(|k| (from[k] - middle[k]) / 2.0);
+        let to = [0, 1].map(|k| from[k] + ahead[k]);
+        tab.drag(&[from, [0, 1].map(|k| from[k] + 0.4 * ahead[k]), to], 0);
+        tab.value("page.draw()");
+        let tip: [f64; 2] = serde_json::from_value(tab.value(&place)).unwrap();
+        assert!(
+            (0..2).all(|k| (tip[k] - to[k]).abs() < 1.0),
+            "the arrow follows the pointer: {tip:?} {to:?}"
+        );
+        let offset: [f64; 3] =
+            serde_json::from_value(tab.value("page.state.object(2).offset")).unwrap();
+        for (k, along) in offset.into_iter().enumerate() {
+            assert_eq!(along > 0.0, k == axis, "{offset:?}");
+        }
+        assert_eq!(tab.value("page.edits.done.length"), json!(1));
+        assert_applied(&mut tab, dir.path());
+        tab.key("KeyZ", CTRL);
+        assert_eq!(state(&mut tab), start);
+        tab.value("page.draw()");
+    }
+}
+
+#[test]
 fn edits_outlive_a_reload_and_leaving_asks_while_they_are_not_saved() {
     let Some((dir, mut tab)) = opened() else {
         return;
