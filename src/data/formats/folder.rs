@@ -35,6 +35,10 @@ impl Problems {
         self.0.into_iter().next().map_or(Ok(()), Err)
     }
 
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     pub fn messages(&self) -> impl Iterator<Item = String> {
         self.0.iter().map(ToString::to_string)
     }

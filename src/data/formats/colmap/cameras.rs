@@ -1,7 +1,7 @@
 //! COLMAP's camera models.
 
 use super::reader::Reader;
-use crate::data::formats::camera_checks::{FOCAL, MAX_PIXELS};
+use crate::data::formats::camera_checks::{check_center, check_focal};
 use crate::data::photos::lens::Lens;
 use crate::error::{Error, Result, ensure, invalid};
 use crate::splat::camera::Camera;
@@ -83,21 +83,20 @@ fn unsupported(path: &Path, place: &str, name: &str) -> Error {
 impl ModelCamera {
     /// A camera without its pose, and its lens, in range.
     pub fn checked(&self, path: &Path) -> Result<(Camera, Lens)> {
-        const HELP: &str = "calibrate again, or copy the file again";
         let place = format!("{} (camera {})", self.place, self.id);
         let [width, height] = self.size;
         let in_range = |side: &u64| (1..=u64::from(u32::MAX)).contains(side);
         ensure!(self.size.iter().all(in_range), path, "{place}: WIDTH HEIGHT"; found "{width} {height}";
-            expected "pixels, at least 1 and below 2^32"; help "{HELP}");
-        ensure!(self.params.iter().all(|v| v.is_finite()),
-            path, "{place}: PARAMS"; found "{:?}", self.params; expected "finite numbers"; help "{HELP}");
+            expected "pixels, at least 1 and below 2^32"; help "calibrate again, or copy the file again");
         let (focals, rest) = self.params.split_at(self.focals);
         let (center, distortion) = rest.split_at(2);
-        ensure!(focals.iter().all(|f| FOCAL.contains(f)), path, "{place}: PARAMS, focal length"; found "{focals:?}";
-            expected "a positive number of pixels, 0.001 to 1e9"; help "{HELP}");
-        ensure!(center.iter().all(|c| c.abs() <= MAX_PIXELS),
-            path, "{place}: PARAMS, principal point"; found "{center:?}";
-            expected "pixels from the image corner"; help "{HELP}");
+        let field = format!("{place}: PARAMS");
+        focals
+            .iter()
+            .try_for_each(|focal| check_focal(path, &field, *focal))?;
+        center
+            .iter()
+            .try_for_each(|center| check_center(path, &field, *center))?;
         let coefficient = |i: usize| distortion.get(i).copied().unwrap_or(0.0);
         let lens = Lens {
             k: [coefficient(0), coefficient(1), 0.0],

@@ -2,7 +2,7 @@
 //! fields of this crate: per frame `split`, `label_path`, `raw_label_path`, `instance_path`; per folder `classes.json`.
 //! `mask_path` is nerfstudio's.
 
-mod named_folder;
+mod label_files;
 pub(crate) mod not_finite;
 mod schema;
 mod sources;
@@ -17,7 +17,6 @@ pub use crate::data::options::LoadOptions;
 use super::folder::{Folder, Problems};
 use super::frame::Frame;
 use super::listing::{Cloud, Listing};
-use super::mask_file::Masks;
 use crate::config::Layout;
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
@@ -26,7 +25,7 @@ use crate::data::{Limits, Scene, Split};
 use crate::error::{Error, Result, ensure, invalid};
 use crate::files::{file_name, names};
 use crate::splat::camera::Camera;
-use named_folder::NamedFolder;
+use label_files::LabelFiles;
 use rayon::prelude::*;
 use sources::{Kept, Source, Sources};
 use std::path::{Path, PathBuf};
@@ -88,18 +87,15 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
     let kept = sources.pick(options, problems);
     limits.check_views(&sources.file, kept.len())?;
     let files = LabelFiles::new(folder, &sources, problems);
-    let mut photos = Vec::new();
-    let look = |kept: &Kept| photo(dir, &sources.files[kept.source], kept.index, limits);
-    kept.par_iter().map(look).collect_into_vec(&mut photos);
+    let mut looked_at = Vec::new();
+    kept.par_iter()
+        .map(|kept| frame(dir, &sources.files[kept.source], kept, limits))
+        .collect_into_vec(&mut looked_at);
     let mut frames = Vec::with_capacity(kept.len());
-    for (kept, photo) in kept.into_iter().zip(photos) {
-        // Nothing else is reported of a repeated frame.
-        if let Some(name) = kept.name {
-            let source = &sources.files[kept.source];
-            let frame = frame(source, kept.index, kept.split, name, photo, problems);
-            frames
-                .extend(frame.map(|frame| files.add(frame, &source.transforms.frames[kept.index])));
-        }
+    for (Kept { source, index, .. }, (frame, faults)) in kept.iter().zip(looked_at) {
+        faults.into_iter().for_each(|fault| problems.push(fault));
+        let fields = &sources.files[*source].transforms.frames[*index];
+        frames.extend(frame.map(|frame| files.add(frame, fields)));
     }
     let Sources {
         file,
@@ -124,83 +120,38 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
     })
 }
 
-/// Where the label maps and masks of frames lie.
-struct LabelFiles<'a> {
-    dir: &'a Path,
-    masks: Masks,
-    mask_folder: Option<NamedFolder>,
-    raw_folder: Option<NamedFolder>,
-}
-
-impl<'a> LabelFiles<'a> {
-    fn new(folder: Folder<'a>, sources: &Sources, problems: &mut Problems) -> Self {
-        let Folder { dir, options, .. } = folder;
-        let masks = Masks::new(folder, problems);
-        let mask_folder = match &masks {
-            Masks::In(folder) => Some(NamedFolder::new(folder.clone(), sources, |f| {
-                f.mask_path.as_ref()
-            })),
-            Masks::OfFrames | Masks::Off => None,
-        };
-        let raw_folder = options.raw_labels.as_ref().map(|folder| dir.join(folder));
-        let raw_folder = raw_folder
-            .map(|folder| NamedFolder::new(folder, sources, |f| f.raw_label_path.as_ref()));
-        Self {
-            dir,
-            masks,
-            mask_folder,
-            raw_folder,
-        }
+/// A frame without labels, and its faults. It is left out where not even the size of its photo is known, which the file gives, or
+/// else the photo.
+fn frame(dir: &Path, source: &Source, kept: &Kept, limits: &Limits) -> (Option<Frame>, Vec<Error>) {
+    let (file, transforms, i) = (&source.path, &source.transforms, kept.index);
+    let mut problems = Problems::default();
+    let path = image_path(dir, &transforms.frames[i].file_path);
+    let is_there = path.is_file();
+    if !is_there {
+        problems.push(
+            invalid!(file, "{}.file_path", transforms.field(i); found "no file {}", path.display();
+            expected "an image"; help "put the image there or drop the frame"),
+        );
     }
-
-    /// `frame` with the files of `fields`, which are its entry in the file.
-    fn add(&self, frame: Frame, fields: &schema::Frame) -> Frame {
-        let given = |path: &Option<String>| path.as_ref().map(|path| self.dir.join(path));
-        let mask = match (&self.mask_folder, &self.masks) {
-            (Some(folder), _) => folder.file(fields, &frame.name),
-            (None, Masks::OfFrames) => given(&fields.mask_path),
-            (None, _) => None,
-        };
-        let raw = match &self.raw_folder {
-            Some(folder) => Some(folder.file_or_masks(fields, &frame.name)),
-            None => given(&fields.raw_label_path),
-        };
-        let folder = self.raw_folder.as_ref();
+    let size = match problems.ok(transforms.declared_size(file, i)) {
+        Some(None) if is_there => problems
+            .ok(ImageFile::open(&path, limits))
+            .map(|image| image.size),
+        declared => declared.flatten(),
+    };
+    let present = problems.is_empty();
+    let frame = size.map(|size| {
+        let camera = problems.ok(transforms.camera(file, i, size));
+        let posed = camera.is_some();
+        let (camera, lens) = camera.unwrap_or_else(|| (Camera::unposed(size), Lens::default()));
         Frame {
-            mask,
-            truth: given(&fields.label_path),
-            drawn: folder.and_then(|folder| folder.drawn(fields, &frame.name)),
-            raw,
-            instances: given(&fields.instance_path),
-            ..frame
+            present,
+            posed,
+            lens,
+            ..Frame::new(kept.name.clone(), kept.split, path, camera)
         }
-    }
-}
-
-/// A frame without labels. It is left out where not even the size of its photo is known.
-fn frame(
-    source: &Source,
-    index: usize,
-    split: Split,
-    name: String,
-    photo: FoundPhoto,
-    problems: &mut Problems,
-) -> Option<Frame> {
-    let present = photo.faults.is_empty();
-    photo
-        .faults
-        .into_iter()
-        .for_each(|fault| problems.push(fault));
-    let size = photo.size?;
-    let camera = problems.ok(source.transforms.camera(&source.path, index, size));
-    let posed = camera.is_some();
-    let (camera, lens) = camera.unwrap_or_else(|| (Camera::unposed(size), Lens::default()));
-    Some(Frame {
-        present,
-        posed,
-        lens,
-        ..Frame::new(name, split, photo.path, camera)
-    })
+    });
+    (frame, problems.all())
 }
 
 /// The cameras of a `transforms.json`, in file order, without looking at images: each frame or the file must say `w`
@@ -216,16 +167,11 @@ pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
     problems.first()?;
     let transforms = &sources.files[0].transforms;
     let mut cameras = Vec::new();
-    for Kept {
-        index,
-        split: of,
-        name,
-        ..
-    } in kept
-    {
-        let Some(name) = name.filter(|_| split.is_none_or(|split| split == of)) else {
+    for kept in kept {
+        let index = kept.index;
+        if split.is_some_and(|split| split != kept.split) {
             continue;
-        };
+        }
         let size = transforms.declared_size(path, index)?.ok_or_else(|| {
             invalid!(path, "{}.w", transforms.field(index); found "no image size"; expected "w and h in pixels";
                 help "add w and h")
@@ -235,54 +181,17 @@ pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
         let image = PathBuf::from(&transforms.frames[index].file_path);
         let frame = Frame {
             lens,
-            ..Frame::new(name, of, image, camera)
+            ..Frame::new(kept.name.clone(), kept.split, image, camera)
         };
-        let camera = frame.own_geometry()?.camera;
         cameras.push(NamedCamera {
-            name: frame.name,
-            split: of,
-            camera,
+            name: kept.name,
+            split: kept.split,
+            camera: frame.own_geometry()?.camera,
         });
     }
     ensure!(!cameras.is_empty(), path, "frames"; found "no frame of split {split:?}"; expected "at least one";
         help "choose the other split or all");
     Ok(cameras)
-}
-
-/// What is known of a frame's photo.
-struct FoundPhoto {
-    path: PathBuf,
-    faults: Vec<Error>,
-    /// The size that the file gives, else the image's own.
-    size: Option<(usize, usize)>,
-}
-
-fn photo(dir: &Path, source: &Source, i: usize, limits: &Limits) -> FoundPhoto {
-    let Source {
-        path: file,
-        transforms,
-        ..
-    } = source;
-    let path = image_path(dir, &transforms.frames[i].file_path);
-    let mut problems = Problems::default();
-    let is_there = path.is_file();
-    if !is_there {
-        problems.push(
-            invalid!(file, "{}.file_path", transforms.field(i); found "no file {}", path.display();
-            expected "an image"; help "put the image there or drop the frame"),
-        );
-    }
-    let size = match problems.ok(transforms.declared_size(file, i)) {
-        Some(None) if is_there => problems
-            .ok(ImageFile::open(&path, limits))
-            .map(|image| image.size),
-        declared => declared.flatten(),
-    };
-    FoundPhoto {
-        path,
-        faults: problems.all(),
-        size,
-    }
 }
 
 /// The image of a frame; files made by Blender leave the extension out.

@@ -1,7 +1,7 @@
 //! The fields of a `transforms.json`, and the cameras that they give.
 
 use super::not_finite::quoted;
-use crate::data::formats::camera_checks::{FOCAL, MAX_PIXELS, posed};
+use crate::data::formats::camera_checks::{check_center, check_focal, posed, side};
 use crate::data::photos::lens::Lens;
 use crate::error::{Result, bail, ensure, invalid};
 use crate::files;
@@ -129,12 +129,8 @@ impl Transforms {
 
     /// Width and height that the file gives for a frame.
     pub fn declared_size(&self, path: &Path, frame: usize) -> Result<Option<(usize, usize)>> {
-        let whole = |name: &str, value: f64| {
-            ensure!(value.fract() == 0.0 && (1.0..=f64::from(u32::MAX)).contains(&value),
-                path, "{}.{name}", self.field(frame); found "{value:?}";
-                expected "a whole number of pixels, at least 1"; help "correct the size");
-            Ok(value as usize)
-        };
+        let whole =
+            |name: &str, length: f64| side(path, &format!("{}.{name}", self.field(frame)), length);
         let lens = self.lens_fields(frame);
         match (lens.w, lens.h) {
             (Some(w), Some(h)) => Ok(Some((whole("w", w)?, whole("h", h)?))),
@@ -220,16 +216,12 @@ impl Transforms {
         })?;
         // One focal length only: square pixels.
         let fy = fields.fl_y.or_else(from_height).unwrap_or(fx);
-        for (name, f) in [("fl_x", fx), ("fl_y", fy)] {
-            ensure!(FOCAL.contains(&f), path, "{place}.{name}"; found "{f:?}";
-                expected "a positive number of pixels, 0.001 to 1e9"; help "correct the focal length or camera_angle");
-        }
+        check_focal(path, &format!("{place}.fl_x"), fx)?;
+        check_focal(path, &format!("{place}.fl_y"), fy)?;
         let cx = fields.cx.unwrap_or(0.5 * width as f64);
         let cy = fields.cy.unwrap_or(0.5 * height as f64);
-        for (name, c) in [("cx", cx), ("cy", cy)] {
-            ensure!(c.abs() <= MAX_PIXELS, path, "{place}.{name}"; found "{c:?}";
-                expected "pixels from the image corner"; help "correct the principal point");
-        }
+        check_center(path, &format!("{place}.cx"), cx)?;
+        check_center(path, &format!("{place}.cy"), cy)?;
         let centred = Camera::centred([fx, fy], [width, height]);
         Ok((Camera { cx, cy, ..centred }, lens))
     }

@@ -39,8 +39,7 @@ pub(super) struct Kept {
     /// Number in the file.
     pub index: usize,
     pub split: Split,
-    /// `None` for a frame whose name is a fault that was reported.
-    pub name: Option<String>,
+    pub name: String,
 }
 
 /// The files of `dir` that list its frames: the file that the options name, else the usual one, else Blender's. Each of these has
@@ -73,12 +72,7 @@ impl Sources {
     pub fn read(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Self> {
         let files = files(dir, options).unwrap_or_else(|| vec![(options.transforms.clone(), None)]);
         let names: Vec<&str> = files.iter().map(|(name, _)| &**name).collect();
-        let file = dir.join(names.join(" and "));
-        let mut sources = Self {
-            file,
-            files: Vec::new(),
-            notices: Vec::new(),
-        };
+        let mut sources = Self::none(dir.join(names.join(" and ")));
         if files.len() > 1 && names.contains(&TEST) && dir.join(VALIDATION).is_file() {
             let notice = format!("{VALIDATION} is not read: the frames of {TEST} are held out");
             sources.notices.push(notice);
@@ -91,14 +85,17 @@ impl Sources {
 
     /// Reads one file and ignores others in the same folder.
     pub fn of_file(path: &Path, problems: &mut Problems) -> Result<Self> {
-        let file = path.to_owned();
-        let mut sources = Self {
+        let mut sources = Self::none(path.to_owned());
+        sources.add(path.to_owned(), None, problems)?;
+        Ok(sources)
+    }
+
+    fn none(file: PathBuf) -> Self {
+        Self {
             file,
             files: Vec::new(),
             notices: Vec::new(),
-        };
-        sources.add(path.to_owned(), None, problems)?;
-        Ok(sources)
+        }
     }
 
     /// Reads a file. If `split` is given, all of its frames belong to it.
@@ -116,23 +113,22 @@ impl Sources {
         Ok(())
     }
 
-    /// The frames that the options keep, in the order of the files.
+    /// The frames that the options keep, in the order of the files. Frames whose names are faults are left out.
     pub fn pick(&self, options: &LoadOptions, problems: &mut Problems) -> Vec<Kept> {
         let frames: Vec<_> = self.frames().collect();
         let given: Vec<Option<Split>> = frames.iter().map(|(.., split)| *split).collect();
         let mut names = self.names(problems);
-        let mut kept = Vec::new();
-        for (place, split) in options.pick(&given) {
+        let picked = options.pick(&given).into_iter();
+        let kept = picked.filter_map(|(place, split)| {
             let (source, index, _) = frames[place];
-            let name = names[place].take();
-            kept.push(Kept {
+            Some(Kept {
                 source,
                 index,
                 split,
-                name,
-            });
-        }
-        kept
+                name: names[place].take()?,
+            })
+        });
+        kept.collect()
     }
 
     /// The name of each frame: the stem of its photo. Where photos of several files have the same stems, it is the path with
