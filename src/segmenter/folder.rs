@@ -135,10 +135,7 @@ fn frames(job: &Job<'_>) -> Result<Listing> {
         association: Association::Gaussians,
         ..job.options.clone()
     };
-    let mut problems = Problems::default();
-    let listing = layout::list(job.dir, &options, &mut problems)?;
-    problems.first()?;
-    Ok(listing)
+    Problems::none(|problems| layout::list(job.dir, &options, problems))
 }
 
 /// The photos to label.

@@ -15,8 +15,7 @@ pub(super) const UNFIT_HELP: &str =
     "choose the contract of this network (--contract), or export the network again";
 
 pub(super) fn one_line(text: &str) -> String {
-    let line: String = text.split_whitespace().collect::<Vec<_>>().join(" ");
-    line.chars().take(400).collect()
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 fn not_onnx(file: &Path, found: &str) -> Error {

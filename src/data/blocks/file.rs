@@ -16,7 +16,7 @@ use std::path::{Component, Path, PathBuf};
 /// The name of the file in the folder of a block.
 pub const BLOCK: &str = "block.json";
 /// The version of the file.
-const VERSION: u32 = 1;
+pub(super) const VERSION: u32 = 1;
 const EXPECTED: &str = "a block that `coseg split` wrote";
 const AGAIN: &str = "split the scene again";
 
@@ -24,7 +24,7 @@ const AGAIN: &str = "split the scene again";
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Block {
-    version: u32,
+    pub(super) version: u32,
     /// The scene folder, absolute or relative to that of the block.
     pub scene: PathBuf,
     /// How the scene folder was read.
@@ -98,24 +98,6 @@ fn named(given: &str, usual: &str, own: &str) -> String {
 }
 
 impl Block {
-    pub(super) fn new(
-        scene: PathBuf,
-        reading: Reading,
-        grid: Grid,
-        index: [usize; 2],
-        [train, test]: [Vec<String>; 2],
-    ) -> Self {
-        Self {
-            version: VERSION,
-            scene,
-            reading,
-            grid,
-            index,
-            train,
-            test,
-        }
-    }
-
     /// Its name, see [`block_name`].
     pub fn name(&self) -> String {
         block_name(self.index)

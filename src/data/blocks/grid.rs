@@ -122,16 +122,6 @@ impl Grid {
         None
     }
 
-    /// Number of blocks.
-    pub fn len(&self) -> usize {
-        self.counts[0] * self.counts[1]
-    }
-
-    /// Whether there are none, which is no grid.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
     /// Column and row of each block, column after column.
     pub fn indices(&self) -> impl Iterator<Item = [usize; 2]> + use<> {
         let [columns, rows] = self.counts;

@@ -2,7 +2,7 @@
 
 use super::notices;
 use crate::config::Layout;
-use crate::data::formats::folder::{Problems, scene_name};
+use crate::data::formats::folder::scene_name;
 use crate::data::formats::frame::Frame;
 use crate::data::formats::frame_labels::FrameLabels;
 use crate::data::formats::listing::Listing;
@@ -174,9 +174,7 @@ fn class_shares(listing: &Listing, frames: &[FrameInfo]) -> Vec<ClassShare> {
 }
 
 fn listing(dir: &Path, options: &LoadOptions) -> Result<Listing> {
-    let mut problems = Problems::default();
-    let listing = notices::list(dir, options, &mut problems)?;
-    problems.first()?;
+    let listing = notices::listed(dir, options)?;
     listing.check_sizes(&options.limits)?;
     Ok(listing)
 }
@@ -197,7 +195,7 @@ impl FrameInfo {
             return Ok(info);
         };
         info.raw = pixels_by_id(&map);
-        if listing.raw.are_segments() {
+        if listing.raw.are_segments {
             info.segments = info.raw.keys().filter(|id| **id != 0).count();
             for (id, pixels) in std::mem::take(&mut info.raw) {
                 let segment = segments.iter().find(|segment| segment.id == id);
@@ -283,7 +281,7 @@ pub fn thumbnails(
             split: frame.split,
             photo,
             raw,
-            are_segments: listing.raw.are_segments(),
+            are_segments: listing.raw.are_segments,
             truth,
         })
     }))?;

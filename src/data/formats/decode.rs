@@ -93,7 +93,7 @@ impl Listing {
         if self.occurring_classes {
             let mut occurs = vec![false; 1 << 16];
             for view in views {
-                let raw = view.raw.iter().filter(|_| !self.raw.are_segments());
+                let raw = view.raw.iter().filter(|_| !self.raw.are_segments);
                 let ids = view
                     .truth
                     .iter()

@@ -5,7 +5,7 @@ use crate::data::photos::image_file::{ImageFile, proportional};
 use crate::data::photos::lens::{Lens, Undistortion};
 use crate::data::photos::photo::Preprocessing;
 use crate::data::{LabelMap, Limits, MapGeometry, Split};
-use crate::error::{Error, Result, bail};
+use crate::error::{Error, Result, invalid};
 use crate::splat::camera::Camera;
 use image::RgbImage;
 use std::path::{Component, Path, PathBuf};
@@ -81,24 +81,24 @@ impl Frame {
     /// The camera for a photo of this size.
     pub fn geometry(&self, (width, height): (usize, usize)) -> Result<Geometry> {
         let camera = self.camera.resized(width, height);
-        let mut preprocessing = Preprocessing::default();
         if self.lens.is_pinhole() {
+            let preprocessing = Preprocessing::default();
             return Ok(Geometry {
                 camera,
                 preprocessing,
             });
         }
-        let Some(undistortion) = Undistortion::new(&camera, self.lens) else {
-            bail!(&self.image, "lens distortion";
-                found "radial {:?}, tangential {:?}", self.lens.k, self.lens.p;
+        let undistortion = Undistortion::new(&camera, self.lens).ok_or_else(|| {
+            invalid!(&self.image, "lens distortion"; found "radial {:?}, tangential {:?}", self.lens.k, self.lens.p;
                 expected "a distortion that does not fold the image over";
-                help "calibrate again, or undistort the photos with the tool that made the poses");
-        };
-        let camera = undistortion.pinhole.clone();
-        preprocessing.undistortion = Some(undistortion);
+                help "calibrate again, or undistort the photos with the tool that made the poses")
+        })?;
         Ok(Geometry {
-            camera,
-            preprocessing,
+            camera: undistortion.pinhole.clone(),
+            preprocessing: Preprocessing {
+                undistortion: Some(undistortion),
+                ..Preprocessing::default()
+            },
         })
     }
 

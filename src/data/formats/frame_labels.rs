@@ -86,7 +86,7 @@ impl<'a> FrameLabels<'a> {
 
     /// The scores of the raw labels, where they lie beside the map.
     pub fn scores(&self) -> Option<ViewScores> {
-        let ids = self.listing.raw.score_ids()?;
+        let ids = self.listing.raw.score_ids.clone()?;
         let map = self.frame.raw.as_ref()?;
         let file = scores::path_of(map).filter(|file| file.is_file())?;
         let placement = self.geometry.placement(self.listing.geometries.of(map));

@@ -142,7 +142,7 @@ impl Listing {
 
     /// The id of pixels without a raw label.
     pub fn unlabelled(&self) -> u16 {
-        if self.raw.are_segments() {
+        if self.raw.are_segments {
             0
         } else {
             self.classes.ignore

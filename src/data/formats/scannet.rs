@@ -156,13 +156,12 @@ fn classes(set: ScannetClasses) -> Classes {
     Classes::from_names(0, named.filter(|(id, _)| in_set(set, *id)))
 }
 
-/// Reads the table of labels that the options name, or that lies in `dir` or one of the three folders above it. Returns the NYU40
+/// Reads the table of labels that lies in `dir` or one of the three folders above it. Returns the NYU40
 /// id of each label id: 0 for labels outside of the set, [`UNMAPPED`] for labels that are not in the table.
 fn label_table(dir: &Path, options: &LoadOptions) -> Result<Vec<u32>> {
     let full = dir.canonicalize().unwrap_or_else(|_| dir.to_owned());
     let mut near = full.ancestors().take(4).map(|folder| folder.join(TABLE));
-    let named = options.scannet_labels.clone();
-    let path = named.or_else(|| near.find(|path| path.is_file())).ok_or_else(|| {
+    let path = near.find(|path| path.is_file()).ok_or_else(|| {
         invalid!(dir, "{TABLE}"; found "no such file";
             expected "{TABLE} there or in one of the three folders above: the labels' ids mean nothing without it";
             help "copy it from the dataset to the folder of the scene")

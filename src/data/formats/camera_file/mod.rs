@@ -92,9 +92,6 @@ fn size(path: &Path, place: &str, sides: [(&str, f64); 2]) -> Result<[usize; 2]>
     Ok(size)
 }
 
-/// Characters of a fault that an error shows.
-const MAX_SHOWN: usize = 120;
-
 /// What serde makes of `value`, which is called `name` in messages; `expected` describes it there.
 fn parsed<T: DeserializeOwned>(path: &Path, name: &str, value: Value, expected: &str) -> Result<T> {
     serde_path_to_error::deserialize(value).map_err(|error| {
@@ -102,9 +99,7 @@ fn parsed<T: DeserializeOwned>(path: &Path, name: &str, value: Value, expected: 
             Some(_) => error.path().to_string(),
             None => "fields".to_owned(),
         };
-        // A value of the file may be long.
-        let found: String = error.inner().to_string().chars().take(MAX_SHOWN).collect();
-        invalid!(path, "{name}{field}"; found "{found}"; expected "{expected}";
+        invalid!(path, "{name}{field}"; found "{}", error.inner(); expected "{expected}";
             help "correct the field, or export the cameras again")
     })
 }

@@ -96,13 +96,6 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
             "no points3D in {model}: Gaussians start from random points"
         ));
     }
-    let unlabelled = frames.iter().filter(|frame| frame.truth.is_none()).count();
-    if unlabelled > 0 && unlabelled < frames.len() {
-        notices.push(format!(
-            "{unlabelled} of {} photos have no labels",
-            frames.len()
-        ));
-    }
     Ok(Listing {
         cloud: points.map_or(Cloud::None, Cloud::Colmap),
         notices,

@@ -40,18 +40,14 @@ impl SparseModel {
             counts.push(images::count(&part(&dir.join(folder), "images")?, limits)?);
         }
         let most = counts.iter().copied().max().unwrap_or_default();
-        let chosen = counts
-            .iter()
-            .position(|&count| count == most)
-            .unwrap_or_default();
-        let all = folders
+        let is_most = |count: &u64| *count == most;
+        let chosen = counts.iter().position(is_most).unwrap_or_default();
+        let mut others: Vec<String> = folders
             .iter()
             .zip(&counts)
-            .enumerate()
-            .filter(|(i, _)| *i != chosen);
-        let others: Vec<String> = all
-            .map(|(_, (folder, count))| format!("{folder} of {count}"))
+            .map(|(folder, count)| format!("{folder} of {count}"))
             .collect();
+        others.remove(chosen);
         let name = &folders[chosen];
         let notice = format!(
             "{name}, a model of {most} photos, is read, and not {}: COLMAP could not join these pieces; to read another, \

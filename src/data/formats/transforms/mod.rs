@@ -1,6 +1,12 @@
 //! Scenes as folders with a `transforms.json` (nerfstudio, instant-ngp): OpenGL camera-to-world poses, photos, and the
 //! fields of this crate: per frame `split`, `label_path`, `raw_label_path`, `instance_path`; per folder `classes.json`.
 //! `mask_path` is nerfstudio's.
+//!
+//! +z is up when the file's `convention` says `world z up`, else the cameras tell ([`crate::splat::camera::level_up`]). `split` of the
+//! frames is `train`, `test` or `val` (also `validation`, `eval`); nerfstudio's lists (`train_filenames`, ..) may give it instead.
+//! Validation frames are held out where there are no test frames, else left out. Without a split in the file every 8th frame from the
+//! first on is test. Blender's files, one for each split, are read together. `ply_file_path` names the initial cloud. Frames may lack
+//! labels; where they have some, `classes.json` must be there.
 
 mod label_files;
 pub(crate) mod not_finite;
@@ -11,17 +17,14 @@ mod write;
 
 pub(crate) use self::sources::marker;
 pub use self::write::write_cameras;
-pub use crate::data::NamedCamera;
-pub use crate::data::options::LoadOptions;
 
 use super::folder::{Folder, Problems};
 use super::frame::Frame;
 use super::listing::{Cloud, Listing};
-use crate::config::Layout;
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::photos::lens::Lens;
-use crate::data::{Limits, Scene, Split};
+use crate::data::{Limits, LoadOptions, NamedCamera, Split};
 use crate::error::{Error, Result, ensure, invalid};
 use crate::files::{file_name, names};
 use crate::splat::camera::Camera;
@@ -32,25 +35,6 @@ use std::path::{Path, PathBuf};
 
 /// Usual names of initial clouds, for files that do not name theirs.
 const CLOUDS: [&str; 3] = ["points.ply", "sparse_pc.ply", "points3D.ply"];
-
-/// Loads the scene in folder `dir` from its `transforms.json`, even if the folder has other layouts too.
-///
-/// As [`crate::data::load`]; `up` is +z when the file's `convention` says `world z up`, else that of its cameras
-/// ([`crate::splat::camera::level_up`]). `split` of the frames is `train`, `test` or `val` (also `validation`, `eval`);
-/// nerfstudio's lists (`train_filenames`, ..) may give it instead. Validation frames are held out where there are no test frames,
-/// else left out. Without a split in the file every 8th frame from the first on is test. Blender's files, one for each split, are
-/// read together. `ply_file_path` names the initial cloud, without which [`Scene::points`] is empty. Frames may lack labels; where
-/// they have some, `classes.json` must be there.
-///
-/// # Errors
-/// As [`crate::data::load`].
-pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
-    let options = LoadOptions {
-        layout: Layout::Transforms,
-        ..options.clone()
-    };
-    crate::data::load(dir, &options)
-}
 
 /// Refuses a folder without the file.
 pub(crate) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
@@ -159,12 +143,13 @@ fn frame(dir: &Path, source: &Source, kept: &Kept, limits: &Limits) -> (Option<F
 /// subtract a scene's origin before rendering. `split` keeps only those frames.
 ///
 /// # Errors
-/// As [`load`]; also when no frame is left.
+/// As [`crate::data::load`]; also when no frame is left.
 pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera>> {
-    let mut problems = Problems::default();
-    let sources = Sources::of_file(path, &mut problems)?;
-    let kept = sources.pick(&LoadOptions::default(), &mut problems);
-    problems.first()?;
+    let (sources, kept) = Problems::none(|problems| {
+        let sources = Sources::of_file(path, problems)?;
+        let kept = sources.pick(&LoadOptions::default(), problems);
+        Ok((sources, kept))
+    })?;
     let transforms = &sources.files[0].transforms;
     let mut cameras = Vec::new();
     for kept in kept {

@@ -37,15 +37,10 @@ impl OwnClasses {
             .iter()
             .map(|class| (class.id, class.name.as_str()))
             .collect();
-        let vocabulary = if classes.is_empty() {
-            Vocabulary {
-                classes: own.clone(),
-                ids: names.iter().map(|(id, _)| Some(*id)).collect(),
-                notice: None,
-            }
-        } else {
-            Vocabulary::new(file, classes, &names)?
-        };
+        let mut vocabulary = Vocabulary::new(file, classes, &names)?;
+        if classes.is_empty() {
+            vocabulary.classes = own.clone();
+        }
         let matched = names.iter().zip(&vocabulary.ids);
         let ids = matched
             .filter_map(|((id, _), class)| Some((*id, (*class)?)))
