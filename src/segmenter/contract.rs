@@ -300,17 +300,12 @@ impl Contract {
             Layout::Nhwc => (y * across + x) * 3 + channel,
         };
         let mut values = vec![0.0; 3 * across * down];
-        for channel in 0..3 {
-            for y in 0..down {
-                for x in 0..across {
-                    values[index(channel, x, y)] = value(channel, input.pad[channel]);
-                }
-            }
-        }
-        for (x, y, pixel) in small.enumerate_pixels() {
-            let [x, y] = [x as usize + area.at[0], y as usize + area.at[1]];
+        for (x, y) in (0..down).flat_map(|y| (0..across).map(move |x| (x, y))) {
+            let inside = x.checked_sub(area.at[0]).zip(y.checked_sub(area.at[1]));
+            let pixel = inside.and_then(|(x, y)| small.get_pixel_checked(x as u32, y as u32));
+            let rgb = pixel.map_or(input.pad, |pixel| pixel.0.map(f32::from));
             for channel in 0..3 {
-                values[index(channel, x, y)] = value(channel, f32::from(pixel.0[channel]));
+                values[index(channel, x, y)] = value(channel, rgb[channel]);
             }
         }
         (values, area)

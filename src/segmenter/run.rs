@@ -30,14 +30,10 @@ pub struct Logits {
 
 /// Scores of the classes of the labels.
 struct Mapped<'a> {
-    grid: ScoreGrid,
-    width: usize,
-    height: usize,
-    /// Logits or probabilities, `[height, width, channels]`.
-    values: Vec<f32>,
+    /// Its values are logits or probabilities, `[height, width, channels]`.
+    logits: Logits,
     /// Probability of all classes that are not dropped, `[height, width]`.
     listed: Vec<f32>,
-    kind: Values,
     mapping: &'a Mapping,
 }
 
@@ -130,12 +126,8 @@ impl Logits {
             }
         }
         Mapped {
-            grid: self.grid,
-            width: self.width,
-            height: self.height,
-            values,
+            logits: Logits { values, ..*self },
             listed,
-            kind: self.kind,
             mapping,
         }
     }
@@ -160,13 +152,19 @@ impl Mapped<'_> {
     /// The class of the highest value at each pixel of the photo, values bilinear between the cells.
     fn map(&self) -> LabelMap {
         let channels = self.mapping.ids.len();
-        let columns = axis(&self.grid, 0, self.width);
-        let mut ids = Vec::with_capacity(self.grid.photo[0] * self.grid.photo[1]);
+        let columns = axis(&self.logits.grid, 0, self.logits.width);
+        let mut ids = Vec::with_capacity(self.logits.grid.photo[0] * self.logits.grid.photo[1]);
         let mut row = Vec::new();
         let mut listed = Vec::new();
         let mut candidates = Vec::new();
-        for (upper, lower, share) in axis(&self.grid, 1, self.height) {
-            self.blend_rows([upper, lower], share, &self.values, channels, &mut row);
+        for (upper, lower, share) in axis(&self.logits.grid, 1, self.logits.height) {
+            self.blend_rows(
+                [upper, lower],
+                share,
+                &self.logits.values,
+                channels,
+                &mut row,
+            );
             self.blend_rows([upper, lower], share, &self.listed, 1, &mut listed);
             let mut interval = None;
             for &(first, second, share) in &columns {
@@ -192,8 +190,8 @@ impl Mapped<'_> {
             }
         }
         LabelMap {
-            width: self.grid.photo[0],
-            height: self.grid.photo[1],
+            width: self.logits.grid.photo[0],
+            height: self.logits.grid.photo[1],
             ids,
         }
     }
@@ -207,7 +205,7 @@ impl Mapped<'_> {
         channels: usize,
         row: &mut Vec<f32>,
     ) {
-        let length = self.width * channels;
+        let length = self.logits.width * channels;
         let [upper, lower] = rows.map(|y| &values[y * length..][..length]);
         row.clear();
         row.extend(upper.iter().zip(lower).map(|(&a, &b)| between(a, b, share)));
@@ -215,8 +213,12 @@ impl Mapped<'_> {
 
     /// The `best` most probable classes of each cell, or block of cells.
     fn scores(&self, best: usize) -> ScoreMap {
-        let block = self.width.max(self.height).div_ceil(MAX_CELLS);
-        let [width, height] = [self.width, self.height].map(|n| n.div_ceil(block));
+        let block = self
+            .logits
+            .width
+            .max(self.logits.height)
+            .div_ceil(MAX_CELLS);
+        let [width, height] = [self.logits.width, self.logits.height].map(|n| n.div_ceil(block));
         let classes = best.clamp(1, self.mapping.ids.len());
         let mut ids = vec![0; classes * width * height];
         let mut probabilities = vec![0; classes * width * height];
@@ -237,10 +239,10 @@ impl Mapped<'_> {
                 probabilities[n * width * height + cell] = (255.0 * sums[channel]) as u8;
             }
         }
-        let scale = self.grid.scale;
-        let offset = self.grid.offset;
+        let scale = self.logits.grid.scale;
+        let offset = self.logits.grid.offset;
         let grid = ScoreGrid {
-            photo: self.grid.photo,
+            photo: self.logits.grid.photo,
             scale: scale.map(|scale| scale / block as f64),
             offset: offset.map(|offset| (offset + 0.5) / block as f64 - 0.5),
         };
@@ -265,15 +267,15 @@ impl Mapped<'_> {
     fn mean_probabilities(&self, [column, row]: [usize; 2], block: usize, sums: &mut [f32]) {
         sums.fill(0.0);
         let mut cells = 0.0;
-        for y in row * block..((row + 1) * block).min(self.height) {
-            for x in column * block..((column + 1) * block).min(self.width) {
+        for y in row * block..((row + 1) * block).min(self.logits.height) {
+            for x in column * block..((column + 1) * block).min(self.logits.width) {
                 cells += 1.0;
-                let cell = y * self.width + x;
+                let cell = y * self.logits.width + x;
                 if self.listed[cell] < MIN_PROBABILITY {
                     continue;
                 }
-                let values = &self.values[cell * sums.len()..][..sums.len()];
-                let weights = weights(values, self.kind);
+                let values = &self.logits.values[cell * sums.len()..][..sums.len()];
+                let weights = weights(values, self.logits.kind);
                 let all: f32 = weights.iter().sum();
                 sums.iter_mut()
                     .zip(weights)

@@ -106,12 +106,11 @@ struct FrameInfo {
 /// As [`crate::data::load`].
 pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
     let listing = listing(dir, options)?;
-    let known = listing.classes.lookup();
     let frames = in_order(
         listing
             .frames
             .par_iter()
-            .map(|frame| FrameInfo::new(&listing, frame, &known, options)),
+            .map(|frame| FrameInfo::new(&listing, frame, options)),
     )?;
     let mut sizes = BTreeMap::new();
     for frame in &frames {
@@ -180,8 +179,8 @@ fn listing(dir: &Path, options: &LoadOptions) -> Result<Listing> {
 }
 
 impl FrameInfo {
-    fn new(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) -> Result<Self> {
-        let (file, labels) = FrameLabels::open(listing, frame, known, options)?;
+    fn new(listing: &Listing, frame: &Frame, options: &LoadOptions) -> Result<Self> {
+        let (file, labels) = FrameLabels::open(listing, frame, options)?;
         let camera = labels.geometry.view_camera();
         let mut info = Self {
             size: file.size,
@@ -254,7 +253,6 @@ pub fn thumbnails(
     width: u32,
 ) -> Result<(Vec<Thumbnail>, Classes)> {
     let listing = listing(dir, options)?;
-    let known = listing.classes.lookup();
     // Where a few photos are labelled, those are what one looks for.
     let is_raw = |i: &usize| listing.frames[*i].raw.is_some();
     let mut shown: Vec<usize> = (0..listing.frames.len()).filter(is_raw).collect();
@@ -264,7 +262,7 @@ pub fn thumbnails(
     let chosen = evenly(shown.len(), count);
     let made = in_order(chosen.into_par_iter().map(|i| {
         let frame = &listing.frames[shown[i]];
-        let (file, labels) = FrameLabels::open(&listing, frame, &known, options)?;
+        let (file, labels) = FrameLabels::open(&listing, frame, options)?;
         let mut photo = labels.geometry.photo(&file)?;
         if let Some(mask) = &labels.mask {
             mask.fill(&mut photo, 3, 0);

@@ -36,11 +36,10 @@ impl Listing {
         self.check_sizes(&options.limits)?;
         let cache = Arc::new(PhotoCache::new(options.decoded_mb.saturating_mul(1 << 20)));
         let origin = self.origin();
-        let known = self.classes.lookup();
         let views = self
             .frames
             .par_iter()
-            .map(|frame| self.view(frame, options, origin, &known, &cache));
+            .map(|frame| self.view(frame, options, origin, &cache));
         let (views, turned): (Vec<View>, Vec<bool>) = in_order(views)?.into_iter().unzip();
         let scene = Scene {
             name: scene_name(dir),
@@ -60,10 +59,9 @@ impl Listing {
         frame: &Frame,
         options: &LoadOptions,
         origin: DVec3,
-        known: &[u16],
         cache: &Arc<PhotoCache>,
     ) -> Result<(View, bool)> {
-        let (file, labels) = FrameLabels::open(self, frame, known, options)?;
+        let (file, labels) = FrameLabels::open(self, frame, options)?;
         let preprocessing = labels.geometry.preprocessing().over(options.background);
         let image = Photo::in_file(&file, preprocessing, &options.limits, cache)?;
         let truth = labels.truth()?.map(LabelRuns::from);

@@ -107,49 +107,56 @@ fn unread_transforms(dir: &Path, options: &LoadOptions, layout: Layout) -> Optio
 
 /// The error for a folder of no layout.
 fn nothing(dir: &Path, options: &LoadOptions) -> Error {
-    let mut found = "no such file, nor those of another layout".to_owned();
-    let mut help = "give another folder".to_owned();
+    let (found, help) = meant(dir);
+    invalid!(dir, "{}", options.transforms; found "no such file, {found}";
+        expected "cameras and frames: transforms.json (nerfstudio, instant-ngp), transforms_train.json with \
+            transforms_test.json (Blender), sparse/0 or sparse with cameras and images as .bin or .txt (COLMAP), \
+            traj.txt with results/ or traj_w_c.txt with rgb/ (Replica), or color/ with pose/ (ScanNet); see docs/data.md";
+        help "{help}")
+}
+
+/// What a folder of no layout has, and what the user may have meant by it.
+fn meant(dir: &Path) -> (String, String) {
     let others = transforms::alternatives(dir);
-    let inner = names(dir, |_, path| path.is_dir())
-        .into_iter()
-        .take(MAX_FOLDERS)
-        .find_map(|name| {
-            let (layout, _) = markers(&dir.join(&name), &LoadOptions::default())
-                .into_iter()
-                .next()?;
-            Some((name, layout))
-        });
     if let Some(first) = others.first() {
-        found = format!("no such file, but {}", others.join(", "));
-        help = format!("name one with --set data.transforms={first}");
-    } else if let Some((folder, layout)) = inner {
-        found += &format!(", but a folder {folder} of layout {layout}");
-        help = format!("give {}", dir.join(folder).display());
+        let help = format!("name one with --set data.transforms={first}");
+        return (format!("but {}", others.join(", ")), help);
+    }
+    let inner = names(dir, |_, path| path.is_dir());
+    for folder in inner.into_iter().take(MAX_FOLDERS) {
+        let inner = dir.join(&folder);
+        if let Some((layout, _)) = markers(&inner, &LoadOptions::default()).first() {
+            let found =
+                format!("nor those of another layout, but a folder {folder} of layout {layout}");
+            return (found, format!("give {}", inner.display()));
+        }
     }
     let most = |is: fn(&Path) -> bool| {
         let folders = [dir.to_owned(), dir.join("images")];
         let counts = folders.map(|folder| names(&folder, |_, path| is(path)).len());
         counts[0].max(counts[1])
     };
-    if help == "give another folder" {
-        let [photos, heic, videos] = [is_photo, is_heic, is_video].map(most);
-        if photos > 1 {
-            found = format!("no such file, but {photos} photos without poses");
-            help = "`coseg from-photos PHOTOS --out DIR` finds the poses, and makes label maps with --segmenter FILE.onnx; see docs/from-photos.md".to_owned();
-        } else if heic > 0 {
-            found = format!("no such file, but {heic} HEIC photos");
-            help =
-                format!("{HEIC_HELP}; then `coseg from-photos PHOTOS --out DIR` finds their poses");
-        } else if videos > 0 {
-            found = format!("no such file, but {videos} videos");
-            help = "`coseg from-photos VIDEO --out DIR` makes a scene folder of one".to_owned();
-        }
+    let from_photos = "`coseg from-photos PHOTOS --out DIR` finds";
+    match (most(is_photo), most(is_heic), most(is_video)) {
+        (photos @ 2.., ..) => (
+            format!("but {photos} photos without poses"),
+            format!(
+                "{from_photos} the poses, and makes label maps with --segmenter FILE.onnx; see docs/from-photos.md"
+            ),
+        ),
+        (_, heic @ 1.., _) => (
+            format!("but {heic} HEIC photos"),
+            format!("{HEIC_HELP}; then {from_photos} their poses"),
+        ),
+        (.., videos @ 1..) => (
+            format!("but {videos} videos"),
+            "`coseg from-photos VIDEO --out DIR` makes a scene folder of one".to_owned(),
+        ),
+        _ => (
+            "nor those of another layout".to_owned(),
+            "give another folder".to_owned(),
+        ),
     }
-    invalid!(dir, "{}", options.transforms; found "{found}";
-        expected "cameras and frames: transforms.json (nerfstudio, instant-ngp), transforms_train.json with \
-            transforms_test.json (Blender), sparse/0 or sparse with cameras and images as .bin or .txt (COLMAP), \
-            traj.txt with results/ or traj_w_c.txt with rgb/ (Replica), or color/ with pose/ (ScanNet); see docs/data.md";
-        help "{help}")
 }
 
 /// Refuses a file or folder of raw labels that is not there.

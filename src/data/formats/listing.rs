@@ -26,9 +26,8 @@ pub(crate) struct Listing {
     pub classes: Classes,
     /// The class table is that of a whole dataset: only classes that occur in the scene are kept.
     pub occurring_classes: bool,
-    /// Class id of each id in the true labels, where they hold ids of another table; [`UNMAPPED`] where there is none.
-    /// Length 65536.
-    pub truth_ids: Option<Vec<u32>>,
+    /// Class id of each id in the true labels, where they hold ids of another table; `None` for ids that this has not. Length 65536.
+    pub truth_ids: Option<Vec<Option<u16>>>,
     /// How the raw labels are stored.
     pub raw: RawLabels,
     /// Which cameras the label maps belong to, where their folders say so.
@@ -44,9 +43,6 @@ pub(crate) struct Listing {
     /// Sentences on what is left out or assumed.
     pub notices: Vec<String>,
 }
-
-/// An id of true labels without a class id.
-pub(crate) const UNMAPPED: u32 = u32::MAX;
 
 /// Where the initial cloud comes from.
 pub(crate) enum Cloud {

@@ -19,7 +19,7 @@ use crate::files::names;
 use glam::DVec3;
 use model::SparseModel;
 use reader::Reader;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 use std::path::{Component, Path};
 
 pub(crate) use self::model::marker;
@@ -51,10 +51,6 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
     let Folder { dir, options, .. } = folder;
     let model = SparseModel::find(dir, &options.limits)?;
     let cameras = cameras::read(&model.cameras)?;
-    let cameras: BTreeMap<_, _> = cameras
-        .into_iter()
-        .map(|camera| (camera.id, camera))
-        .collect();
     let mut images = images::read(&model.images, &options.limits)?;
     images.sort_by(|a, b| a.name.cmp(&b.name));
     let folders = SideFolders::new(folder, problems);

@@ -260,12 +260,11 @@ impl RawLabels {
     }
 
     /// Reads the map at `path` of a photo of the size `photo` and the name `name`; `check_size` refuses files of the wrong size.
-    /// With the class table comes its lookup.
     pub fn read(
         &self,
         (name, path): (&str, &Path),
         photo: (usize, usize),
-        (classes, known): (&Classes, &[u16]),
+        classes: &Classes,
         limits: &Limits,
         check_size: &dyn Fn(&ImageFile) -> Result<()>,
     ) -> Result<RawMap> {
@@ -301,7 +300,7 @@ impl RawLabels {
             Source::Grey | Source::Masks | Source::Drawn(_) => {
                 let mut map = LabelMap::decode(path, &file)?;
                 if !self.are_segments {
-                    map.check_ids(path, classes, known, SEGMENTS_HELP)?;
+                    map.check_ids(path, classes, SEGMENTS_HELP)?;
                 }
                 Ok(map.into())
             }

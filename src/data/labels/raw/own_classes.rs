@@ -20,7 +20,6 @@ pub(super) fn table(dir: &Path, maps: &Path) -> Option<PathBuf> {
 /// The table of the maps, next to the scene's.
 pub(super) struct OwnClasses {
     classes: Classes,
-    known: Vec<u16>,
     /// Class id in the scene of each id of the maps, where the scene has the class.
     pub ids: ScoreIds,
 }
@@ -45,20 +44,12 @@ impl OwnClasses {
         let ids = matched
             .filter_map(|((id, _), class)| Some((*id, (*class)?)))
             .collect();
-        let known = own.lookup();
-        Ok((
-            Self {
-                classes: own,
-                known,
-                ids,
-            },
-            vocabulary,
-        ))
+        Ok((Self { classes: own, ids }, vocabulary))
     }
 
     /// Replaces the ids of a map by the scene's; classes that the scene lacks become `unlabelled`.
     pub fn translate(&self, path: &Path, map: &mut LabelMap, unlabelled: u16) -> Result<()> {
-        map.check_ids(path, &self.classes, &self.known, "")?;
+        map.check_ids(path, &self.classes, "")?;
         for id in &mut map.ids {
             *id = self.ids.get(id).copied().unwrap_or(unlabelled);
         }
