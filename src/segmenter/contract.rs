@@ -7,6 +7,7 @@ use crate::files::{self, extension};
 use image::RgbImage;
 use image::imageops::{FilterType, resize};
 use serde::Deserialize;
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 /// The contracts that come with the program, by name.
@@ -230,13 +231,9 @@ impl Contract {
         if let Some(none) = output.none.filter(|none| *none >= count) {
             bail!(file, "output.none"; found "{none}"; expected "an index below {count}"; help "{HELP}");
         }
-        let twice = (0..names.len()).find(|&i| {
-            names[..i]
-                .iter()
-                .any(|name| plain(name) == plain(&names[i]))
-        });
-        if let Some(i) = twice {
-            bail!(file, "classes.names"; found "{:?} twice", names[i]; expected "different names"; help "{HELP}");
+        let mut plain_names = HashSet::new();
+        if let Some(twice) = names.iter().find(|name| !plain_names.insert(plain(name))) {
+            bail!(file, "classes.names"; found "{twice:?} twice"; expected "different names"; help "{HELP}");
         }
         Ok(())
     }

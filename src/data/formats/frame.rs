@@ -40,7 +40,8 @@ pub(crate) struct Frame {
 pub(crate) struct Geometry {
     /// Undistorted, in world units, of the size of the photo's file.
     pub camera: Camera,
-    preprocessing: Preprocessing,
+    /// How the photo's file becomes the view's image.
+    pub preprocessing: Preprocessing,
 }
 
 impl Frame {
@@ -146,11 +147,6 @@ impl Geometry {
             Some((width, height)) => self.camera.resized(width, height),
             None => self.camera.clone(),
         }
-    }
-
-    /// How the photo's file becomes the view's image.
-    pub fn preprocessing(&self) -> Preprocessing {
-        self.preprocessing.clone()
     }
 
     /// The photo of the view.

@@ -101,21 +101,18 @@ impl Listing {
         problems: &mut Problems,
     ) -> Self {
         let detected = RawLabels::detect(dir, options, &raw_files(&self.frames), &self.classes);
-        match problems.ok(detected) {
-            Some((raw, vocabulary)) => {
-                // One file may hold the shapes of all photos.
-                let is_empty =
-                    |frame: &&mut Frame| raw.are_drawn() && !raw.has_drawing(&frame.name);
-                let without = self.frames.iter_mut().filter(is_empty);
-                without.for_each(|frame| frame.raw = None);
-                self.raw = raw;
-                if let Some(vocabulary) = vocabulary {
-                    self.occurring_classes |= self.classes.is_empty();
-                    self.classes = vocabulary.classes;
-                    self.notices.extend(vocabulary.notice);
-                }
-            }
-            None => return self.without_raw_labels(),
+        let Some((raw, vocabulary)) = problems.ok(detected) else {
+            return self.without_raw_labels();
+        };
+        // One file may hold the shapes of all photos.
+        let is_empty = |frame: &&mut Frame| raw.are_drawn() && !raw.has_drawing(&frame.name);
+        let without = self.frames.iter_mut().filter(is_empty);
+        without.for_each(|frame| frame.raw = None);
+        self.raw = raw;
+        if let Some(vocabulary) = vocabulary {
+            self.occurring_classes |= self.classes.is_empty();
+            self.classes = vocabulary.classes;
+            self.notices.extend(vocabulary.notice);
         }
         self
     }
