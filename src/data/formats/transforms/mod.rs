@@ -30,6 +30,7 @@ use crate::files::{file_name, names};
 use crate::splat::camera::Camera;
 use label_files::LabelFiles;
 use rayon::prelude::*;
+use schema::Transforms;
 use sources::{Kept, Source, Sources};
 use std::path::{Path, PathBuf};
 
@@ -81,23 +82,21 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
         let fields = &sources.files[*source].transforms.frames[*index];
         frames.extend(frame.map(|frame| files.add(frame, fields)));
     }
-    let Sources {
-        file,
-        files,
-        mut notices,
-    } = sources;
-    let named_cloud = files
-        .iter()
-        .find_map(|source| source.transforms.ply_file_path.as_ref());
+    let Sources { file, files, .. } = sources;
+    let mut notices = sources.notices;
+    let mut transforms = files.iter().map(|source| &source.transforms);
+    let named_cloud = transforms
+        .clone()
+        .find_map(|file| file.ply_file_path.as_ref());
     let unnamed = CLOUDS.into_iter().find(|name| dir.join(name).is_file());
     if let (None, Some(cloud)) = (named_cloud, unnamed) {
-        let file = file_name(&files[0].path).unwrap_or_default();
+        let file = file_name(&files[0].transforms.path).unwrap_or_default();
         notices.push(format!(
             "{cloud} is not read: {file} does not name it; add \"ply_file_path\": \"{cloud}\" if it is the initial cloud"
         ));
     }
     Ok(Listing {
-        z_up: files.iter().all(|source| source.transforms.z_up()),
+        z_up: transforms.all(Transforms::z_up),
         cloud: named_cloud.map_or(Cloud::None, |file| Cloud::Ply(dir.join(file))),
         notices,
         ..Listing::new(folder, file, frames, None, problems)
@@ -107,7 +106,8 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
 /// A frame without labels, and its faults. It is left out where not even the size of its photo is known, which the file gives, or
 /// else the photo.
 fn frame(dir: &Path, source: &Source, kept: &Kept, limits: &Limits) -> (Option<Frame>, Vec<Error>) {
-    let (file, transforms, i) = (&source.path, &source.transforms, kept.index);
+    let (transforms, i) = (&source.transforms, kept.index);
+    let file = &transforms.path;
     let mut problems = Problems::default();
     let path = image_path(dir, &transforms.frames[i].file_path);
     let is_there = path.is_file();
@@ -117,7 +117,7 @@ fn frame(dir: &Path, source: &Source, kept: &Kept, limits: &Limits) -> (Option<F
             expected "an image"; help "put the image there or drop the frame"),
         );
     }
-    let size = match problems.ok(transforms.declared_size(file, i)) {
+    let size = match problems.ok(transforms.declared_size(i)) {
         Some(None) if is_there => problems
             .ok(ImageFile::open(&path, limits))
             .map(|image| image.size),
@@ -125,7 +125,7 @@ fn frame(dir: &Path, source: &Source, kept: &Kept, limits: &Limits) -> (Option<F
     };
     let present = problems.is_empty();
     let frame = size.map(|size| {
-        let camera = problems.ok(transforms.camera(file, i, size));
+        let camera = problems.ok(transforms.camera(i, size));
         let posed = camera.is_some();
         let (camera, lens) = camera.unwrap_or_else(|| (Camera::unposed(size), Lens::default()));
         Frame {
@@ -157,12 +157,12 @@ pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
         if split.is_some_and(|split| split != kept.split) {
             continue;
         }
-        let size = transforms.declared_size(path, index)?.ok_or_else(|| {
+        let size = transforms.declared_size(index)?.ok_or_else(|| {
             invalid!(path, "{}.w", transforms.field(index); found "no image size"; expected "w and h in pixels";
                 help "add w and h")
         })?;
         Limits::default().check_pixels(path, size.0, size.1)?;
-        let (camera, lens) = transforms.camera(path, index, size)?;
+        let (camera, lens) = transforms.camera(index, size)?;
         let image = PathBuf::from(&transforms.frames[index].file_path);
         let frame = Frame {
             lens,

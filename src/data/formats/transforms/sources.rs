@@ -27,7 +27,6 @@ pub(super) struct Sources {
 
 /// One of the files.
 pub(super) struct Source {
-    pub path: PathBuf,
     pub transforms: Transforms,
     splits: Splits,
 }
@@ -72,45 +71,41 @@ impl Sources {
     pub fn read(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Self> {
         let files = files(dir, options).unwrap_or_else(|| vec![(options.transforms.clone(), None)]);
         let names: Vec<&str> = files.iter().map(|(name, _)| &**name).collect();
-        let mut sources = Self::none(dir.join(names.join(" and ")));
+        let paths = files.iter().map(|(name, split)| (dir.join(name), *split));
+        let mut sources = Self::of(dir.join(names.join(" and ")), paths, problems)?;
         if files.len() > 1 && names.contains(&TEST) && dir.join(VALIDATION).is_file() {
             let notice = format!("{VALIDATION} is not read: the frames of {TEST} are held out");
             sources.notices.push(notice);
-        }
-        for (name, split) in &files {
-            sources.add(dir.join(name), *split, problems)?;
         }
         Ok(sources)
     }
 
     /// Reads one file and ignores others in the same folder.
     pub fn of_file(path: &Path, problems: &mut Problems) -> Result<Self> {
-        let mut sources = Self::none(path.to_owned());
-        sources.add(path.to_owned(), None, problems)?;
-        Ok(sources)
+        Self::of(path.to_owned(), [(path.to_owned(), None)], problems)
     }
 
-    fn none(file: PathBuf) -> Self {
-        Self {
-            file,
-            files: Vec::new(),
-            notices: Vec::new(),
+    /// Reads files. All frames of one that comes with a split belong to it. `file` stands for all in messages.
+    fn of(
+        file: PathBuf,
+        paths: impl IntoIterator<Item = (PathBuf, Option<Split>)>,
+        problems: &mut Problems,
+    ) -> Result<Self> {
+        let mut files = Vec::new();
+        let mut notices = Vec::new();
+        for (path, split) in paths {
+            let transforms = Transforms::read(&path)?;
+            let splits = match split {
+                Some(_) => splits::all(transforms.frames.len(), split),
+                None => transforms.splits(&mut notices, problems),
+            };
+            files.push(Source { transforms, splits });
         }
-    }
-
-    /// Reads a file. If `split` is given, all of its frames belong to it.
-    fn add(&mut self, path: PathBuf, split: Option<Split>, problems: &mut Problems) -> Result<()> {
-        let transforms = Transforms::read(&path)?;
-        let splits = match split {
-            Some(_) => splits::all(transforms.frames.len(), split),
-            None => transforms.splits(&path, &mut self.notices, problems),
-        };
-        self.files.push(Source {
-            path,
-            transforms,
-            splits,
-        });
-        Ok(())
+        Ok(Self {
+            file,
+            files,
+            notices,
+        })
     }
 
     /// The frames that the options keep, in the order of the files. Frames whose names are faults are left out.
@@ -146,9 +141,8 @@ impl Sources {
         let mut first: HashMap<String, (usize, usize)> = HashMap::new();
         let mut names = Vec::new();
         for (source, i, _) in self.frames() {
-            let Source {
-                path, transforms, ..
-            } = &self.files[source];
+            let transforms = &self.files[source].transforms;
+            let path = &transforms.path;
             let photo = photo(source, i);
             let field = format!("{}.file_path", transforms.field(i));
             let name = if by_path { joined(photo) } else { stem(photo) };
@@ -158,8 +152,8 @@ impl Sources {
                     expected "the path of an image"; help "name the image file")),
                 (Some(name), None) => _ = first.insert(name.clone(), (source, i)),
                 (Some(name), Some(&(other, earlier))) => {
-                    let other_file = &self.files[other];
-                    let mut earlier = other_file.transforms.field(earlier);
+                    let other_file = &self.files[other].transforms;
+                    let mut earlier = other_file.field(earlier);
                     if other != source {
                         let file = other_file.path.file_name().unwrap_or_default();
                         earlier += &format!(" of {}", file.display());

@@ -6,7 +6,6 @@ use crate::data::Split;
 use crate::data::formats::folder::Problems;
 use crate::error::invalid;
 use std::collections::HashMap;
-use std::path::Path;
 
 /// The frames that are read: index in the file, and split. The file gives splits for all frames or for none.
 pub(super) type Splits = Vec<(usize, Option<Split>)>;
@@ -23,14 +22,9 @@ pub(super) fn all(count: usize, split: Option<Split>) -> Splits {
 
 impl Transforms {
     /// The split of each frame. Validation frames are held out where there are no test frames, else left out.
-    pub fn splits(
-        &self,
-        path: &Path,
-        notices: &mut Vec<String>,
-        problems: &mut Problems,
-    ) -> Splits {
+    pub fn splits(&self, notices: &mut Vec<String>, problems: &mut Problems) -> Splits {
         let uses = if self.frames.iter().any(|f| f.split.is_some()) {
-            self.uses_by_frame(path, problems)
+            self.uses_by_frame(problems)
         } else if self.lists().next().is_some() {
             self.uses_by_list(notices)
         } else {
@@ -51,7 +45,7 @@ impl Transforms {
         frames
     }
 
-    fn uses_by_frame(&self, path: &Path, problems: &mut Problems) -> Vec<(usize, Use)> {
+    fn uses_by_frame(&self, problems: &mut Problems) -> Vec<(usize, Use)> {
         let mut uses = Vec::with_capacity(self.frames.len());
         for (i, frame) in self.frames.iter().enumerate() {
             let of = match frame.split.as_deref() {
@@ -61,9 +55,11 @@ impl Transforms {
                 other => {
                     let nothing = "nothing, though other frames have one".to_owned();
                     let found = other.map_or(nothing, |other| format!("{other:?}"));
-                    problems.push(invalid!(path, "{}.split", self.field(i); found "{found}";
+                    problems.push(
+                        invalid!(&self.path, "{}.split", self.field(i); found "{found}";
                         expected "\"train\", \"test\" or \"val\"";
-                        help "give every frame a split, or none (then every 8th is test)"));
+                        help "give every frame a split, or none (then every 8th is test)"),
+                    );
                     Some(Split::Train)
                 }
             };

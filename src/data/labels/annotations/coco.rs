@@ -75,14 +75,9 @@ impl CocoInstances {
             let Some(&category_id) = self.of_labels.get(&label) else {
                 continue;
             };
-            let Region {
-                mut counts,
-                end,
-                low,
-                high,
-            } = region;
+            let (low, high, mut counts) = (region.low, region.high, region.counts);
             let area = counts.iter().skip(1).step_by(2).sum();
-            counts.push(width * height - end);
+            counts.push(width * height - region.end);
             self.annotations.push(Annotation {
                 id: self.annotations.len() + 1,
                 image_id,
