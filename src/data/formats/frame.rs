@@ -115,15 +115,20 @@ impl Frame {
     }
 }
 
+/// A path without components that lead out of a folder.
+pub(crate) fn below(path: &Path) -> PathBuf {
+    let parts = path.components();
+    parts
+        .filter(|part| matches!(part, Component::Normal(_)))
+        .collect()
+}
+
 /// A photo's path without its extension, folders joined by `_`: the name of its view where photos of several folders
 /// have the same file names.
 pub(crate) fn joined_name(photo: &Path) -> String {
-    let path = photo.with_extension("");
-    let parts = path.components().filter_map(|part| match part {
-        Component::Normal(name) => Some(name.to_string_lossy()),
-        _ => None,
-    });
-    parts.collect::<Vec<_>>().join("_")
+    let path = below(&photo.with_extension(""));
+    let parts: Vec<_> = path.iter().map(|part| part.to_string_lossy()).collect();
+    parts.join("_")
 }
 
 /// The size to which a photo is reduced so that no side is longer than `most` pixels; `None` if it stays as it is. A `most` of

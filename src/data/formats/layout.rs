@@ -45,11 +45,9 @@ pub(super) fn find(dir: &Path, options: &LoadOptions) -> Result<Option<Layout>> 
         named => Some(named),
     };
     match layout {
-        None => {}
-        Some(Layout::Auto | Layout::Transforms) => transforms::expect(dir, options)?,
         Some(Layout::Colmap) => colmap::expect(dir, options)?,
-        Some(Layout::Replica) => replica::expect(dir)?,
-        Some(Layout::Scannet) => scannet::expect(dir)?,
+        Some(named) if marker(named, dir, options).is_none() => return Err(nothing(dir, options)),
+        _ => {}
     }
     Ok(layout)
 }
@@ -80,20 +78,28 @@ fn detect(dir: &Path, options: &LoadOptions) -> Result<Option<Layout>> {
 
 /// Layouts whose files are in `dir`, each with such a file. Blender's files count only if there is no other layout.
 fn markers(dir: &Path, options: &LoadOptions) -> Vec<(Layout, String)> {
-    let found = [
-        (Layout::Transforms, transforms::marker(dir, options)),
-        (Layout::Colmap, colmap::marker(dir)),
-        (Layout::Replica, replica::marker(dir)),
-        (Layout::Scannet, scannet::marker(dir)),
+    let all = [
+        Layout::Transforms,
+        Layout::Colmap,
+        Layout::Replica,
+        Layout::Scannet,
     ];
-    let found = found
-        .into_iter()
-        .filter_map(|(layout, file)| Some((layout, file?)));
-    let mut found: Vec<_> = found.collect();
+    let found = all.map(|layout| Some((layout, marker(layout, dir, options)?)));
+    let mut found: Vec<_> = found.into_iter().flatten().collect();
     if found.len() > 1 {
         found.retain(|(layout, file)| *layout != Layout::Transforms || *file == options.transforms);
     }
     found
+}
+
+/// A file of a layout in `dir`, if there is one.
+fn marker(layout: Layout, dir: &Path, options: &LoadOptions) -> Option<String> {
+    match layout {
+        Layout::Auto | Layout::Transforms => transforms::marker(dir, options),
+        Layout::Colmap => colmap::marker(dir),
+        Layout::Replica => replica::marker(dir),
+        Layout::Scannet => scannet::marker(dir),
+    }
 }
 
 /// A notice on Blender's files beside those of another layout.
@@ -105,9 +111,9 @@ fn unread_transforms(dir: &Path, options: &LoadOptions, layout: Layout) -> Optio
     ))
 }
 
-/// The error for a folder of no layout.
+/// The error for a folder of no layout, or not of the one that the options name.
 fn nothing(dir: &Path, options: &LoadOptions) -> Error {
-    let (found, help) = meant(dir);
+    let (found, help) = meant(dir, options);
     invalid!(dir, "{}", options.transforms; found "no such file, {found}";
         expected "cameras and frames: transforms.json (nerfstudio, instant-ngp), transforms_train.json with \
             transforms_test.json (Blender), sparse/0 or sparse with cameras and images as .bin or .txt (COLMAP), \
@@ -115,8 +121,13 @@ fn nothing(dir: &Path, options: &LoadOptions) -> Error {
         help "{help}")
 }
 
-/// What a folder of no layout has, and what the user may have meant by it.
-fn meant(dir: &Path) -> (String, String) {
+/// What such a folder has, and what the user may have meant by it.
+fn meant(dir: &Path, options: &LoadOptions) -> (String, String) {
+    if let Some((other, file)) = markers(dir, options).first() {
+        let help =
+            format!("choose that one with --set data.layout={other}, or give another folder");
+        return (format!("but {file} of layout {other}"), help);
+    }
     let others = transforms::alternatives(dir);
     if let Some(first) = others.first() {
         let help = format!("name one with --set data.transforms={first}");

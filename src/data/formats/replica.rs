@@ -38,23 +38,10 @@ fn version(dir: &Path) -> Option<[&'static str; 3]> {
         .find(|[t, photos, _]| dir.join(t).is_file() && dir.join(photos).is_dir())
 }
 
-/// Refuses a folder of another layout.
-pub(crate) fn expect(dir: &Path) -> Result<()> {
-    checked_version(dir).map(|_| ())
-}
-
-fn checked_version(dir: &Path) -> Result<[&'static str; 3]> {
-    version(dir).ok_or_else(|| {
-        invalid!(dir, "traj.txt"; found "neither";
-            expected "traj.txt with results/ (NICE-SLAM) or traj_w_c.txt with rgb/ (Semantic-NeRF)";
-            help "give the folder of one scene or sequence")
-    })
-}
-
 /// Lists the frames of the folder.
 pub(crate) fn list(scene: Folder<'_>, problems: &mut Problems) -> Result<Listing> {
     let Folder { dir, options, .. } = scene;
-    let version = checked_version(dir)?;
+    let version = version(dir).unwrap_or(NICE_SLAM);
     let is_nice_slam = version == NICE_SLAM;
     let [trajectory, folder, prefix] = version;
     let path = dir.join(trajectory);

@@ -35,14 +35,6 @@ pub(crate) fn marker(dir: &Path) -> Option<String> {
     (is_folder("color") && is_folder("pose")).then(|| "color/ with pose/".to_owned())
 }
 
-/// Refuses a folder of another layout.
-pub(crate) fn expect(dir: &Path) -> Result<()> {
-    marker(dir).map(|_| ()).ok_or_else(|| {
-        invalid!(dir, "color"; found "not both folders";
-            expected "color/ and pose/, as ScanNet's SensReader writes them"; help "export the .sens file of the scan")
-    })
-}
-
 /// Lists the frames of the folder.
 pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listing> {
     let Folder { dir, options, .. } = folder;

@@ -9,7 +9,7 @@ mod model;
 mod reader;
 
 use super::folder::{Folder, Problems};
-use super::frame::Frame;
+use super::frame::{Frame, below};
 use super::listing::{Cloud, Listing};
 use super::side_folders::SideFolders;
 use crate::data::options::LoadOptions;
@@ -20,7 +20,7 @@ use glam::DVec3;
 use model::SparseModel;
 use reader::Reader;
 use std::collections::HashMap;
-use std::path::{Component, Path};
+use std::path::Path;
 
 pub(crate) use self::model::marker;
 
@@ -80,9 +80,10 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
     let points = model::find(&model.folder, "points3D");
     let mut notices: Vec<String> = model.others.into_iter().collect();
     // Where the photos lie in the scene folder itself, it has other pictures too.
-    if Path::new(&options.images)
+    if below(Path::new(&options.images))
         .components()
-        .any(|part| matches!(part, Component::Normal(_)))
+        .next()
+        .is_some()
     {
         notices.extend(model::unplaced(&dir.join(&options.images), &images));
     }

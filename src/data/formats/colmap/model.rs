@@ -3,11 +3,12 @@
 use super::images::{self, PosedImage};
 use crate::data::Limits;
 use crate::data::first_names;
+use crate::data::formats::frame::below;
 use crate::data::photos::is_photo;
 use crate::error::{Error, Result, invalid};
 use crate::files::names;
 use std::collections::HashSet;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 /// Parents of numbered models, relative to the scene folder: the mapper writes one for each piece of the scene that it
 /// could not join to the others. The last is nerfstudio's. A model may also lie in `sparse` itself.
@@ -167,10 +168,7 @@ pub(super) fn unplaced(photos: &Path, images: &[PosedImage]) -> Option<String> {
 
 /// A path to compare by: some file systems do not tell cases apart.
 fn comparable(path: &Path) -> String {
-    let parts = path
-        .components()
-        .filter(|part| matches!(part, Component::Normal(_)));
-    parts.collect::<PathBuf>().to_string_lossy().to_lowercase()
+    below(path).to_string_lossy().to_lowercase()
 }
 
 /// Photos in `folder/below` and in its folders, by their paths within `folder`.

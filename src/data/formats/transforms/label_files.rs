@@ -3,11 +3,11 @@
 use super::schema;
 use super::sources::Sources;
 use crate::data::formats::folder::{Folder, Problems};
-use crate::data::formats::frame::Frame;
+use crate::data::formats::frame::{Frame, below};
 use crate::data::formats::label_folder::{drawn, file, map};
 use crate::data::formats::mask_file::Masks;
 use std::collections::HashMap;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 /// Finds the files of frames.
 pub(super) struct LabelFiles<'a> {
@@ -104,7 +104,7 @@ impl Endings {
     fn new<'a>(paths: impl Iterator<Item = &'a String>) -> Self {
         let mut all: HashMap<PathBuf, Option<PathBuf>> = HashMap::new();
         for path in paths {
-            let whole = below(path).with_extension("");
+            let whole = below(Path::new(path)).with_extension("");
             for ending in endings(&whole) {
                 let of = all.entry(ending).or_insert_with(|| Some(whole.clone()));
                 if of.as_ref() != Some(&whole) {
@@ -117,21 +117,13 @@ impl Endings {
 
     /// The path, and its endings that no other path has; longest first.
     fn unique(&self, path: Option<&String>) -> Vec<PathBuf> {
-        let whole = path.map(|path| below(path)).unwrap_or_default();
+        let whole = path.map(|path| below(Path::new(path))).unwrap_or_default();
         let is_unique = |ending: &PathBuf| {
             let known = self.0.get(&ending.with_extension(""));
             *ending == whole || known.is_some_and(Option::is_some)
         };
         endings(&whole).filter(is_unique).collect()
     }
-}
-
-/// A path without components that lead out of a folder.
-fn below(path: &str) -> PathBuf {
-    let parts = Path::new(path).components();
-    parts
-        .filter(|part| matches!(part, Component::Normal(_)))
-        .collect()
 }
 
 /// The path, then without its first folder, and so on to its file name.

@@ -37,22 +37,6 @@ use std::path::{Path, PathBuf};
 /// Usual names of initial clouds, for files that do not name theirs.
 const CLOUDS: [&str; 3] = ["points.ply", "sparse_pc.ply", "points3D.ply"];
 
-/// Refuses a folder without the file.
-pub(crate) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
-    if marker(dir, options).is_some() {
-        return Ok(());
-    }
-    let others = alternatives(dir);
-    let expected = "cameras and frames as nerfstudio and instant-ngp write them (docs/data.md)";
-    let file = &options.transforms;
-    Err(match others.first() {
-        None => invalid!(dir, "{file}"; found "no such file"; expected "{expected}";
-            help "give another folder, or name another layout with data.layout"),
-        Some(first) => invalid!(dir, "{file}"; found "no such file, but {}", others.join(", ");
-            expected "{expected}"; help "name one with --set data.transforms={first}"),
-    })
-}
-
 /// Files of `dir` that the user may have meant.
 pub(crate) fn alternatives(dir: &Path) -> Vec<String> {
     let mut names = names(dir, |name, _| {
