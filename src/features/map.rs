@@ -138,10 +138,15 @@ impl FeatureMap {
         ensure!(self.data.len() == expected, argument "{what}"; found "{} values", self.data.len();
             expected  "{expected} = {} x {} x {}", self.height, self.width, self.channels;
             help "give height * width * channels values");
-        match self.data.iter().position(|x| !x.is_finite()) {
-            Some(at) => Err(Error::non_finite(what, at / self.channels.max(1))),
-            None => Ok(()),
-        }
+        check_finite(&self.data, self.channels, what)
+    }
+}
+
+/// Refuses rows `[n, channels]` that hold a NaN or an infinity; `what` names them in the error.
+pub(super) fn check_finite(rows: &[f32], channels: usize, what: &str) -> Result<()> {
+    match rows.iter().position(|x| !x.is_finite()) {
+        Some(at) => Err(Error::non_finite(what, at / channels.max(1))),
+        None => Ok(()),
     }
 }
 
