@@ -72,6 +72,8 @@ fn camera(
     for center in center {
         check_center(path, &field, *center)?;
     }
+    ensure!(distortion.iter().all(|k| k.is_finite()), path, "{field}"; found "distortion {distortion:?}";
+        expected "finite numbers"; help "calibrate again, or copy the file again");
     let coefficient = |i: usize| distortion.get(i).copied().unwrap_or(0.0);
     let lens = Lens {
         k: [coefficient(0), coefficient(1), 0.0],

@@ -76,8 +76,8 @@ impl<'a> LabelFiles<'a> {
     }
 }
 
-/// Possible files of a frame in a folder, the likeliest first: the paths that the frame `given`s for its file, then those of its photo,
-/// and the view's name last.
+/// Possible files of a frame in a folder, the likeliest first: those of the paths that are `given` for its file, then those of its
+/// photo, and the view's name last.
 fn names(given: &[PathBuf], photos: &[PathBuf], name: &str) -> Vec<PathBuf> {
     let png = |path: &PathBuf| [path.with_extension("png"), with_png(path)];
     let given = given

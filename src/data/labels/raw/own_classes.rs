@@ -3,7 +3,7 @@
 use super::Vocabulary;
 use crate::data::labels::scores::ScoreIds;
 use crate::data::{Classes, LabelMap};
-use crate::error::Result;
+use crate::error::{Result, ensure};
 use std::path::{Path, PathBuf};
 
 /// The name of the table.
@@ -31,6 +31,8 @@ impl OwnClasses {
     /// As [`Classes::read`]; no class of the table is one of the scene.
     pub fn read(file: &Path, classes: &Classes) -> Result<(Self, Vocabulary)> {
         let own = Classes::read(file)?;
+        ensure!(!own.is_empty(), file, "classes"; found "no class"; expected "the classes of the maps beside it";
+            help "list them, or remove the file");
         let names: Vec<(u16, &str)> = own
             .entries
             .iter()
