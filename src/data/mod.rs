@@ -31,7 +31,7 @@ pub(crate) use self::view_cache::ViewCache;
 pub use crate::files::Limits;
 
 use self::diagnostics::{notices, poses};
-use self::formats::{folder, listing};
+use self::formats::listing;
 use self::mask::Mask;
 use crate::config::display_as_serialized;
 use crate::error::{Result, bail, ensure};
@@ -52,9 +52,7 @@ use std::path::Path;
 /// field: malformed, missing or damaged files, sizes that disagree, poses that are no rotations, camera models that are
 /// no pinhole after undistortion, unknown label ids, repeated names, no training view.
 pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
-    let mut problems = folder::Problems::default();
-    let listing = notices::list(dir, options, &mut problems)?;
-    problems.first()?;
+    let listing = notices::listed(dir, options)?;
     let warn = |notice: &String| tracing::warn!("{}: {notice}", dir.display());
     listing.notices.iter().for_each(warn);
     let (scene, turned) = listing.load(dir, options)?;
@@ -89,9 +87,7 @@ pub fn load_cameras(
     options: &LoadOptions,
     split: Option<Split>,
 ) -> Result<Vec<NamedCamera>> {
-    let mut problems = folder::Problems::default();
-    let listing = notices::list(dir, options, &mut problems)?;
-    problems.first()?;
+    let listing = notices::listed(dir, options)?;
     let mut cameras = Vec::new();
     for frame in &listing.frames {
         if split.is_some_and(|split| split != frame.split) {

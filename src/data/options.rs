@@ -4,7 +4,6 @@ use super::{Limits, Split};
 use crate::config::{
     Association, Config, DataConfig, Layout, RawFormat, ScannetClasses, SpatialSource, Variant,
 };
-use std::path::PathBuf;
 
 /// How [`super::load`] reads a folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -32,8 +31,6 @@ pub struct LoadOptions {
     pub max_side: usize,
     /// Class table for ScanNet.
     pub scannet_classes: ScannetClasses,
-    /// ScanNet's table of label ids, where it does not lie near the scene.
-    pub scannet_labels: Option<PathBuf>,
     /// sRGB colour that transparent pixels of photos are blended onto: what the scene is rendered over.
     pub background: [u8; 3],
     /// Megabytes (2^20 bytes) of decoded photos that a scene keeps; the others are decoded again at each use.
@@ -65,7 +62,6 @@ impl From<&DataConfig> for LoadOptions {
             max_frames: config.max_frames,
             max_side: config.max_side,
             scannet_classes: config.scannet_classes,
-            scannet_labels: None,
             background: [0; 3],
             decoded_mb: config.decoded_mb,
             unit_is_metre: false,

@@ -1,5 +1,6 @@
 //! How the cells of a map lie on the image. Image coordinates are pixels, pixel centres at +0.5.
 
+use crate::data::bilinear::beside;
 use crate::splat::camera::Camera;
 
 /// Cells at fixed steps of pixels: cell `i` of either axis is centred on `offset + stride * i`.
@@ -116,9 +117,7 @@ impl Axis {
     /// The cells before and after an image coordinate, and the weight of the cell after it. Beyond the outermost centres both are
     /// the border cell.
     pub fn taps(&self, at: f64) -> (usize, usize, f32) {
-        let last = self.cells.max(1) - 1;
-        let x = self.cell(at).clamp(0.0, last as f64);
-        let before = x as usize;
-        (before, (before + 1).min(last), (x - before as f64) as f32)
+        let (before, after, share) = beside(self.cell(at), self.cells);
+        (before, after, share as f32)
     }
 }

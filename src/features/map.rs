@@ -87,14 +87,12 @@ impl FeatureMap {
 
     /// Adds the bilinear read at image point `(u, v)` of a `width` x `height` image to `out`, length `channels`.
     pub fn sample(&self, u: f64, v: f64, width: usize, height: usize, out: &mut [f32]) {
-        for (cell, weight) in self.taps(u, v, width, height) {
-            for (o, &x) in out
-                .iter_mut()
-                .zip(&self.data[cell * self.channels..][..self.channels])
-            {
-                *o += weight * x;
-            }
-        }
+        mix(
+            &self.data,
+            self.channels,
+            &self.taps(u, v, width, height),
+            out,
+        );
     }
 
     /// The map on another grid over the same image: area mean along an axis that shrinks, linear along one that grows.
@@ -140,10 +138,15 @@ impl FeatureMap {
         ensure!(self.data.len() == expected, argument "{what}"; found "{} values", self.data.len();
             expected  "{expected} = {} x {} x {}", self.height, self.width, self.channels;
             help "give height * width * channels values");
-        match self.data.iter().position(|x| !x.is_finite()) {
-            Some(at) => Err(Error::non_finite(what, at / self.channels.max(1))),
-            None => Ok(()),
-        }
+        check_finite(&self.data, self.channels, what)
+    }
+}
+
+/// Refuses rows `[n, channels]` that hold a NaN or an infinity; `what` names them in the error.
+pub(super) fn check_finite(rows: &[f32], channels: usize, what: &str) -> Result<()> {
+    match rows.iter().position(|x| !x.is_finite()) {
+        Some(at) => Err(Error::non_finite(what, at / channels.max(1))),
+        None => Ok(()),
     }
 }
 
@@ -151,7 +154,7 @@ impl FeatureMap {
 pub(super) type Taps = Vec<(usize, f32)>;
 
 /// Adds the weighted pieces of `values` that `taps` name to `out`; a piece has `length` values.
-fn mix(values: &[f32], length: usize, taps: &Taps, out: &mut [f32]) {
+fn mix(values: &[f32], length: usize, taps: &[(usize, f32)], out: &mut [f32]) {
     for &(piece, weight) in taps {
         for (o, &x) in out.iter_mut().zip(&values[piece * length..][..length]) {
             *o += weight * x;

@@ -22,13 +22,13 @@ pub(crate) use self::lattice::Axis;
 pub use self::lattice::{Lattice, Steps};
 pub use self::map::FeatureMap;
 pub use self::pca::{Moments, Pca};
+pub use self::segmenter::Tap;
 
 use crate::backend::device::upload;
 use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::View;
 use crate::error::{Error, Result, bail, invalid};
 use crate::files::sha256;
-use crate::segmenter::Tap;
 use burn::tensor::{Device, Tensor};
 use image::RgbImage;
 use std::path::PathBuf;
@@ -151,7 +151,7 @@ impl Extractor {
             Source::Descriptor => Ok(descriptor::describe(&*pixels()?)),
             Source::MobileNetV2(net) => net.maps(&*pixels()?),
             Source::Dino(net) => net.maps(&*pixels()?),
-            Source::Segmenter(tap) => segmenter::maps(tap, &*pixels()?),
+            Source::Segmenter(tap) => tap.maps(&*pixels()?),
             Source::Import(dir) => import::read(dir, name),
         }
     }

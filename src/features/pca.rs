@@ -4,7 +4,8 @@
 //! Golub and LeVeque (1979). So the result does not depend on the number of threads, and large means do not cancel.
 
 use super::FeatureMap;
-use crate::error::{Error, Result, ensure};
+use super::map::check_finite;
+use crate::error::{Result, ensure};
 use nalgebra::{DMatrix, DVector, DVectorView, SymmetricEigen};
 use rayon::prelude::*;
 
@@ -35,13 +36,11 @@ impl Moments {
     /// Adds rows, `[n, channels]` row-major; `what` names them in errors.
     ///
     /// # Errors
-    /// [`Error::Argument`] when `channels` is not the number this was made for; [`Error::NonFinite`] with the first row that
+    /// [`crate::Error::Argument`] when `channels` is not the number this was made for; [`crate::Error::NonFinite`] with the first row that
     /// holds a NaN or an infinity.
     pub fn add(&mut self, rows: &[f32], what: &str, channels: usize) -> Result<()> {
         check_channels(what, channels, self.mean.len())?;
-        if let Some(at) = rows.iter().position(|x| !x.is_finite()) {
-            return Err(Error::non_finite(what, at / channels));
-        }
+        check_finite(rows, channels, what)?;
         // Blocks are independent; groups of them bound the memory, and merging follows the row order.
         for group in rows.chunks((BLOCK * channels * 16).max(1)) {
             let blocks = group.par_chunks(BLOCK * channels);
@@ -153,13 +152,10 @@ impl Pca {
     /// Rows `[n, channels]` centred and projected, `[n, dimensions]`; `what` names them in errors.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] with the first row that holds a NaN or an infinity.
+    /// [`crate::Error::NonFinite`] with the first row that holds a NaN or an infinity.
     pub fn project(&self, rows: &[f32], what: &str) -> Result<Vec<f32>> {
-        let channels = self.channels.max(1);
-        if let Some(at) = rows.iter().position(|x| !x.is_finite()) {
-            return Err(Error::non_finite(what, at / channels));
-        }
-        let mut out = vec![0.0; rows.len() / channels * self.dimensions];
+        check_finite(rows, self.channels, what)?;
+        let mut out = vec![0.0; rows.len() / self.channels.max(1) * self.dimensions];
         self.each_projection(rows, &mut out, |projection, out| {
             let along = out.iter_mut().zip(projection);
             along.for_each(|(out, v)| *out = *v as f32);
@@ -196,7 +192,7 @@ impl Pca {
     /// `what` names the map in errors.
     ///
     /// # Errors
-    /// [`Error::Argument`] when the map has another number of channels than the fit; [`Error::NonFinite`] on bad values.
+    /// [`crate::Error::Argument`] when the map has another number of channels than the fit; [`crate::Error::NonFinite`] on bad values.
     pub fn apply(&self, map: &FeatureMap, what: &str) -> Result<FeatureMap> {
         map.check(what)?;
         check_channels(what, map.channels, self.channels)?;

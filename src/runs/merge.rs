@@ -138,7 +138,7 @@ fn check_complete(parts: &[Part]) -> Result<()> {
         .filter(|index| !found.contains_key(index));
     let missing: Vec<String> = missing.map(block_name).collect();
     ensure!(missing.is_empty(), argument "RUN"; found "no run on {}", missing.join(", ");
-        expected "all {} blocks", first.block.grid.len(); help "train the blocks that are missing, and name their runs too");
+        expected "all {} blocks", first.block.grid.indices().count(); help "train the blocks that are missing, and name their runs too");
     Ok(())
 }
 

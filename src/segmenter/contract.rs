@@ -7,6 +7,7 @@ use crate::files::{self, extension};
 use image::RgbImage;
 use image::imageops::{FilterType, resize};
 use serde::Deserialize;
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 /// The contracts that come with the program, by name.
@@ -230,13 +231,9 @@ impl Contract {
         if let Some(none) = output.none.filter(|none| *none >= count) {
             bail!(file, "output.none"; found "{none}"; expected "an index below {count}"; help "{HELP}");
         }
-        let twice = (0..names.len()).find(|&i| {
-            names[..i]
-                .iter()
-                .any(|name| plain(name) == plain(&names[i]))
-        });
-        if let Some(i) = twice {
-            bail!(file, "classes.names"; found "{:?} twice", names[i]; expected "different names"; help "{HELP}");
+        let mut plain_names = HashSet::new();
+        if let Some(twice) = names.iter().find(|name| !plain_names.insert(plain(name))) {
+            bail!(file, "classes.names"; found "{twice:?} twice"; expected "different names"; help "{HELP}");
         }
         Ok(())
     }
@@ -300,17 +297,12 @@ impl Contract {
             Layout::Nhwc => (y * across + x) * 3 + channel,
         };
         let mut values = vec![0.0; 3 * across * down];
-        for channel in 0..3 {
-            for y in 0..down {
-                for x in 0..across {
-                    values[index(channel, x, y)] = value(channel, input.pad[channel]);
-                }
-            }
-        }
-        for (x, y, pixel) in small.enumerate_pixels() {
-            let [x, y] = [x as usize + area.at[0], y as usize + area.at[1]];
+        for (x, y) in (0..down).flat_map(|y| (0..across).map(move |x| (x, y))) {
+            let inside = x.checked_sub(area.at[0]).zip(y.checked_sub(area.at[1]));
+            let pixel = inside.and_then(|(x, y)| small.get_pixel_checked(x as u32, y as u32));
+            let rgb = pixel.map_or(input.pad, |pixel| pixel.0.map(f32::from));
             for channel in 0..3 {
-                values[index(channel, x, y)] = value(channel, f32::from(pixel.0[channel]));
+                values[index(channel, x, y)] = value(channel, rgb[channel]);
             }
         }
         (values, area)

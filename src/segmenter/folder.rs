@@ -9,7 +9,7 @@ use crate::data::formats::frame::Frame;
 use crate::data::formats::layout;
 use crate::data::formats::listing::Listing;
 use crate::data::labels::scores;
-use crate::data::{Limits, LoadOptions, MapGeometry, check_outputs};
+use crate::data::{LoadOptions, MapGeometry, check_outputs};
 use crate::error::Result;
 use crate::progress::{Progress, Viewing};
 use std::collections::BTreeSet;
@@ -89,9 +89,8 @@ pub fn label_scene(job: &Job<'_>, progress: &mut dyn Progress) -> Result<Labelle
         MapGeometry::Photos.text().into_bytes(),
     )])?;
     let work = Work {
+        job,
         listing: &listing,
-        limits: &job.options.limits,
-        network: job.network,
         recipe: format!(
             "{VERSION}\n{}\n{contract:?}\n{}\n{}\n",
             job.network.digest,
@@ -99,7 +98,6 @@ pub fn label_scene(job: &Job<'_>, progress: &mut dyn Progress) -> Result<Labelle
             job.best
         ),
         mapping: &mapping,
-        best: job.best,
         index: Mutex::new(index),
     };
     let (cached, stopped) = work.run(progress)?;
@@ -135,19 +133,14 @@ fn frames(job: &Job<'_>) -> Result<Listing> {
         association: Association::Gaussians,
         ..job.options.clone()
     };
-    let mut problems = Problems::default();
-    let listing = layout::list(job.dir, &options, &mut problems)?;
-    problems.first()?;
-    Ok(listing)
+    Problems::none(|problems| layout::list(job.dir, &options, problems))
 }
 
 /// The photos to label.
 struct Work<'a> {
+    job: &'a Job<'a>,
     listing: &'a Listing,
-    limits: &'a Limits,
-    network: &'a Network,
     mapping: &'a Mapping,
-    best: usize,
     /// Everything that labels follow from, except the photo.
     recipe: String,
     index: Mutex<Index>,
@@ -200,13 +193,14 @@ impl Work<'_> {
     fn workers(&self) -> usize {
         let pixels = |frame: &Frame| frame.camera.width * frame.camera.height;
         let largest = self.listing.frames.iter().map(pixels).max().unwrap_or(0);
-        let bytes = self.network.working_bytes() + PIXEL_BYTES * largest;
+        let bytes = self.job.network.working_bytes() + PIXEL_BYTES * largest;
         (MAX_PHOTO_BYTES / bytes.max(1)).clamp(1, rayon::current_num_threads())
     }
 
     /// Labels a photo; true where its labels were there already.
     fn label(&self, frame: &Frame) -> Result<bool> {
-        let (file, _) = frame.open(&self.listing.file, self.limits)?;
+        let limits = &self.job.options.limits;
+        let (file, _) = frame.open(&self.listing.file, limits)?;
         let photo: String = file
             .digest()
             .iter()
@@ -222,12 +216,12 @@ impl Work<'_> {
             }
             names.iter().try_for_each(|name| index.check_own(name))?;
         }
-        let logits = self.network.run(&file.decode_rgb()?)?;
-        let (map, scores) = logits.labels(self.mapping, self.best);
+        let logits = self.job.network.run(&file.decode_rgb()?)?;
+        let (map, scores) = logits.labels(self.mapping, self.job.best);
         let path = Path::new(&names[1]);
         let files = [
             (names[0].clone(), map.png()?),
-            (names[1].clone(), scores.encode(path, self.limits)?),
+            (names[1].clone(), scores.encode(path, limits)?),
         ];
         let ids: BTreeSet<u16> = map.ids.iter().copied().collect();
         self.index().add(&frame.name, key, ids, &files)?;

@@ -6,7 +6,7 @@ use std::collections::HashSet;
 use std::path::Path;
 use tract_onnx::pb::{GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto};
 use tract_onnx::pb::{tensor_proto, tensor_shape_proto, type_proto};
-use tract_onnx::prelude::Framework;
+use tract_onnx::prelude::{DatumType, Framework};
 
 /// Names of tensors that an error lists.
 const MAX_LISTED: usize = 12;
@@ -15,8 +15,7 @@ pub(super) const UNFIT_HELP: &str =
     "choose the contract of this network (--contract), or export the network again";
 
 pub(super) fn one_line(text: &str) -> String {
-    let line: String = text.split_whitespace().collect::<Vec<_>>().join(" ");
-    line.chars().take(400).collect()
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 fn not_onnx(file: &Path, found: &str) -> Error {
@@ -81,11 +80,12 @@ fn check_weights(file: &Path, weights: &TensorProto) -> Result<()> {
         weights.string_data.len(),
     ];
     let raw = weights.raw_data.len() as u128;
-    let bytes = value_bytes(weights.data_type);
+    let kind = tensor_proto::DataType::try_from(weights.data_type).ok();
+    let kind = kind.and_then(|kind| DatumType::try_from(kind).ok());
     let fits = volume.is_some_and(|volume| {
-        let is_raw = bytes.is_some_and(|bytes| Some(raw) == volume.checked_mul(bytes));
         if raw > 0 {
-            is_raw
+            // Types that the library does not know are refused there.
+            kind.is_none_or(|kind| Some(raw) == volume.checked_mul(kind.size_of() as u128))
         } else {
             volume == stored.iter().map(|n| *n as u128).sum::<u128>()
         }
@@ -94,18 +94,6 @@ fn check_weights(file: &Path, weights: &TensorProto) -> Result<()> {
         file, "tensor {name}"; found "shape {shape:?} with {raw} bytes, {} numbers", stored.iter().sum::<usize>();
         expected "as many values as the shape has"; help "copy or export the network again");
     Ok(())
-}
-
-/// Bytes of a value of an ONNX type.
-fn value_bytes(kind: i32) -> Option<u128> {
-    use tensor_proto::DataType as Type;
-    Some(match Type::try_from(kind).ok()? {
-        Type::Uint8 | Type::Int8 | Type::Bool => 1,
-        Type::Uint16 | Type::Int16 | Type::Float16 | Type::Bfloat16 => 2,
-        Type::Float | Type::Int32 | Type::Uint32 => 4,
-        Type::Double | Type::Int64 | Type::Uint64 => 8,
-        _ => return None,
-    })
 }
 
 fn check_operators(file: &Path, graph: &GraphProto) -> Result<()> {

@@ -11,11 +11,9 @@ mod index;
 mod mapping;
 mod model;
 mod run;
-mod tap;
 
 pub use self::contract::Contract;
 pub use self::folder::{Job, Labelled, label_scene};
 pub use self::mapping::{ClassFile, Mapping};
 pub use self::model::{Network, is_guarded};
 pub use self::run::Logits;
-pub use self::tap::{Tap, TapMap};

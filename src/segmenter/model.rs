@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tract_onnx::pb::ModelProto;
 use tract_onnx::prelude::{
-    Datum, Framework, InferenceFact, InferenceModelExt, IntoRunnable, Tensor, TractError,
-    TypedFact, TypedModel, TypedRunnableModel, tvec,
+    Datum, Framework, InferenceFact, InferenceModelExt, IntoRunnable, IntoTensor, Tensor,
+    TractError, TypedFact, TypedModel, TypedRunnableModel, tvec,
 };
 
 /// Most values of a tensor within a network: 4 GB.
@@ -51,7 +51,7 @@ impl Network {
     }
 
     /// [`Network::load`] with `tensor` for the output: any tensor within the network that has four dimensions.
-    pub(super) fn open(file: &Path, contract: Contract, tensor: Option<&str>) -> Result<Self> {
+    pub(crate) fn open(file: &Path, contract: Contract, tensor: Option<&str>) -> Result<Self> {
         let bytes = crate::files::read(file)?;
         let digest = format!("{:x}", Sha256::digest(&bytes));
         let (proto, output) = graph::read(file, &bytes, &contract, tensor)?;
@@ -78,28 +78,19 @@ impl Network {
     /// The output for an input of the contract's shape, row-major.
     ///
     /// # Errors
-    /// [`Error::Input`] where the network fails, and for an output of another shape than the contract says;
-    /// [`Error::NonFinite`].
-    pub(super) fn output(&self, input: &[f32]) -> Result<Vec<f32>> {
+    /// [`Error::Input`] where the network fails; [`Error::NonFinite`].
+    pub(crate) fn output(&self, input: &[f32]) -> Result<Vec<f32>> {
         let shape = self.contract.input_shape();
-        let outputs = guarded(&self.file, || {
+        let values = guarded(&self.file, || {
             let input = Tensor::from_shape(&shape, input)?;
-            let outputs = self.plan.run(tvec!(input.into()))?;
-            let values = outputs[0].to_plain_array_view::<f32>()?;
-            Ok((
-                values.shape().to_vec(),
-                values.iter().copied().collect::<Vec<f32>>(),
-            ))
-        });
-        let (shape, values) = outputs?;
-        if shape != self.shape {
-            return Err(wrong_output(
-                &self.file,
-                &self.output,
-                format!("{shape:?}"),
-                &self.contract,
-            ));
-        }
+            let mut outputs = self.plan.run(tvec!(input.into()))?;
+            let output = outputs.remove(0).into_tensor().into_shape(&self.shape)?;
+            Ok(output
+                .to_plain_array_view::<f32>()?
+                .iter()
+                .copied()
+                .collect::<Vec<f32>>())
+        })?;
         let name = || format!("{} of {}", self.output, self.file.display());
         match values.iter().position(|v| !v.is_finite()) {
             Some(row) => Err(Error::non_finite(name(), row)),
@@ -108,7 +99,7 @@ impl Network {
     }
 
     /// Shape of the output.
-    pub(super) fn shape(&self) -> [usize; 4] {
+    pub(crate) fn shape(&self) -> [usize; 4] {
         self.shape
     }
 
@@ -200,12 +191,13 @@ fn check_output(
     contract: &Contract,
 ) -> Result<[usize; 4]> {
     let expected = contract.output_shape();
-    let fits =
-        fact.datum_type == f32::datum_type() && fact.shape.as_concrete() == Some(&expected[..]);
-    if fits {
-        return Ok(expected);
-    }
-    Err(wrong_output(file, name, described(fact), contract))
+    let is_expected = fact.shape.as_concrete() == Some(&expected[..]);
+    let [width, height] = contract.input.size;
+    ensure!(fact.datum_type == f32::datum_type() && is_expected, file, "tensor {name}"; found "{}", described(fact);
+        expected "F32 {expected:?}: {} classes and stride {} for an input of {width}x{height}, as {} says",
+            contract.classes.names.len(), contract.output.stride, contract.file.display();
+        help "{UNFIT_HELP}");
+    Ok(expected)
 }
 
 /// The shape of a tensor within the network, which must be one map of a photo.
@@ -221,12 +213,4 @@ fn shape_of_map(file: &Path, fact: &TypedFact, name: &str) -> Result<[usize; 4]>
         invalid!(file, "tensor {name}"; found "{}", described(fact); expected "F32 [1, channels, rows, columns]";
             help "name another tensor")
     })
-}
-
-fn wrong_output(file: &Path, name: &str, found: String, contract: &Contract) -> Error {
-    let [width, height] = contract.input.size;
-    invalid!(file, "tensor {name}"; found "{found}";
-        expected "F32 {:?}: {} classes and stride {} for an input of {width}x{height}, as {} says",
-            contract.output_shape(), contract.classes.names.len(), contract.output.stride, contract.file.display();
-        help "{UNFIT_HELP}")
 }

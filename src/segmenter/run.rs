@@ -30,14 +30,10 @@ pub struct Logits {
 
 /// Scores of the classes of the labels.
 struct Mapped<'a> {
-    grid: ScoreGrid,
-    width: usize,
-    height: usize,
-    /// Logits or probabilities, `[height, width, channels]`.
-    values: Vec<f32>,
+    /// Its values are logits or probabilities, `[height, width, channels]`.
+    logits: Logits,
     /// Probability of all classes that are not dropped, `[height, width]`.
     listed: Vec<f32>,
-    kind: Values,
     mapping: &'a Mapping,
 }
 
@@ -130,76 +126,63 @@ impl Logits {
             }
         }
         Mapped {
-            grid: self.grid,
-            width: self.width,
-            height: self.height,
-            values,
+            logits: Logits { values, ..*self },
             listed,
-            kind: self.kind,
             mapping,
         }
     }
 }
 
-/// The two cells around a pixel on one axis, and the share of the second.
-#[derive(Clone, Copy)]
-struct Between {
-    first: usize,
-    second: usize,
-    share: f32,
+/// For each pixel of axis `a` the two of its `cells` around it, and the share of the second. Pixels outside take the border.
+fn axis(grid: &ScoreGrid, a: usize, cells: usize) -> Vec<(usize, usize, f32)> {
+    let pixel = |pixel: usize| {
+        let cell = grid.scale[a] * (pixel as f64 + 0.5) + grid.offset[a];
+        let (first, second, share) = beside(cell, cells);
+        (first, second, share as f32)
+    };
+    (0..grid.photo[a]).map(pixel).collect()
 }
 
-impl Between {
-    /// For each pixel of an axis `a` with `cells` cells. Pixels outside take the border.
-    fn axis(grid: &ScoreGrid, a: usize, cells: usize) -> Vec<Self> {
-        let pixel = |pixel: usize| {
-            let cell = grid.scale[a] * (pixel as f64 + 0.5) + grid.offset[a];
-            let (first, second, share) = beside(cell, cells);
-            let share = share as f32;
-            Self {
-                first,
-                second,
-                share,
-            }
-        };
-        (0..grid.photo[a]).map(pixel).collect()
-    }
-
-    fn of(&self, first: f32, second: f32) -> f32 {
-        first + self.share * (second - first)
-    }
+/// Between two values, at the share of the second.
+fn between(first: f32, second: f32, share: f32) -> f32 {
+    first + share * (second - first)
 }
 
 impl Mapped<'_> {
     /// The class of the highest value at each pixel of the photo, values bilinear between the cells.
     fn map(&self) -> LabelMap {
         let channels = self.mapping.ids.len();
-        let columns = Between::axis(&self.grid, 0, self.width);
-        let mut ids = Vec::with_capacity(self.grid.photo[0] * self.grid.photo[1]);
+        let columns = axis(&self.logits.grid, 0, self.logits.width);
+        let mut ids = Vec::with_capacity(self.logits.grid.photo[0] * self.logits.grid.photo[1]);
         let mut row = Vec::new();
         let mut listed = Vec::new();
         let mut candidates = Vec::new();
-        for down in Between::axis(&self.grid, 1, self.height) {
-            self.blend_rows(down, &self.values, channels, &mut row);
-            self.blend_rows(down, &self.listed, 1, &mut listed);
+        for (upper, lower, share) in axis(&self.logits.grid, 1, self.logits.height) {
+            self.blend_rows(
+                [upper, lower],
+                share,
+                &self.logits.values,
+                channels,
+                &mut row,
+            );
+            self.blend_rows([upper, lower], share, &self.listed, 1, &mut listed);
             let mut interval = None;
-            for across in &columns {
-                let [left, right] =
-                    [across.first, across.second].map(|cell| &row[cell * channels..][..channels]);
-                if interval != Some(across.first) {
-                    interval = Some(across.first);
+            for &(first, second, share) in &columns {
+                let [left, right] = [first, second].map(|cell| &row[cell * channels..][..channels]);
+                if interval != Some(first) {
+                    interval = Some(first);
                     find_candidates(left, right, &mut candidates);
                 }
-                let value = |channel: usize| across.of(left[channel], right[channel]);
-                let best = candidates.iter().copied().reduce(|best, other| {
+                let value = |channel: usize| between(left[channel], right[channel], share);
+                let higher = |best, other| {
                     if value(other) > value(best) {
                         other
                     } else {
                         best
                     }
-                });
-                let is_known =
-                    across.of(listed[across.first], listed[across.second]) >= MIN_PROBABILITY;
+                };
+                let best = candidates.iter().copied().reduce(higher);
+                let is_known = between(listed[first], listed[second], share) >= MIN_PROBABILITY;
                 let id = best
                     .filter(|_| is_known)
                     .map_or(self.mapping.classes.ignore, |best| self.mapping.ids[best]);
@@ -207,24 +190,35 @@ impl Mapped<'_> {
             }
         }
         LabelMap {
-            width: self.grid.photo[0],
-            height: self.grid.photo[1],
+            width: self.logits.grid.photo[0],
+            height: self.logits.grid.photo[1],
             ids,
         }
     }
 
-    /// A row of `values` with `channels` values a cell, between two rows of cells.
-    fn blend_rows(&self, down: Between, values: &[f32], channels: usize, row: &mut Vec<f32>) {
-        let [upper, lower] = [down.first, down.second]
-            .map(|y| &values[y * self.width * channels..][..self.width * channels]);
+    /// A row of `values` with `channels` values a cell, between two `rows` of cells.
+    fn blend_rows(
+        &self,
+        rows: [usize; 2],
+        share: f32,
+        values: &[f32],
+        channels: usize,
+        row: &mut Vec<f32>,
+    ) {
+        let length = self.logits.width * channels;
+        let [upper, lower] = rows.map(|y| &values[y * length..][..length]);
         row.clear();
-        row.extend(upper.iter().zip(lower).map(|(&a, &b)| down.of(a, b)));
+        row.extend(upper.iter().zip(lower).map(|(&a, &b)| between(a, b, share)));
     }
 
     /// The `best` most probable classes of each cell, or block of cells.
     fn scores(&self, best: usize) -> ScoreMap {
-        let block = self.width.max(self.height).div_ceil(MAX_CELLS);
-        let [width, height] = [self.width, self.height].map(|n| n.div_ceil(block));
+        let block = self
+            .logits
+            .width
+            .max(self.logits.height)
+            .div_ceil(MAX_CELLS);
+        let [width, height] = [self.logits.width, self.logits.height].map(|n| n.div_ceil(block));
         let classes = best.clamp(1, self.mapping.ids.len());
         let mut ids = vec![0; classes * width * height];
         let mut probabilities = vec![0; classes * width * height];
@@ -245,10 +239,10 @@ impl Mapped<'_> {
                 probabilities[n * width * height + cell] = (255.0 * sums[channel]) as u8;
             }
         }
-        let scale = self.grid.scale;
-        let offset = self.grid.offset;
+        let scale = self.logits.grid.scale;
+        let offset = self.logits.grid.offset;
         let grid = ScoreGrid {
-            photo: self.grid.photo,
+            photo: self.logits.grid.photo,
             scale: scale.map(|scale| scale / block as f64),
             offset: offset.map(|offset| (offset + 0.5) / block as f64 - 0.5),
         };
@@ -273,15 +267,15 @@ impl Mapped<'_> {
     fn mean_probabilities(&self, [column, row]: [usize; 2], block: usize, sums: &mut [f32]) {
         sums.fill(0.0);
         let mut cells = 0.0;
-        for y in row * block..((row + 1) * block).min(self.height) {
-            for x in column * block..((column + 1) * block).min(self.width) {
+        for y in row * block..((row + 1) * block).min(self.logits.height) {
+            for x in column * block..((column + 1) * block).min(self.logits.width) {
                 cells += 1.0;
-                let cell = y * self.width + x;
+                let cell = y * self.logits.width + x;
                 if self.listed[cell] < MIN_PROBABILITY {
                     continue;
                 }
-                let values = &self.values[cell * sums.len()..][..sums.len()];
-                let weights = weights(values, self.kind);
+                let values = &self.logits.values[cell * sums.len()..][..sums.len()];
+                let weights = weights(values, self.logits.kind);
                 let all: f32 = weights.iter().sum();
                 sums.iter_mut()
                     .zip(weights)

@@ -6,7 +6,7 @@ use crate::data::formats::folder::Problems;
 use crate::data::formats::layout;
 use crate::data::formats::listing::Listing;
 use crate::data::{LoadOptions, Split};
-use crate::error::{Error, Result, bail, ensure};
+use crate::error::{Error, Result, ensure};
 use crate::files::{self, atomic};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -16,15 +16,15 @@ use std::path::{Component, Path, PathBuf};
 /// The name of the file in the folder of a block.
 pub const BLOCK: &str = "block.json";
 /// The version of the file.
-const VERSION: u32 = 1;
+pub(super) const VERSION: u32 = 1;
 const EXPECTED: &str = "a block that `coseg split` wrote";
-const AGAIN: &str = "split the scene again";
+pub(super) const AGAIN: &str = "split the scene again";
 
 /// A block of a scene. Its region follows from the grid and its place there, so that blocks of one grid cover space once.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Block {
-    version: u32,
+    pub(super) version: u32,
     /// The scene folder, absolute or relative to that of the block.
     pub scene: PathBuf,
     /// How the scene folder was read.
@@ -98,24 +98,6 @@ fn named(given: &str, usual: &str, own: &str) -> String {
 }
 
 impl Block {
-    pub(super) fn new(
-        scene: PathBuf,
-        reading: Reading,
-        grid: Grid,
-        index: [usize; 2],
-        [train, test]: [Vec<String>; 2],
-    ) -> Self {
-        Self {
-            version: VERSION,
-            scene,
-            reading,
-            grid,
-            index,
-            train,
-            test,
-        }
-    }
-
     /// Its name, see [`block_name`].
     pub fn name(&self) -> String {
         block_name(self.index)
@@ -152,9 +134,7 @@ impl Block {
         let Versioned { version } = files::json(file, EXPECTED)?;
         ensure!(version == VERSION, file, "version"; found "{version}"; expected "{VERSION}"; help "{AGAIN} with this program");
         let block: Self = files::json(file, EXPECTED)?;
-        if let Some((field, expected)) = block.grid.fault() {
-            bail!(file, "grid.{field}"; found "other values"; expected "{expected}"; help "{AGAIN}");
-        }
+        block.grid.check(file)?;
         let [column, row] = block.index;
         let [columns, rows] = block.grid.counts;
         ensure!(column < columns && row < rows, file, "index"; found "{column}, {row}";

@@ -1,9 +1,11 @@
 //! A grid of blocks over the floor of a scene. Every point of space lies in one block.
 
 use super::Region;
+use super::file::AGAIN;
 use crate::error::{Result, bail, ensure};
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
+use std::path::Path;
 
 /// Blocks along a side, at most.
 const MAX_SIDE: usize = 64;
@@ -91,45 +93,26 @@ impl Grid {
         Ok(())
     }
 
-    /// What is wrong with a grid from a file, if something is: its field, and what is expected there.
-    pub(super) fn fault(&self) -> Option<(&'static str, String)> {
+    /// Refuses a grid from `file` that is none.
+    pub(super) fn check(&self, file: &Path) -> Result<()> {
         let [columns, rows] = self.counts;
-        if !self
-            .counts
-            .iter()
-            .all(|count| (1..=MAX_SIDE).contains(count))
-        {
-            return Some(("counts", format!("1 to {MAX_SIDE} columns and rows")));
-        }
+        ensure!(self.counts.iter().all(|count| (1..=MAX_SIDE).contains(count)), file, "grid.counts";
+            found "{columns}, {rows}"; expected "1 to {MAX_SIDE} columns and rows"; help "{AGAIN}");
         let [x, y] = self.axes;
         let is_unit = |axis: DVec3| (axis.length() - 1.0).abs() < UNIT_TOLERANCE;
-        if !(is_unit(x) && is_unit(y) && x.dot(y).abs() < UNIT_TOLERANCE) {
-            return Some(("axes", "two perpendicular unit vectors".to_owned()));
-        }
-        if !self.extent.iter().all(|[low, high]| low <= high) {
-            return Some(("extent", "the lower end first".to_owned()));
-        }
+        ensure!(is_unit(x) && is_unit(y) && x.dot(y).abs() < UNIT_TOLERANCE, file, "grid.axes"; found "{x}, {y}";
+            expected "two perpendicular unit vectors"; help "{AGAIN}");
+        ensure!(self.extent.iter().all(|[low, high]| low <= high), file, "grid.extent"; found "{:?}", self.extent;
+            expected "the lower end first"; help "{AGAIN}");
         let are_borders = |borders: &[f64], parts: usize| {
             borders.len() + 1 == parts && borders.is_sorted_by(|a, b| a < b)
         };
-        if !are_borders(&self.columns, columns) {
-            return Some(("columns", format!("{} ascending numbers", columns - 1)));
-        }
-        if self.rows.len() != columns || !self.rows.iter().all(|column| are_borders(column, rows)) {
-            let expected = format!("{columns} lists of {} ascending numbers", rows - 1);
-            return Some(("rows", expected));
-        }
-        None
-    }
-
-    /// Number of blocks.
-    pub fn len(&self) -> usize {
-        self.counts[0] * self.counts[1]
-    }
-
-    /// Whether there are none, which is no grid.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
+        ensure!(are_borders(&self.columns, columns), file, "grid.columns"; found "{:?}", self.columns;
+            expected "{} ascending numbers", columns - 1; help "{AGAIN}");
+        let are_rows = self.rows.iter().all(|column| are_borders(column, rows));
+        ensure!(self.rows.len() == columns && are_rows, file, "grid.rows"; found "{:?}", self.rows;
+            expected "{columns} lists of {} ascending numbers", rows - 1; help "{AGAIN}");
+        Ok(())
     }
 
     /// Column and row of each block, column after column.

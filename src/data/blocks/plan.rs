@@ -1,7 +1,8 @@
 //! Which frames belong to which block.
 
+use super::file::VERSION;
 use super::region::MAX_POINTS;
-use super::visibility::Cloud;
+use super::visibility::nearest;
 use super::{Block, Grid, Reading};
 use crate::data::formats::folder::Problems;
 use crate::data::formats::frame::Frame;
@@ -13,9 +14,11 @@ use crate::error::{Result, ensure};
 use crate::files;
 use glam::DVec3;
 use rayon::prelude::*;
+use std::collections::HashMap;
 use std::path::Path;
 
-/// A block has the frames in which its core fills at least this share of the photo, and those taken in its region.
+/// A block has the frames in which its core fills at least this share of the parts of the photo that show points, and those taken in
+/// its region.
 const MIN_SHARE: f64 = 0.25;
 
 /// A block that was planned and is not written yet.
@@ -36,9 +39,7 @@ pub struct PlannedBlock {
 pub fn split(dir: &Path, options: &LoadOptions, counts: [usize; 2]) -> Result<Vec<PlannedBlock>> {
     ensure!(Block::in_folder(dir)?.is_none(), argument "--data"; found "{}, a block", dir.display();
         expected "a whole scene"; help "split the scene into more blocks");
-    let mut problems = Problems::default();
-    let mut listing = layout::list(dir, options, &mut problems)?;
-    problems.first()?;
+    let mut listing = Problems::none(|problems| layout::list(dir, options, problems))?;
     listing.check_sizes(&options.limits)?;
     let train = listing
         .frames
@@ -64,13 +65,15 @@ pub fn split(dir: &Path, options: &LoadOptions, counts: [usize; 2]) -> Result<Ve
         let shown: Vec<_> = members.iter().map(|&i| &frames[i]).collect();
         grid.extended(index).thin(&mut start, &shown, origin);
         PlannedBlock {
-            block: Block::new(
-                scene.clone(),
-                reading.clone(),
-                grid.clone(),
+            block: Block {
+                version: VERSION,
+                scene: scene.clone(),
+                reading: reading.clone(),
+                grid: grid.clone(),
                 index,
-                [names(Split::Train), names(Split::Test)],
-            ),
+                train: names(Split::Train),
+                test: names(Split::Test),
+            },
             points: start.len(),
         }
     });
@@ -81,14 +84,20 @@ pub fn split(dir: &Path, options: &LoadOptions, counts: [usize; 2]) -> Result<Ve
 fn members(listing: &Listing, points: &Points, origin: DVec3, grid: &Grid) -> Vec<Vec<usize>> {
     let chosen = evenly(points.len(), MAX_POINTS).into_iter();
     let world = |i: usize| DVec3::from(points.positions[i].map(f64::from)) + origin;
-    let cloud = Cloud::new(chosen.map(world).collect(), grid);
+    let places: Vec<DVec3> = chosen.map(world).collect();
+    let blocks: Vec<[usize; 2]> = places.iter().map(|place| grid.cell(*place)).collect();
     let regions: Vec<_> = grid.indices().map(|index| grid.extended(index)).collect();
     let blocks_of = |frame: &Frame| -> Vec<bool> {
-        let shares = cloud.shares(&frame.camera);
-        let belongs = regions
+        let shown = nearest(&frame.camera, &places);
+        let mut counts: HashMap<[usize; 2], usize> = HashMap::new();
+        shown
             .iter()
-            .zip(shares)
-            .map(|(region, share)| share >= MIN_SHARE || region.contains(frame.camera.center));
+            .for_each(|&point| *counts.entry(blocks[point]).or_default() += 1);
+        let least = MIN_SHARE * shown.len().max(1) as f64;
+        let belongs = grid.indices().zip(&regions).map(|(index, region)| {
+            let count = counts.get(&index).copied().unwrap_or(0);
+            count as f64 >= least || region.contains(frame.camera.center)
+        });
         belongs.collect()
     };
     let mut of_frames = Vec::new();
@@ -102,5 +111,5 @@ fn members(listing: &Listing, points: &Points, origin: DVec3, grid: &Grid) -> Ve
             .filter(|&i| of_frames[i][block])
             .collect()
     };
-    (0..grid.len()).map(of_block).collect()
+    (0..regions.len()).map(of_block).collect()
 }

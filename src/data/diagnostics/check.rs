@@ -48,12 +48,6 @@ pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
 fn check_listing(listing: &Listing, options: &LoadOptions, problems: &mut Problems) -> Vec<String> {
     let limits = &options.limits;
     problems.ok(listing.check_sizes(limits));
-    // Without a class table, which is a fault that was reported, no id can be wrong.
-    let known = if listing.classes.is_empty() {
-        vec![0; 1 << 16]
-    } else {
-        listing.classes.lookup()
-    };
     let mut checks = Vec::new();
     let frames = &listing.frames;
     for frame in frames.iter().filter(|frame| frame.posed) {
@@ -61,7 +55,7 @@ fn check_listing(listing: &Listing, options: &LoadOptions, problems: &mut Proble
     }
     frames
         .par_iter()
-        .map(|frame| FrameCheck::new(listing, frame, &known, options))
+        .map(|frame| FrameCheck::new(listing, frame, options))
         .collect_into_vec(&mut checks);
     let train = frames
         .iter()
@@ -113,7 +107,7 @@ struct FrameCheck {
 }
 
 impl FrameCheck {
-    fn new(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) -> Self {
+    fn new(listing: &Listing, frame: &Frame, options: &LoadOptions) -> Self {
         let limits = &options.limits;
         let mut problems = Problems::default();
         let mut check = Self::default();
@@ -139,7 +133,6 @@ impl FrameCheck {
                 listing,
                 frame,
                 geometry,
-                known,
                 limits,
                 mask,
             };

@@ -2,7 +2,7 @@
 
 use super::notices;
 use crate::config::Layout;
-use crate::data::formats::folder::{Problems, scene_name};
+use crate::data::formats::folder::scene_name;
 use crate::data::formats::frame::Frame;
 use crate::data::formats::frame_labels::FrameLabels;
 use crate::data::formats::listing::Listing;
@@ -84,6 +84,10 @@ pub struct ClassShare {
     pub views: usize,
 }
 
+/// Places in [`FrameInfo::of_classes`].
+const TRUTH: usize = 0;
+const RAW: usize = 1;
+
 /// What a frame holds.
 #[derive(Default)]
 struct FrameInfo {
@@ -94,8 +98,7 @@ struct FrameInfo {
     /// Pixels that a mask leaves out.
     left_out: usize,
     /// Pixels of each class in the true labels and in the raw ones.
-    truth: BTreeMap<u16, u64>,
-    raw: BTreeMap<u16, u64>,
+    of_classes: BTreeMap<u16, [u64; 2]>,
     /// Raw segments, where ids are not classes.
     segments: usize,
 }
@@ -106,12 +109,11 @@ struct FrameInfo {
 /// As [`crate::data::load`].
 pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
     let listing = listing(dir, options)?;
-    let known = listing.classes.lookup();
     let frames = in_order(
         listing
             .frames
             .par_iter()
-            .map(|frame| FrameInfo::new(&listing, frame, &known, options)),
+            .map(|frame| FrameInfo::new(&listing, frame, options)),
     )?;
     let mut sizes = BTreeMap::new();
     for frame in &frames {
@@ -143,23 +145,21 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
 }
 
 fn class_shares(listing: &Listing, frames: &[FrameInfo]) -> Vec<ClassShare> {
-    let sum = |of: fn(&FrameInfo) -> &BTreeMap<u16, u64>, id: u16| -> u64 {
-        frames.iter().filter_map(|frame| of(frame).get(&id)).sum()
-    };
-    let total = |of: fn(&FrameInfo) -> &BTreeMap<u16, u64>| {
-        let pixels = frames.iter().flat_map(|frame| of(frame).values());
-        pixels.sum::<u64>().max(1) as f64
-    };
-    let (all_truth, all_raw) = (total(|frame| &frame.truth), total(|frame| &frame.raw));
-    let share = |id: u16, name: &str| ClassShare {
-        id,
-        name: name.to_owned(),
-        truth: sum(|frame| &frame.truth, id) as f64 / all_truth,
-        raw: sum(|frame| &frame.raw, id) as f64 / all_raw,
-        views: frames
-            .iter()
-            .filter(|f| f.truth.contains_key(&id) || f.raw.contains_key(&id))
-            .count(),
+    let counts = || frames.iter().flat_map(|frame| &frame.of_classes);
+    let all = [TRUTH, RAW].map(|kind| counts().map(|(_, count)| count[kind]).sum::<u64>());
+    let share = |id: u16, name: &str| {
+        let own: Vec<_> = counts().filter(|(other, _)| **other == id).collect();
+        let share = |kind: usize| {
+            let pixels: u64 = own.iter().map(|(_, count)| count[kind]).sum();
+            pixels as f64 / all[kind].max(1) as f64
+        };
+        ClassShare {
+            id,
+            name: name.to_owned(),
+            truth: share(TRUTH),
+            raw: share(RAW),
+            views: own.len(),
+        }
     };
     let Classes { entries, ignore } = &listing.classes;
     let mut classes: Vec<_> = entries
@@ -174,46 +174,45 @@ fn class_shares(listing: &Listing, frames: &[FrameInfo]) -> Vec<ClassShare> {
 }
 
 fn listing(dir: &Path, options: &LoadOptions) -> Result<Listing> {
-    let mut problems = Problems::default();
-    let listing = notices::list(dir, options, &mut problems)?;
-    problems.first()?;
+    let listing = notices::listed(dir, options)?;
     listing.check_sizes(&options.limits)?;
     Ok(listing)
 }
 
 impl FrameInfo {
-    fn new(listing: &Listing, frame: &Frame, known: &[u16], options: &LoadOptions) -> Result<Self> {
-        let (file, labels) = FrameLabels::open(listing, frame, known, options)?;
+    fn new(listing: &Listing, frame: &Frame, options: &LoadOptions) -> Result<Self> {
+        let (file, labels) = FrameLabels::open(listing, frame, options)?;
         let camera = labels.geometry.view_camera();
         let mut info = Self {
             size: file.size,
             distorted: !frame.lens.is_pinhole(),
             pixels: camera.width * camera.height,
             left_out: labels.mask.as_ref().map_or(0, |mask| mask.left_out()),
-            truth: pixels_by_id(&labels.truth()?.unwrap_or_default()),
             ..Self::default()
         };
+        for (id, pixels) in pixels_by_id(&labels.truth()?.unwrap_or_default()) {
+            info.of_classes.entry(id).or_default()[TRUTH] = pixels;
+        }
         let Some(RawMap { map, segments }) = labels.raw()? else {
             return Ok(info);
         };
-        info.raw = pixels_by_id(&map);
-        if listing.raw.are_segments() {
-            info.segments = info.raw.keys().filter(|id| **id != 0).count();
-            for (id, pixels) in std::mem::take(&mut info.raw) {
+        for (mut id, pixels) in pixels_by_id(&map) {
+            if listing.raw.are_segments {
+                info.segments += usize::from(id != 0);
                 let segment = segments.iter().find(|segment| segment.id == id);
                 let class = segment.and_then(|segment| segment.class);
-                let class = class.unwrap_or(listing.classes.ignore);
-                *info.raw.entry(class).or_default() += pixels;
+                id = class.unwrap_or(listing.classes.ignore);
             }
+            info.of_classes.entry(id).or_default()[RAW] += pixels;
         }
         Ok(info)
     }
 }
 
-fn pixels_by_id(map: &LabelMap) -> BTreeMap<u16, u64> {
+fn pixels_by_id(map: &LabelMap) -> impl Iterator<Item = (u16, u64)> {
     let mut all = vec![0_u64; 1 << 16];
     map.ids.iter().for_each(|&id| all[usize::from(id)] += 1);
-    (0..=u16::MAX).zip(all).filter(|(_, n)| *n > 0).collect()
+    (0..=u16::MAX).zip(all).filter(|(_, n)| *n > 0)
 }
 
 fn camera_box(listing: &Listing) -> CameraBox {
@@ -256,7 +255,6 @@ pub fn thumbnails(
     width: u32,
 ) -> Result<(Vec<Thumbnail>, Classes)> {
     let listing = listing(dir, options)?;
-    let known = listing.classes.lookup();
     // Where a few photos are labelled, those are what one looks for.
     let is_raw = |i: &usize| listing.frames[*i].raw.is_some();
     let mut shown: Vec<usize> = (0..listing.frames.len()).filter(is_raw).collect();
@@ -266,7 +264,7 @@ pub fn thumbnails(
     let chosen = evenly(shown.len(), count);
     let made = in_order(chosen.into_par_iter().map(|i| {
         let frame = &listing.frames[shown[i]];
-        let (file, labels) = FrameLabels::open(&listing, frame, &known, options)?;
+        let (file, labels) = FrameLabels::open(&listing, frame, options)?;
         let mut photo = labels.geometry.photo(&file)?;
         if let Some(mask) = &labels.mask {
             mask.fill(&mut photo, 3, 0);
@@ -283,7 +281,7 @@ pub fn thumbnails(
             split: frame.split,
             photo,
             raw,
-            are_segments: listing.raw.are_segments(),
+            are_segments: listing.raw.are_segments,
             truth,
         })
     }))?;

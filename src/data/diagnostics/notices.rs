@@ -22,9 +22,6 @@ const USUAL_FIELDS_OF_VIEW: [f64; 2] = [5.0, 170.0];
 /// Range of the distance from the farthest camera to the mean of all, in metres, for captures of a room.
 const USUAL_EXTENTS: [f64; 2] = [1.0, 4.0];
 
-/// Focal length, principal point and length of one side of a photo.
-type Side = fn(&Camera) -> [f64; 3];
-
 /// Lists the frames of a folder, with notices on poses, intrinsics, labels and masks.
 pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
     let mut listing = layout::list(dir, options, problems)?;
@@ -46,6 +43,14 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     notices.extend(held_out_drawn_labels(&listing));
     listing.notices.extend(notices);
     Ok(listing)
+}
+
+/// As [`list`], without faults.
+///
+/// # Errors
+/// The first fault.
+pub(crate) fn listed(dir: &Path, options: &LoadOptions) -> Result<Listing> {
+    Problems::none(|problems| list(dir, options, problems))
 }
 
 fn frame_names(frames: &[&Frame]) -> String {
@@ -127,26 +132,26 @@ pub(crate) fn cameras(listing: &Listing) -> Vec<String> {
     }
     notices.extend(equal_poses(&posed));
     let is_transforms = listing.layout == Layout::Transforms;
-    let sides: [([&str; 2], &str, Side); 2] = [
-        (["cx", "fl_x"], "x", |camera| {
-            [camera.fx, camera.cx, camera.width as f64]
-        }),
-        (["cy", "fl_y"], "y", |camera| {
-            [camera.fy, camera.cy, camera.height as f64]
-        }),
-    ];
-    for ([center, focal], axis, side) in sides {
+    for axis in [0, 1] {
+        let side = |frame: &Frame| {
+            let Camera { width, height, .. } = frame.camera;
+            let Camera { fx, fy, cx, cy, .. } = frame.camera;
+            [[fx, cx, width as f64], [fy, cy, height as f64]][axis]
+        };
         let field = |key: &str, name: &str| {
+            let axis = ["x", "y"][axis];
             if is_transforms {
-                key.to_owned()
+                format!("{key}{axis}")
             } else {
                 format!("{name}, {axis}")
             }
         };
-        let center = field(center, "principal point");
-        notices.extend(outside_center(&posed, side, &center));
-        let focal = field(focal, "focal length");
-        notices.extend(unusual_field_of_view(&posed, side, &focal));
+        notices.extend(outside_center(&posed, side, &field("c", "principal point")));
+        notices.extend(unusual_field_of_view(
+            &posed,
+            side,
+            &field("fl_", "focal length"),
+        ));
     }
     let file = listing.file.display();
     notices
@@ -181,13 +186,17 @@ fn equal_poses(posed: &[&Frame]) -> Option<String> {
 }
 
 /// Principal points outside the photo. `side` gives focal length, principal point and length of one side.
-fn outside_center(posed: &[&Frame], side: Side, field: &str) -> Option<String> {
+fn outside_center(
+    posed: &[&Frame],
+    side: impl Fn(&Frame) -> [f64; 3],
+    field: &str,
+) -> Option<String> {
     let is_outside = |frame: &&&Frame| {
-        let [_, center, length] = side(&frame.camera);
+        let [_, center, length] = side(frame);
         !(0.0..=length).contains(&center)
     };
     let outside: Vec<&Frame> = posed.iter().filter(is_outside).copied().collect();
-    let [_, center, length] = side(&outside.first()?.camera);
+    let [_, center, length] = side(outside.first()?);
     Some(format!(
         "{field} of {}: found {center}, expected a pixel of the photo, 0 to {length}; where photos were scaled, scale the \
          intrinsics with them",
@@ -195,16 +204,20 @@ fn outside_center(posed: &[&Frame], side: Side, field: &str) -> Option<String> {
     ))
 }
 
-fn unusual_field_of_view(posed: &[&Frame], side: Side, field: &str) -> Option<String> {
+fn unusual_field_of_view(
+    posed: &[&Frame],
+    side: impl Fn(&Frame) -> [f64; 3],
+    field: &str,
+) -> Option<String> {
     let angle = |frame: &Frame| {
-        let [focal, _, length] = side(&frame.camera);
+        let [focal, _, length] = side(frame);
         2.0 * (0.5 * length / focal).atan().to_degrees()
     };
     let [low, high] = USUAL_FIELDS_OF_VIEW;
     let is_unusual = |frame: &&&Frame| !(low..=high).contains(&angle(frame));
     let unusual: Vec<&Frame> = posed.iter().filter(is_unusual).copied().collect();
     let first = unusual.first()?;
-    let [focal, ..] = side(&first.camera);
+    let [focal, ..] = side(first);
     Some(format!(
         "{field} of {}: found {focal} pixels, a field of view of {:.1} degrees, expected {low} to {high}; give it in pixels \
          of these photos, not in millimetres or for another size",

@@ -9,7 +9,7 @@ use std::path::Path;
 /// Range of plausible focal lengths, pixels.
 pub(crate) const FOCAL: RangeInclusive<f64> = 1e-3..=1e9;
 /// Largest plausible distance of a principal point from the image corner, pixels.
-pub(crate) const MAX_PIXELS: f64 = 1e9;
+const MAX_PIXELS: f64 = 1e9;
 
 /// Largest coordinate in the world: its square is finite in f32 as well.
 const MAX_WORLD: f64 = 1e15;
@@ -18,6 +18,28 @@ const MAX_WORLD: f64 = 1e15;
 const FIELDS_OF_VIEW: RangeInclusive<f64> = 0.05..=179.5;
 /// Largest distance of a principal point from the middle of the photo, in sides of the photo.
 const MAX_OFFSET: f64 = 100.0;
+
+/// A side of a photo, in pixels, that `field` of the file `path` gave.
+pub(crate) fn side(path: &Path, field: &str, side: f64) -> Result<usize> {
+    ensure!(side.fract() == 0.0 && (1.0..=f64::from(u32::MAX)).contains(&side), path, "{field}"; found "{side:?}";
+        expected "a whole number of pixels, at least 1"; help "correct the size");
+    Ok(side as usize)
+}
+
+/// Refuses a focal length, in pixels, that `field` of the file `path` gave.
+pub(crate) fn check_focal(path: &Path, field: &str, focal: f64) -> Result<()> {
+    ensure!(FOCAL.contains(&focal), path, "{field}"; found "{focal:?} pixels";
+        expected "a positive focal length, 0.001 to 1e9 pixels";
+        help "correct the focal length, or the angle that gives it (fov, camera_angle)");
+    Ok(())
+}
+
+/// Refuses a coordinate of a principal point, in pixels, that `field` of the file `path` gave.
+pub(crate) fn check_center(path: &Path, field: &str, center: f64) -> Result<()> {
+    ensure!(center.abs() <= MAX_PIXELS, path, "{field}"; found "{center:?}"; expected "pixels from the image corner";
+        help "correct the principal point");
+    Ok(())
+}
 
 /// The fault of a frame whose intrinsics no photo has.
 pub(crate) fn check_intrinsics(path: &Path, frame: &str, camera: &Camera) -> Result<()> {

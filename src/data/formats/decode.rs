@@ -6,6 +6,7 @@ use super::frame::Frame;
 use super::frame_labels::FrameLabels;
 use super::listing::{Cloud, Listing};
 use super::points::MAX_STRAY;
+use crate::data::photos::photo::Preprocessing;
 use crate::data::{
     Classes, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, View,
 };
@@ -13,6 +14,7 @@ use crate::error::{Result, in_order};
 use crate::splat::camera::{Camera, level_up};
 use glam::DVec3;
 use rayon::prelude::*;
+use std::collections::HashSet;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -36,11 +38,10 @@ impl Listing {
         self.check_sizes(&options.limits)?;
         let cache = Arc::new(PhotoCache::new(options.decoded_mb.saturating_mul(1 << 20)));
         let origin = self.origin();
-        let known = self.classes.lookup();
         let views = self
             .frames
             .par_iter()
-            .map(|frame| self.view(frame, options, origin, &known, &cache));
+            .map(|frame| self.view(frame, options, origin, &cache));
         let (views, turned): (Vec<View>, Vec<bool>) = in_order(views)?.into_iter().unzip();
         let scene = Scene {
             name: scene_name(dir),
@@ -60,11 +61,13 @@ impl Listing {
         frame: &Frame,
         options: &LoadOptions,
         origin: DVec3,
-        known: &[u16],
         cache: &Arc<PhotoCache>,
     ) -> Result<(View, bool)> {
-        let (file, labels) = FrameLabels::open(self, frame, known, options)?;
-        let preprocessing = labels.geometry.preprocessing().over(options.background);
+        let (file, labels) = FrameLabels::open(self, frame, options)?;
+        let preprocessing = Preprocessing {
+            background: options.background,
+            ..labels.geometry.preprocessing.clone()
+        };
         let image = Photo::in_file(&file, preprocessing, &options.limits, cache)?;
         let truth = labels.truth()?.map(LabelRuns::from);
         let raw = labels.raw()?;
@@ -91,22 +94,14 @@ impl Listing {
     fn classes_of(&self, views: &[View]) -> Classes {
         let mut classes = self.classes.clone();
         if self.occurring_classes {
-            let mut occurs = vec![false; 1 << 16];
+            let mut occur = HashSet::new();
             for view in views {
-                let raw = view.raw.iter().filter(|_| !self.raw.are_segments());
-                let ids = view
-                    .truth
-                    .iter()
-                    .chain(raw)
-                    .flat_map(LabelRuns::runs)
-                    .map(|(id, _)| id);
-                let segments = view.segments.iter().filter_map(|segment| segment.class);
-                ids.chain(segments)
-                    .for_each(|id| occurs[usize::from(id)] = true);
+                let raw = view.raw.iter().filter(|_| !self.raw.are_segments);
+                let runs = view.truth.iter().chain(raw).flat_map(LabelRuns::runs);
+                occur.extend(runs.map(|(id, _)| id));
+                occur.extend(view.segments.iter().filter_map(|segment| segment.class));
             }
-            classes
-                .entries
-                .retain(|class| occurs[usize::from(class.id)]);
+            classes.entries.retain(|class| occur.contains(&class.id));
         }
         classes
     }

@@ -29,10 +29,18 @@ impl Problems {
         result.map_err(|error| self.push(error)).ok()
     }
 
+    /// What `list` gives, unless it has collected a fault.
+    ///
     /// # Errors
-    /// The first fault.
-    pub fn first(self) -> Result<()> {
-        self.0.into_iter().next().map_or(Ok(()), Err)
+    /// Its error, or the first fault.
+    pub fn none<T>(list: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
+        let mut problems = Self::default();
+        let found = list(&mut problems)?;
+        problems.0.into_iter().next().map_or(Ok(found), Err)
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
     }
 
     pub fn messages(&self) -> impl Iterator<Item = String> {

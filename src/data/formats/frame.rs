@@ -5,7 +5,7 @@ use crate::data::photos::image_file::{ImageFile, proportional};
 use crate::data::photos::lens::{Lens, Undistortion};
 use crate::data::photos::photo::Preprocessing;
 use crate::data::{LabelMap, Limits, MapGeometry, Split};
-use crate::error::{Error, Result, bail};
+use crate::error::{Error, Result, invalid};
 use crate::splat::camera::Camera;
 use image::RgbImage;
 use std::path::{Component, Path, PathBuf};
@@ -40,7 +40,8 @@ pub(crate) struct Frame {
 pub(crate) struct Geometry {
     /// Undistorted, in world units, of the size of the photo's file.
     pub camera: Camera,
-    preprocessing: Preprocessing,
+    /// How the photo's file becomes the view's image.
+    pub preprocessing: Preprocessing,
 }
 
 impl Frame {
@@ -81,24 +82,24 @@ impl Frame {
     /// The camera for a photo of this size.
     pub fn geometry(&self, (width, height): (usize, usize)) -> Result<Geometry> {
         let camera = self.camera.resized(width, height);
-        let mut preprocessing = Preprocessing::default();
         if self.lens.is_pinhole() {
+            let preprocessing = Preprocessing::default();
             return Ok(Geometry {
                 camera,
                 preprocessing,
             });
         }
-        let Some(undistortion) = Undistortion::new(&camera, self.lens) else {
-            bail!(&self.image, "lens distortion";
-                found "radial {:?}, tangential {:?}", self.lens.k, self.lens.p;
+        let undistortion = Undistortion::new(&camera, self.lens).ok_or_else(|| {
+            invalid!(&self.image, "lens distortion"; found "radial {:?}, tangential {:?}", self.lens.k, self.lens.p;
                 expected "a distortion that does not fold the image over";
-                help "calibrate again, or undistort the photos with the tool that made the poses");
-        };
-        let camera = undistortion.pinhole.clone();
-        preprocessing.undistortion = Some(undistortion);
+                help "calibrate again, or undistort the photos with the tool that made the poses")
+        })?;
         Ok(Geometry {
-            camera,
-            preprocessing,
+            camera: undistortion.pinhole.clone(),
+            preprocessing: Preprocessing {
+                undistortion: Some(undistortion),
+                ..Preprocessing::default()
+            },
         })
     }
 
@@ -114,15 +115,20 @@ impl Frame {
     }
 }
 
+/// A path without components that lead out of a folder.
+pub(crate) fn below(path: &Path) -> PathBuf {
+    let parts = path.components();
+    parts
+        .filter(|part| matches!(part, Component::Normal(_)))
+        .collect()
+}
+
 /// A photo's path without its extension, folders joined by `_`: the name of its view where photos of several folders
 /// have the same file names.
 pub(crate) fn joined_name(photo: &Path) -> String {
-    let path = photo.with_extension("");
-    let parts = path.components().filter_map(|part| match part {
-        Component::Normal(name) => Some(name.to_string_lossy()),
-        _ => None,
-    });
-    parts.collect::<Vec<_>>().join("_")
+    let path = below(&photo.with_extension(""));
+    let parts: Vec<_> = path.iter().map(|part| part.to_string_lossy()).collect();
+    parts.join("_")
 }
 
 /// The size to which a photo is reduced so that no side is longer than `most` pixels; `None` if it stays as it is. A `most` of
@@ -146,11 +152,6 @@ impl Geometry {
             Some((width, height)) => self.camera.resized(width, height),
             None => self.camera.clone(),
         }
-    }
-
-    /// How the photo's file becomes the view's image.
-    pub fn preprocessing(&self) -> Preprocessing {
-        self.preprocessing.clone()
     }
 
     /// The photo of the view.

@@ -16,8 +16,6 @@ pub(crate) struct FrameLabels<'a> {
     pub listing: &'a Listing,
     pub frame: &'a Frame,
     pub geometry: Geometry,
-    /// [`crate::data::Classes::lookup`] of the listing's classes.
-    pub known: &'a [u16],
     pub limits: &'a Limits,
     /// Maps are unlabelled where it leaves pixels out.
     pub mask: Option<Mask>,
@@ -28,7 +26,6 @@ impl<'a> FrameLabels<'a> {
     pub fn open(
         listing: &'a Listing,
         frame: &'a Frame,
-        known: &'a [u16],
         options: &'a LoadOptions,
     ) -> Result<(ImageFile, Self)> {
         let limits = &options.limits;
@@ -39,7 +36,6 @@ impl<'a> FrameLabels<'a> {
             frame,
             mask: frame.read_mask(&geometry, limits)?,
             geometry,
-            known,
             limits,
         };
         Ok((file, labels))
@@ -55,7 +51,7 @@ impl<'a> FrameLabels<'a> {
             map.translate(path, ids)?;
         }
         let classes = &self.listing.classes;
-        map.check_ids(path, classes, self.known, "")?;
+        map.check_ids(path, classes, "")?;
         Ok(Some(self.in_view(path, map, classes.ignore)))
     }
 
@@ -76,7 +72,7 @@ impl<'a> FrameLabels<'a> {
         let raw = self.listing.raw.read(
             (&self.frame.name, path),
             (camera.width, camera.height),
-            (&self.listing.classes, self.known),
+            &self.listing.classes,
             self.limits,
             &check_size,
         )?;
@@ -86,11 +82,15 @@ impl<'a> FrameLabels<'a> {
 
     /// The scores of the raw labels, where they lie beside the map.
     pub fn scores(&self) -> Option<ViewScores> {
-        let ids = self.listing.raw.score_ids()?;
+        let ids = self.listing.raw.score_ids.clone()?;
         let map = self.frame.raw.as_ref()?;
         let file = scores::path_of(map).filter(|file| file.is_file())?;
-        let placement = self.geometry.placement(self.listing.geometries.of(map));
-        Some(ViewScores::new(file, ids, placement, self.limits))
+        Some(ViewScores {
+            file,
+            ids,
+            placement: self.geometry.placement(self.listing.geometries.of(map)),
+            limits: self.limits.clone(),
+        })
     }
 
     /// A grey label map of the size of its file.

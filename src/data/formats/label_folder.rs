@@ -1,4 +1,4 @@
-//! A folder of label maps or masks, whose files are found by the names of the photos.
+//! Label maps and masks that are found by the names of their photos.
 
 use super::frame::{Frame, joined_name};
 use crate::config::RawFormat;
@@ -6,64 +6,33 @@ use crate::data::LoadOptions;
 use crate::data::labels::raw::{coco_instances, labelme};
 use std::path::{Path, PathBuf};
 
-/// A folder with files named after photos.
-pub(crate) struct LabelFolder {
-    folder: PathBuf,
-    required: bool,
+/// Where the file of a photo may lie in a folder: its path with `.png` for its extension or behind it, the name of its view, or its
+/// stem.
+pub(crate) fn names(folder: &Path, photo: &Path) -> [PathBuf; 4] {
+    let png = |name: &str| folder.join(format!("{name}.png"));
+    [
+        folder.join(photo).with_extension("png"),
+        png(&photo.to_string_lossy()),
+        png(&joined_name(photo)),
+        png(&photo.file_stem().unwrap_or_default().to_string_lossy()),
+    ]
 }
 
-impl LabelFolder {
-    /// A folder in which some photo must have a file.
-    pub fn required(folder: PathBuf) -> Self {
-        Self {
-            folder,
-            required: true,
-        }
-    }
+/// The first of `names` that is a file.
+pub(crate) fn file(names: &[PathBuf]) -> Option<PathBuf> {
+    names.iter().find(|path| path.is_file()).cloned()
+}
 
-    /// A folder in which some photos may lack a file.
-    pub fn new(folder: PathBuf) -> Self {
-        Self {
-            folder,
-            required: false,
-        }
-    }
+/// The first of `names` that is a file, or a folder of masks without its extension.
+pub(crate) fn map(names: &[PathBuf]) -> Option<PathBuf> {
+    let mut folders = names.iter().map(|path| path.with_extension(""));
+    file(names).or_else(|| folders.find(|path| path.is_dir()))
+}
 
-    /// The map of a photo: a file as in [`LabelFolder::file`], or a folder of masks of such a name without `.png`.
-    pub fn map(&self, photo: &Path) -> Option<PathBuf> {
-        let names = self.names(photo);
-        let masks = || {
-            names
-                .iter()
-                .map(|path| path.with_extension(""))
-                .find(|path| path.is_dir())
-        };
-        let usual = || Some(names[0].clone()).filter(|_| self.required);
-        self.file(photo).or_else(masks).or_else(usual)
-    }
-
-    /// The JSON file of a photo, named as [`LabelFolder::file`].
-    pub fn drawn(&self, photo: &Path) -> Option<PathBuf> {
-        let names = self.names(photo).into_iter();
-        names
-            .map(|path| path.with_extension("json"))
-            .find(|path| path.is_file())
-    }
-
-    /// The file of a photo: its path with `.png` for its extension or behind it, the name of its view, or its stem.
-    pub fn file(&self, photo: &Path) -> Option<PathBuf> {
-        self.names(photo).into_iter().find(|path| path.is_file())
-    }
-
-    fn names(&self, photo: &Path) -> [PathBuf; 4] {
-        let png = |name: &str| self.folder.join(format!("{name}.png"));
-        [
-            self.folder.join(photo).with_extension("png"),
-            png(&photo.to_string_lossy()),
-            png(&joined_name(photo)),
-            png(&photo.file_stem().unwrap_or_default().to_string_lossy()),
-        ]
-    }
+/// The first of `names` that is a JSON file.
+pub(crate) fn drawn(names: &[PathBuf]) -> Option<PathBuf> {
+    let mut files = names.iter().map(|path| path.with_extension("json"));
+    files.find(|path| path.is_file())
 }
 
 /// Decides which files hold the raw labels of `frames`: label maps, shapes of LabelMe, or a COCO file for all. Photos without a

@@ -45,11 +45,9 @@ pub(super) fn find(dir: &Path, options: &LoadOptions) -> Result<Option<Layout>> 
         named => Some(named),
     };
     match layout {
-        None => {}
-        Some(Layout::Auto | Layout::Transforms) => transforms::expect(dir, options)?,
         Some(Layout::Colmap) => colmap::expect(dir, options)?,
-        Some(Layout::Replica) => replica::expect(dir)?,
-        Some(Layout::Scannet) => scannet::expect(dir)?,
+        Some(named) if marker(named, dir, options).is_none() => return Err(nothing(dir, options)),
+        _ => {}
     }
     Ok(layout)
 }
@@ -80,20 +78,28 @@ fn detect(dir: &Path, options: &LoadOptions) -> Result<Option<Layout>> {
 
 /// Layouts whose files are in `dir`, each with such a file. Blender's files count only if there is no other layout.
 fn markers(dir: &Path, options: &LoadOptions) -> Vec<(Layout, String)> {
-    let found = [
-        (Layout::Transforms, transforms::marker(dir, options)),
-        (Layout::Colmap, colmap::marker(dir)),
-        (Layout::Replica, replica::marker(dir)),
-        (Layout::Scannet, scannet::marker(dir)),
+    let all = [
+        Layout::Transforms,
+        Layout::Colmap,
+        Layout::Replica,
+        Layout::Scannet,
     ];
-    let found = found
-        .into_iter()
-        .filter_map(|(layout, file)| Some((layout, file?)));
-    let mut found: Vec<_> = found.collect();
+    let found = all.map(|layout| Some((layout, marker(layout, dir, options)?)));
+    let mut found: Vec<_> = found.into_iter().flatten().collect();
     if found.len() > 1 {
         found.retain(|(layout, file)| *layout != Layout::Transforms || *file == options.transforms);
     }
     found
+}
+
+/// A file of a layout in `dir`, if there is one.
+fn marker(layout: Layout, dir: &Path, options: &LoadOptions) -> Option<String> {
+    match layout {
+        Layout::Auto | Layout::Transforms => transforms::marker(dir, options),
+        Layout::Colmap => colmap::marker(dir),
+        Layout::Replica => replica::marker(dir),
+        Layout::Scannet => scannet::marker(dir),
+    }
 }
 
 /// A notice on Blender's files beside those of another layout.
@@ -105,51 +111,63 @@ fn unread_transforms(dir: &Path, options: &LoadOptions, layout: Layout) -> Optio
     ))
 }
 
-/// The error for a folder of no layout.
+/// The error for a folder of no layout, or not of the one that the options name.
 fn nothing(dir: &Path, options: &LoadOptions) -> Error {
-    let mut found = "no such file, nor those of another layout".to_owned();
-    let mut help = "give another folder".to_owned();
+    let (found, help) = meant(dir, options);
+    invalid!(dir, "{}", options.transforms; found "no such file, {found}";
+        expected "cameras and frames: transforms.json (nerfstudio, instant-ngp), transforms_train.json with \
+            transforms_test.json (Blender), sparse/0 or sparse with cameras and images as .bin or .txt (COLMAP), \
+            traj.txt with results/ or traj_w_c.txt with rgb/ (Replica), or color/ with pose/ (ScanNet); see docs/data.md";
+        help "{help}")
+}
+
+/// What such a folder has, and what the user may have meant by it.
+fn meant(dir: &Path, options: &LoadOptions) -> (String, String) {
+    if let Some((other, file)) = markers(dir, options).first() {
+        let help =
+            format!("choose that one with --set data.layout={other}, or give another folder");
+        return (format!("but {file} of layout {other}"), help);
+    }
     let others = transforms::alternatives(dir);
-    let inner = names(dir, |_, path| path.is_dir())
-        .into_iter()
-        .take(MAX_FOLDERS)
-        .find_map(|name| {
-            let (layout, _) = markers(&dir.join(&name), &LoadOptions::default())
-                .into_iter()
-                .next()?;
-            Some((name, layout))
-        });
     if let Some(first) = others.first() {
-        found = format!("no such file, but {}", others.join(", "));
-        help = format!("name one with --set data.transforms={first}");
-    } else if let Some((folder, layout)) = inner {
-        found += &format!(", but a folder {folder} of layout {layout}");
-        help = format!("give {}", dir.join(folder).display());
+        let help = format!("name one with --set data.transforms={first}");
+        return (format!("but {}", others.join(", ")), help);
+    }
+    let inner = names(dir, |_, path| path.is_dir());
+    for folder in inner.into_iter().take(MAX_FOLDERS) {
+        let inner = dir.join(&folder);
+        if let Some((layout, _)) = markers(&inner, &LoadOptions::default()).first() {
+            let found =
+                format!("nor those of another layout, but a folder {folder} of layout {layout}");
+            return (found, format!("give {}", inner.display()));
+        }
     }
     let most = |is: fn(&Path) -> bool| {
         let folders = [dir.to_owned(), dir.join("images")];
         let counts = folders.map(|folder| names(&folder, |_, path| is(path)).len());
         counts[0].max(counts[1])
     };
-    if help == "give another folder" {
-        let [photos, heic, videos] = [is_photo, is_heic, is_video].map(most);
-        if photos > 1 {
-            found = format!("no such file, but {photos} photos without poses");
-            help = "`coseg from-photos PHOTOS --out DIR` finds the poses, and makes label maps with --segmenter FILE.onnx; see docs/from-photos.md".to_owned();
-        } else if heic > 0 {
-            found = format!("no such file, but {heic} HEIC photos");
-            help =
-                format!("{HEIC_HELP}; then `coseg from-photos PHOTOS --out DIR` finds their poses");
-        } else if videos > 0 {
-            found = format!("no such file, but {videos} videos");
-            help = "`coseg from-photos VIDEO --out DIR` makes a scene folder of one".to_owned();
-        }
+    let from_photos = "`coseg from-photos PHOTOS --out DIR` finds";
+    match (most(is_photo), most(is_heic), most(is_video)) {
+        (photos @ 2.., ..) => (
+            format!("but {photos} photos without poses"),
+            format!(
+                "{from_photos} the poses, and makes label maps with --segmenter FILE.onnx; see docs/from-photos.md"
+            ),
+        ),
+        (_, heic @ 1.., _) => (
+            format!("but {heic} HEIC photos"),
+            format!("{HEIC_HELP}; then {from_photos} their poses"),
+        ),
+        (.., videos @ 1..) => (
+            format!("but {videos} videos"),
+            "`coseg from-photos VIDEO --out DIR` makes a scene folder of one".to_owned(),
+        ),
+        _ => (
+            "nor those of another layout".to_owned(),
+            "give another folder".to_owned(),
+        ),
     }
-    invalid!(dir, "{}", options.transforms; found "{found}";
-        expected "cameras and frames: transforms.json (nerfstudio, instant-ngp), transforms_train.json with \
-            transforms_test.json (Blender), sparse/0 or sparse with cameras and images as .bin or .txt (COLMAP), \
-            traj.txt with results/ or traj_w_c.txt with rgb/ (Replica), or color/ with pose/ (ScanNet); see docs/data.md";
-        help "{help}")
 }
 
 /// Refuses a file or folder of raw labels that is not there.

@@ -26,9 +26,8 @@ pub(crate) struct Listing {
     pub classes: Classes,
     /// The class table is that of a whole dataset: only classes that occur in the scene are kept.
     pub occurring_classes: bool,
-    /// Class id of each id in the true labels, where they hold ids of another table; [`UNMAPPED`] where there is none.
-    /// Length 65536.
-    pub truth_ids: Option<Vec<u32>>,
+    /// Class id of each id in the true labels, where they hold ids of another table; `None` for ids that this has not. Length 65536.
+    pub truth_ids: Option<Vec<Option<u16>>>,
     /// How the raw labels are stored.
     pub raw: RawLabels,
     /// Which cameras the label maps belong to, where their folders say so.
@@ -44,9 +43,6 @@ pub(crate) struct Listing {
     /// Sentences on what is left out or assumed.
     pub notices: Vec<String>,
 }
-
-/// An id of true labels without a class id.
-pub(crate) const UNMAPPED: u32 = u32::MAX;
 
 /// Where the initial cloud comes from.
 pub(crate) enum Cloud {
@@ -105,21 +101,18 @@ impl Listing {
         problems: &mut Problems,
     ) -> Self {
         let detected = RawLabels::detect(dir, options, &raw_files(&self.frames), &self.classes);
-        match problems.ok(detected) {
-            Some((raw, vocabulary)) => {
-                // One file may hold the shapes of all photos.
-                let is_empty =
-                    |frame: &&mut Frame| raw.are_drawn() && !raw.has_drawing(&frame.name);
-                let without = self.frames.iter_mut().filter(is_empty);
-                without.for_each(|frame| frame.raw = None);
-                self.raw = raw;
-                if let Some(vocabulary) = vocabulary {
-                    self.occurring_classes |= self.classes.is_empty();
-                    self.classes = vocabulary.classes;
-                    self.notices.extend(vocabulary.notice);
-                }
-            }
-            None => return self.without_raw_labels(),
+        let Some((raw, vocabulary)) = problems.ok(detected) else {
+            return self.without_raw_labels();
+        };
+        // One file may hold the shapes of all photos.
+        let is_empty = |frame: &&mut Frame| raw.are_drawn() && !raw.has_drawing(&frame.name);
+        let without = self.frames.iter_mut().filter(is_empty);
+        without.for_each(|frame| frame.raw = None);
+        self.raw = raw;
+        if let Some(vocabulary) = vocabulary {
+            self.occurring_classes |= self.classes.is_empty();
+            self.classes = vocabulary.classes;
+            self.notices.extend(vocabulary.notice);
         }
         self
     }
@@ -142,7 +135,7 @@ impl Listing {
 
     /// The id of pixels without a raw label.
     pub fn unlabelled(&self) -> u16 {
-        if self.raw.are_segments() {
+        if self.raw.are_segments {
             0
         } else {
             self.classes.ignore

@@ -2,7 +2,7 @@
 
 use super::folder::{Folder, Problems};
 use super::frame::{Frame, Geometry};
-use super::label_folder::LabelFolder;
+use super::label_folder::{file, names};
 use crate::config::{Layout, NO_MASKS, same_folder};
 use crate::data::mask::Mask;
 use crate::data::photos::image_file::{ImageFile, proportional};
@@ -71,7 +71,7 @@ impl Masks {
     pub fn of_photo(&self, photo: &Path) -> Option<PathBuf> {
         match self {
             Self::Off | Self::OfFrames => None,
-            Self::In(folder) => LabelFolder::new(folder.clone()).file(photo),
+            Self::In(folder) => file(&names(folder, photo)),
         }
     }
 }

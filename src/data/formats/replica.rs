@@ -38,23 +38,10 @@ fn version(dir: &Path) -> Option<[&'static str; 3]> {
         .find(|[t, photos, _]| dir.join(t).is_file() && dir.join(photos).is_dir())
 }
 
-/// Refuses a folder of another layout.
-pub(crate) fn expect(dir: &Path) -> Result<()> {
-    checked_version(dir).map(|_| ())
-}
-
-fn checked_version(dir: &Path) -> Result<[&'static str; 3]> {
-    version(dir).ok_or_else(|| {
-        invalid!(dir, "traj.txt"; found "neither";
-            expected "traj.txt with results/ (NICE-SLAM) or traj_w_c.txt with rgb/ (Semantic-NeRF)";
-            help "give the folder of one scene or sequence")
-    })
-}
-
 /// Lists the frames of the folder.
 pub(crate) fn list(scene: Folder<'_>, problems: &mut Problems) -> Result<Listing> {
     let Folder { dir, options, .. } = scene;
-    let version = checked_version(dir)?;
+    let version = version(dir).unwrap_or(NICE_SLAM);
     let is_nice_slam = version == NICE_SLAM;
     let [trajectory, folder, prefix] = version;
     let path = dir.join(trajectory);
@@ -154,29 +141,32 @@ struct CameraParams {
 }
 
 /// The depth scale that NICE-SLAM publishes.
-fn scale() -> f64 {
+const fn scale() -> f64 {
     6553.5
 }
 
 /// The parameters that NICE-SLAM publishes for all eight scenes.
-const PUBLISHED: &str =
-    r#"{"camera": {"w": 1200, "h": 680, "fx": 600.0, "fy": 600.0, "cx": 599.5, "cy": 339.5}}"#;
+const PUBLISHED: CameraParams = CameraParams {
+    w: 1200,
+    h: 680,
+    fx: 600.0,
+    fy: 600.0,
+    cx: 599.5,
+    cy: 339.5,
+    scale: scale(),
+};
 
 /// Intrinsics and the value of a metre in the depth images.
 fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<(Camera, f64)> {
     let places = ["cam_params.json", "../cam_params.json"].map(|name| dir.join(name));
-    let path = places.iter().find(|path| path.is_file());
-    let text = match path {
-        Some(path) => files::text(path)?,
+    let expected = "{\"camera\": {\"w\", \"h\", \"fx\", \"fy\", \"cx\", \"cy\", ..}}";
+    let (path, camera) = match places.iter().find(|path| path.is_file()) {
+        Some(path) => (path, files::json::<CameraFile>(path, expected)?.camera),
         None => {
             notices.push("no cam_params.json here or above: 1200x680 photos with a focal length of 600 are assumed".into());
-            PUBLISHED.to_owned()
+            (&places[0], PUBLISHED)
         }
     };
-    let path = path.unwrap_or(&places[0]);
-    let expected = "{\"camera\": {\"w\", \"h\", \"fx\", \"fy\", \"cx\", \"cy\", ..}}";
-    let file = serde_json::from_str(&text).map_err(|e| files::json_error(path, &e, expected))?;
-    let CameraFile { camera } = file;
     let CameraParams { w, h, fx, fy, .. } = camera;
     let CameraParams { cx, cy, scale, .. } = camera;
     let numbers = [fx, fy, cx, cy, scale];

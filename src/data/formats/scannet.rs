@@ -6,7 +6,7 @@
 use super::camera_checks::FOCAL;
 use super::folder::{Folder, Problems};
 use super::frame::Frame;
-use super::listing::{Listing, UNMAPPED};
+use super::listing::Listing;
 use super::sequence::{self, MILLIMETRES, Pose};
 use super::side_folders::SideFolders;
 use crate::config::ScannetClasses;
@@ -33,14 +33,6 @@ const TABLE: &str = "scannetv2-labels.combined.tsv";
 pub(crate) fn marker(dir: &Path) -> Option<String> {
     let is_folder = |name| dir.join(name).is_dir();
     (is_folder("color") && is_folder("pose")).then(|| "color/ with pose/".to_owned())
-}
-
-/// Refuses a folder of another layout.
-pub(crate) fn expect(dir: &Path) -> Result<()> {
-    marker(dir).map(|_| ()).ok_or_else(|| {
-        invalid!(dir, "color"; found "not both folders";
-            expected "color/ and pose/, as ScanNet's SensReader writes them"; help "export the .sens file of the scan")
-    })
 }
 
 /// Lists the frames of the folder.
@@ -156,13 +148,12 @@ fn classes(set: ScannetClasses) -> Classes {
     Classes::from_names(0, named.filter(|(id, _)| in_set(set, *id)))
 }
 
-/// Reads the table of labels that the options name, or that lies in `dir` or one of the three folders above it. Returns the NYU40
-/// id of each label id: 0 for labels outside of the set, [`UNMAPPED`] for labels that are not in the table.
-fn label_table(dir: &Path, options: &LoadOptions) -> Result<Vec<u32>> {
+/// Reads the table of labels that lies in `dir` or one of the three folders above it. Returns the NYU40
+/// id of each label id: 0 for labels outside of the set, `None` for labels that are not in the table.
+fn label_table(dir: &Path, options: &LoadOptions) -> Result<Vec<Option<u16>>> {
     let full = dir.canonicalize().unwrap_or_else(|_| dir.to_owned());
     let mut near = full.ancestors().take(4).map(|folder| folder.join(TABLE));
-    let named = options.scannet_labels.clone();
-    let path = named.or_else(|| near.find(|path| path.is_file())).ok_or_else(|| {
+    let path = near.find(|path| path.is_file()).ok_or_else(|| {
         invalid!(dir, "{TABLE}"; found "no such file";
             expected "{TABLE} there or in one of the three folders above: the labels' ids mean nothing without it";
             help "copy it from the dataset to the folder of the scene")
@@ -185,8 +176,8 @@ fn label_table(dir: &Path, options: &LoadOptions) -> Result<Vec<u32>> {
             .ok_or_else(|| error(1, format!("columns {header:?}"), &expected))
     };
     let columns = [column("id")?, column("nyu40id")?];
-    let mut ids = vec![UNMAPPED; 1 << 16];
-    ids[0] = 0;
+    let mut ids = vec![None; 1 << 16];
+    ids[0] = Some(0);
     for (cells, line) in rows.filter(|(cells, _)| cells.iter().any(|cell| !cell.is_empty())) {
         let value = |(name, place): (&str, usize)| {
             let cell = cells.get(place).copied().unwrap_or_default();
@@ -198,11 +189,8 @@ fn label_table(dir: &Path, options: &LoadOptions) -> Result<Vec<u32>> {
         if usize::from(class) > NYU40.lines().count() {
             return Err(error(line, format!("nyu40id {class}"), "0 to 40"));
         }
-        ids[usize::from(id)] = if in_set(options.scannet_classes, class) {
-            class.into()
-        } else {
-            0
-        };
+        let is_counted = in_set(options.scannet_classes, class);
+        ids[usize::from(id)] = Some(if is_counted { class } else { 0 });
     }
     Ok(ids)
 }

@@ -74,10 +74,7 @@ pub(crate) fn pose(text: &str, path: &Path, field: &str) -> Result<Pose> {
             expected "16 numbers: a 4x4 camera-to-world matrix, row by row";
             help "copy the file again, or drop the frame")
     };
-    let number = |word: &str| {
-        let shown = || error(format!("{:?}", word.chars().take(40).collect::<String>()));
-        word.parse().map_err(|_| shown())
-    };
+    let number = |word: &str| word.parse().map_err(|_| error(format!("{word:?}")));
     let words = text.split_ascii_whitespace().take(17);
     let numbers = words.map(number).collect::<Result<Vec<f64>>>()?;
     numbers

@@ -2,41 +2,35 @@
 
 use super::folder::{Folder, Problems};
 use super::frame::Frame;
-use super::label_folder::LabelFolder;
+use super::label_folder::{drawn, map, names};
 use super::mask_file::Masks;
 use std::path::Path;
 
 /// Folders of label maps and masks for layouts whose frames name no such files: `labels`, `labels_raw`, `instances`, masks.
-pub(crate) struct SideFolders {
-    truth: LabelFolder,
-    raw: LabelFolder,
-    instances: LabelFolder,
+pub(crate) struct SideFolders<'a> {
+    folder: Folder<'a>,
     masks: Masks,
 }
 
-impl SideFolders {
-    pub fn new(folder: Folder<'_>, problems: &mut Problems) -> Self {
-        let Folder { dir, options, .. } = folder;
-        let raw = options.raw_labels.as_deref();
-        Self {
-            truth: LabelFolder::new(dir.join("labels")),
-            raw: raw.map_or_else(
-                || LabelFolder::new(dir.join("labels_raw")),
-                |named| LabelFolder::required(dir.join(named)),
-            ),
-            instances: LabelFolder::new(dir.join("instances")),
-            masks: Masks::new(folder, problems),
-        }
+impl<'a> SideFolders<'a> {
+    pub fn new(folder: Folder<'a>, problems: &mut Problems) -> Self {
+        let masks = Masks::new(folder, problems);
+        Self { folder, masks }
     }
 
-    /// The frame with the files of the photo that lies at `photo` below the folder of photos.
+    /// The frame with the files of the photo that lies at `photo` below the folder of photos. In a folder of raw labels that the user
+    /// names, some photo must have a file.
     pub fn frame(&self, frame: Frame, photo: &Path) -> Frame {
+        let Folder { dir, options, .. } = self.folder;
+        let of = |folder: &str| names(&dir.join(folder), photo);
+        let raw = of(options.raw_labels.as_deref().unwrap_or("labels_raw"));
+        let usual = || options.raw_labels.is_some().then(|| raw[0].clone());
         Frame {
             mask: self.masks.of_photo(photo),
-            truth: self.truth.map(photo),
-            raw: self.raw.map(photo),
-            drawn: self.raw.drawn(photo),
-            instances: self.instances.map(photo),
+            truth: map(&of("labels")),
+            drawn: drawn(&raw),
+            raw: map(&raw).or_else(usual),
+            instances: map(&of("instances")),
             ..frame
         }
     }

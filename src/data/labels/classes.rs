@@ -23,12 +23,7 @@ impl Classes {
         let mut entries: Vec<Class> = names
             .into_iter()
             .filter(|(id, _)| *id != ignore)
-            .map(|(id, name)| Class {
-                id,
-                name: name.into(),
-                color: class_color(id),
-                object_of: None,
-            })
+            .map(|(id, name)| Class::new(id, name.into()))
             .collect();
         entries.sort_by_key(|c| c.id);
         entries.dedup_by_key(|c| c.id);
@@ -76,13 +71,8 @@ impl Classes {
     pub(crate) fn entry(&mut self, id: u16) -> &mut Class {
         let i = self.entries.partition_point(|c| c.id < id);
         if self.entries.get(i).is_none_or(|c| c.id != id) {
-            let class = Class {
-                id,
-                name: format!("label {id}"),
-                color: class_color(id),
-                object_of: None,
-            };
-            self.entries.insert(i, class);
+            self.entries
+                .insert(i, Class::new(id, format!("label {id}")));
         }
         &mut self.entries[i]
     }
@@ -120,8 +110,7 @@ impl Classes {
             }
             named.push((id, name));
         }
-        check_unique(path, named.iter().map(|(id, _)| *id))?;
-        check_names(path, named.iter().map(|(id, name)| (*id, &**name)))?;
+        check(path, &named)?;
         Ok(Self::from_names(VOID, named))
     }
 
@@ -144,6 +133,18 @@ impl Classes {
     }
 }
 
+impl Class {
+    /// With the colour of its id.
+    fn new(id: u16, name: String) -> Self {
+        Self {
+            id,
+            name,
+            color: class_color(id),
+            object_of: None,
+        }
+    }
+}
+
 /// A name of a class as it is compared.
 pub(crate) fn plain(name: &str) -> String {
     name.trim().to_lowercase().replace(['-', '_'], " ")
@@ -155,19 +156,14 @@ pub(crate) fn is_void(name: &str) -> bool {
     VOID_NAMES.split(' ').any(|void| void == name)
 }
 
-fn check_unique(path: &Path, ids: impl Iterator<Item = u16>) -> Result<()> {
+/// Refuses ids that appear twice, and names with line ends or other control characters.
+fn check(path: &Path, named: &[(u16, String)]) -> Result<()> {
     let mut first = HashSet::new();
-    for id in ids {
+    for (id, name) in named {
         ensure!(first.insert(id), path, "id {id}"; found "two entries"; expected "one entry for each id";
             help "give each class an id of its own");
-    }
-    Ok(())
-}
-
-/// Refuses names with line ends or other control characters.
-fn check_names<'a>(path: &Path, mut names: impl Iterator<Item = (u16, &'a str)>) -> Result<()> {
-    if let Some((id, name)) = names.find(|(_, name)| name.chars().any(char::is_control)) {
-        bail!(path, "id {id}"; found "{name:?}"; expected "a name without control characters"; help "rename the class");
+        ensure!(!name.chars().any(char::is_control), path, "id {id}"; found "{name:?}";
+            expected "a name without control characters"; help "rename the class");
     }
     Ok(())
 }
@@ -205,9 +201,9 @@ impl From<&Class> for ClassEntry {
 
 impl ClassFile {
     fn into_classes(self, path: &Path) -> Result<Classes> {
-        check_unique(path, self.classes.iter().map(|c| c.id))?;
-        check_names(path, self.classes.iter().map(|c| (c.id, &*c.name)))?;
         let names = self.classes.iter().map(|c| (c.id, c.name.clone()));
+        let names: Vec<(u16, String)> = names.collect();
+        check(path, &names)?;
         let mut classes = Classes::from_names(self.ignore, names);
         for entry in self.classes {
             if let Some(i) = classes.index(entry.id) {

@@ -21,15 +21,13 @@ impl LabelMap {
         Self::decode(path, &ImageFile::open(path, limits)?)
     }
 
-    /// Refuses ids other than those of `classes` and the ignored id. `known` is the lookup table of `classes`. [`USUALLY_IGNORED`]
-    /// becomes the ignored id where no class has it. `or` is added to the help.
-    pub(crate) fn check_ids(
-        &mut self,
-        path: &Path,
-        classes: &Classes,
-        known: &[u16],
-        or: &str,
-    ) -> Result<()> {
+    /// Refuses ids other than those of `classes` and the ignored id; without classes no id can be wrong. [`USUALLY_IGNORED`] becomes the
+    /// ignored id where no class has it. `or` is added to the help.
+    pub(crate) fn check_ids(&mut self, path: &Path, classes: &Classes, or: &str) -> Result<()> {
+        if classes.is_empty() {
+            return Ok(());
+        }
+        let known = classes.lookup();
         let is_class = |id: u16| known[usize::from(id)] != u16::MAX;
         if !is_class(USUALLY_IGNORED) {
             let ignored = self.ids.iter_mut().filter(|id| **id == USUALLY_IGNORED);
@@ -58,10 +56,10 @@ impl LabelMap {
     }
 
     /// Replaces ids by their entries in `table` (length 65536).
-    pub(crate) fn translate(&mut self, path: &Path, table: &[u32]) -> Result<()> {
+    pub(crate) fn translate(&mut self, path: &Path, table: &[Option<u16>]) -> Result<()> {
         for i in 0..self.ids.len() {
             let id = self.ids[i];
-            self.ids[i] = u16::try_from(table[usize::from(id)]).map_err(|_| {
+            self.ids[i] = table[usize::from(id)].ok_or_else(|| {
                 invalid!(path, "{}", self.pixel(i); found "label id {id}";
                     expected "an id of the dataset's table of labels";
                     help "use the table that belongs to these label maps, or correct the map")

@@ -1,5 +1,6 @@
 //! Colours for class ids: far apart, the same for the same id everywhere.
 
+use glam::{DMat3, DVec3};
 use std::sync::LazyLock;
 
 /// Levels of each channel of the candidate colours, 0 to 255.
@@ -31,17 +32,17 @@ fn palette() -> Vec<[u8; 3]> {
         .map(|levels| levels.map(|l| (l * 255 / (LEVELS - 1)) as u8))
         .map(|rgb| (rgb, oklab(rgb)));
     let reserved = RESERVED.map(|(rgb, apart)| (oklab(rgb), apart));
-    let candidates: Vec<([u8; 3], [f64; 3])> = candidates
+    let candidates: Vec<([u8; 3], DVec3)> = candidates
         .filter(|(_, lab)| {
             reserved
                 .iter()
-                .all(|(other, apart)| distance(lab, other) >= *apart)
+                .all(|(other, apart)| lab.distance(*other) >= *apart)
         })
         .collect();
     let [(black, _), (white, _), ..] = reserved;
     let mut nearest: Vec<f64> = candidates
         .iter()
-        .map(|(_, lab)| distance(lab, &black).min(distance(lab, &white)))
+        .map(|(_, lab)| lab.distance(black).min(lab.distance(white)))
         .collect();
     let mut colors = Vec::with_capacity(PALETTE_LENGTH);
     for _ in 0..PALETTE_LENGTH {
@@ -52,7 +53,7 @@ fn palette() -> Vec<[u8; 3]> {
         let (rgb, chosen) = candidates[best];
         colors.push(rgb);
         for (near, (_, lab)) in nearest.iter_mut().zip(&candidates) {
-            *near = near.min(distance(lab, &chosen));
+            *near = near.min(lab.distance(chosen));
         }
     }
     colors
@@ -60,15 +61,7 @@ fn palette() -> Vec<[u8; 3]> {
 
 /// How different two sRGB colours look: their distance in OKLab.
 pub(crate) fn difference(a: [u8; 3], b: [u8; 3]) -> f64 {
-    distance(&oklab(a), &oklab(b))
-}
-
-fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
-    a.iter()
-        .zip(b)
-        .map(|(a, b)| (a - b).powi(2))
-        .sum::<f64>()
-        .sqrt()
+    oklab(a).distance(oklab(b))
 }
 
 /// An sRGB value in 0..1 in linear light.
@@ -81,26 +74,20 @@ pub(crate) fn linear(s: f64) -> f64 {
 }
 
 /// sRGB to OKLab (B. Ottosson, "A perceptual color space for image processing", 2020).
-fn oklab(rgb: [u8; 3]) -> [f64; 3] {
-    let linear = rgb.map(|v| linear(f64::from(v) / 255.0));
-    let multiply =
-        |m: [[f64; 3]; 3], v: [f64; 3]| m.map(|r| r[0] * v[0] + r[1] * v[1] + r[2] * v[2]);
-    let cones = multiply(
-        [
-            [0.412_221_470_8, 0.536_332_536_3, 0.051_445_992_9],
-            [0.211_903_498_2, 0.680_699_545_1, 0.107_396_956_6],
-            [0.088_302_461_9, 0.281_718_837_6, 0.629_978_700_5],
-        ],
-        linear,
-    );
-    multiply(
-        [
-            [0.210_454_255_3, 0.793_617_785_0, -0.004_072_046_8],
-            [1.977_998_495_1, -2.428_592_205_0, 0.450_593_709_9],
-            [0.025_904_037_1, 0.782_771_766_2, -0.808_675_766_0],
-        ],
-        cones.map(f64::cbrt),
-    )
+fn oklab(rgb: [u8; 3]) -> DVec3 {
+    let from_rows = |rows| DMat3::from_cols_array_2d(rows).transpose();
+    let to_cones = from_rows(&[
+        [0.412_221_470_8, 0.536_332_536_3, 0.051_445_992_9],
+        [0.211_903_498_2, 0.680_699_545_1, 0.107_396_956_6],
+        [0.088_302_461_9, 0.281_718_837_6, 0.629_978_700_5],
+    ]);
+    let from_cones = from_rows(&[
+        [0.210_454_255_3, 0.793_617_785_0, -0.004_072_046_8],
+        [1.977_998_495_1, -2.428_592_205_0, 0.450_593_709_9],
+        [0.025_904_037_1, 0.782_771_766_2, -0.808_675_766_0],
+    ]);
+    let cones = to_cones * DVec3::from(rgb.map(|v| linear(f64::from(v) / 255.0)));
+    from_cones * DVec3::from(cones.to_array().map(f64::cbrt))
 }
 
 #[cfg(test)]
@@ -110,13 +97,13 @@ mod tests {
     #[test]
     fn colours_are_far_apart() {
         // White is (1, 0, 0) in OKLab; a step of 0.02 is just visible.
-        assert!(distance(&oklab([255; 3]), &[1.0, 0.0, 0.0]) < 1e-6);
+        assert!(oklab([255; 3]).distance(DVec3::X) < 1e-6);
         for (ids, apart) in [(10, 0.2), (40, 0.11), (254, 0.03)] {
             let mut labs: Vec<_> = (0..=ids).map(|id| oklab(class_color(id))).collect();
             labs.extend([oklab([0; 3]), oklab([255; 3])]);
             for (i, a) in labs.iter().enumerate() {
                 assert!(
-                    labs[..i].iter().all(|b| distance(a, b) > apart),
+                    labs[..i].iter().all(|b| a.distance(*b) > apart),
                     "{i} of {ids}"
                 );
             }

@@ -187,11 +187,6 @@ pub(crate) struct Preprocessing {
 }
 
 impl Preprocessing {
-    /// The same with another colour behind transparent pixels.
-    pub fn over(self, background: [u8; 3]) -> Self {
-        Self { background, ..self }
-    }
-
     /// The photo in `file` as the view's camera sees it, and whether some pixel is transparent.
     pub fn decode(&self, file: &ImageFile) -> Result<(RgbImage, bool)> {
         let (mut photo, transparent) = file.decode_photo(self.background)?;

@@ -120,37 +120,39 @@ impl Weights<'_> {
         Ok(())
     }
 
+    /// What `of` makes of the shape of a tensor.
+    fn shape<T>(
+        &self,
+        name: &str,
+        expected: &str,
+        of: impl Fn(&[usize]) -> Option<T>,
+    ) -> Result<T> {
+        let shape = self.file.shape(name)?;
+        of(shape).ok_or_else(|| self.problem(name, format!("shape {shape:?}"), expected))
+    }
+
     /// Width and patch size.
     fn patch(&self) -> Result<(usize, usize)> {
-        let name = "patch_embed.proj.weight";
-        match *self.file.shape(name)? {
-            [width, 3, patch, columns]
-                if patch == columns && patch > 0 && width > 0 && width % HEAD == 0 =>
-            {
-                Ok((width, patch))
+        let expected = format!("[width, 3, patch, patch], width a multiple of {HEAD}");
+        self.shape("patch_embed.proj.weight", &expected, |shape| match *shape {
+            [width, 3, patch, columns] => {
+                let fits = patch == columns && patch > 0 && width > 0 && width % HEAD == 0;
+                fits.then_some((width, patch))
             }
-            ref other => {
-                let expected = format!("[width, 3, patch, patch], width a multiple of {HEAD}");
-                Err(self.problem(name, format!("shape {other:?}"), expected))
-            }
-        }
+            _ => None,
+        })
     }
 
     /// Cells along a side of the grid of position embeddings.
     fn side(&self, width: usize) -> Result<usize> {
-        let side = |tokens: usize| (tokens - 1).isqrt();
-        match *self.file.shape("pos_embed")? {
-            [1, tokens, found]
-                if found == width && tokens > 1 && side(tokens).pow(2) == tokens - 1 =>
-            {
-                Ok(side(tokens))
+        let expected = format!("[1, 1 + side x side, {width}], a class token and a square grid");
+        self.shape("pos_embed", &expected, |shape| match *shape {
+            [1, tokens, found] if found == width && tokens > 1 => {
+                let side = (tokens - 1).isqrt();
+                (side.pow(2) == tokens - 1).then_some(side)
             }
-            ref other => {
-                let expected =
-                    format!("[1, 1 + side x side, {width}], a class token and a square grid");
-                Err(self.problem("pos_embed", format!("shape {other:?}"), expected))
-            }
-        }
+            _ => None,
+        })
     }
 
     /// One more than the highest number of a block. A gap becomes an error when its tensors are read.
@@ -176,13 +178,10 @@ impl Weights<'_> {
     fn block(&self, n: usize, width: usize) -> Result<Block> {
         let name = |part: &str| format!("blocks.{n}.{part}");
         let fc1 = name("mlp.fc1.weight");
-        let hidden = match *self.file.shape(&fc1)? {
-            [hidden, found] if found == width && hidden > 0 => hidden,
-            ref other => {
-                let expected = format!("[hidden, {width}]");
-                return Err(self.problem(&fc1, format!("shape {other:?}"), expected));
-            }
-        };
+        let hidden = self.shape(&fc1, &format!("[hidden, {width}]"), |shape| match *shape {
+            [hidden, found] if found == width && hidden > 0 => Some(hidden),
+            _ => None,
+        })?;
         Ok(Block {
             norm1: self.norm(&name("norm1"), width)?,
             qkv: self.linear(&name("attn.qkv"), &[3 * width, width])?,

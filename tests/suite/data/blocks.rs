@@ -228,7 +228,13 @@ fn requests_that_make_no_sense_are_refused() {
         .collect();
     let error = Grid::new([2, 2], &line, DVec3::Z).unwrap_err();
     assert_names(&error, &["0 training cameras in column 0", "1x4"]);
-    assert_eq!(Grid::new([1, 4], &line, DVec3::Z).unwrap().len(), 4);
+    assert_eq!(
+        Grid::new([1, 4], &line, DVec3::Z)
+            .unwrap()
+            .indices()
+            .count(),
+        4
+    );
     let few = small_scene::scene();
     assert_names(
         &split(few.path(), &options, [1, 1]).unwrap_err(),

@@ -2,8 +2,7 @@
 
 use crate::support::damage::Damage;
 use crate::support::small_scene::{edit, expect_error, manifest, scene};
-use coseg::data::formats::transforms::{LoadOptions, load};
-use coseg::data::{LabelMap, Limits};
+use coseg::data::{LabelMap, Limits, LoadOptions, load};
 use serde_json::{Value, json};
 use std::fs;
 

@@ -1,8 +1,8 @@
 //! `transforms.json` scenes: the real ones, and a small one.
 
 use crate::support::small_scene::{HEIGHT, WIDTH, edit, scene};
-use coseg::data::formats::transforms::{LoadOptions, load, load_cameras};
-use coseg::data::{LabelMap, Split};
+use coseg::data::formats::transforms::load_cameras;
+use coseg::data::{LabelMap, LoadOptions, Split, load};
 use coseg::splat::camera::Camera;
 use glam::DVec3;
 use serde_json::json;

@@ -4,8 +4,7 @@ use crate::support::lifting::extract;
 use crate::support::linear_probe::{ProbeScore, ProbeView, linear_probe};
 use crate::support::pictures::{picture, pictures, scene, view};
 use coseg::config::{FeatureConfig, FeatureSource};
-use coseg::data::formats::transforms::{self, LoadOptions};
-use coseg::data::{Classes, LabelMap, Scene, Split, View};
+use coseg::data::{Classes, LabelMap, LoadOptions, Scene, Split, View, load};
 use coseg::features::{FeatureMap, Reduction, ViewFeatures, descriptor};
 use image::RgbImage;
 use std::convert::Infallible;
@@ -303,8 +302,8 @@ fn descriptor_beats_raw_colour_in_the_linear_probe() {
     let Some(shared) = crate::support::shared_dir() else {
         return;
     };
-    let mut scene = transforms::load(&shared.join("data/house_living"), &LoadOptions::default())
-        .expect("scene");
+    let mut scene =
+        load(&shared.join("data/house_living"), &LoadOptions::default()).expect("scene");
     let mut count = 0;
     scene.views.retain(|_| {
         count += 1;

@@ -1,8 +1,7 @@
 //! Scores against values computed by scikit-image 0.26 and scikit-learn 1.9 from the same formulas.
 
 use coseg::data::Classes;
-use coseg::data::formats::transforms::{LoadOptions, load};
-use coseg::data::{Scene, Split};
+use coseg::data::{LoadOptions, Scene, Split, load};
 use coseg::metrics::{
     Confusion, ImageScores, PSNR_CAP, Void, calinski_harabasz, davies_bouldin, label_scores, psnr,
     ssim,

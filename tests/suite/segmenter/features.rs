@@ -3,8 +3,7 @@
 use crate::support::onnx::{NAMES, Onnx, STRIDE};
 use crate::support::{assert_names, device};
 use coseg::config::{FeatureConfig, FeatureSource};
-use coseg::features::Extractor;
-use coseg::segmenter::Tap;
+use coseg::features::{Extractor, Tap};
 use image::{Rgb, RgbImage};
 
 #[test]
@@ -36,8 +35,8 @@ fn a_tensor_of_the_network_lies_over_the_photo() {
         (map.width, map.height, map.channels),
         (16 / STRIDE, 12 / STRIDE, NAMES.len())
     );
-    let red = &map.values[..NAMES.len()];
-    let blue = &map.values[map.values.len() - NAMES.len()..];
+    let red = &map.data[..NAMES.len()];
+    let blue = &map.data[map.data.len() - NAMES.len()..];
     assert!(
         (red[1] - 40.0).abs() < 1e-3 && (red[3] + 20.0).abs() < 1e-3,
         "{red:?}"
@@ -72,7 +71,7 @@ fn the_decoder_of_the_real_network_is_a_map() {
         .map(&photo)
         .expect("map");
     assert!(
-        map.width > 120 && map.channels > 100 && map.values.iter().all(|v| v.is_finite()),
+        map.width > 120 && map.channels > 100 && map.data.iter().all(|v| v.is_finite()),
         "{tensor}: {}",
         map.width
     );

@@ -1,7 +1,6 @@
 //! A small scene with a `transforms.json`: three photos with labels, and two points.
 
-use coseg::data::LabelMap;
-use coseg::data::formats::transforms::{LoadOptions, load};
+use coseg::data::{LabelMap, LoadOptions, load};
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;

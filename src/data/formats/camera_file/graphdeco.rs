@@ -1,9 +1,10 @@
 //! `cameras.json` as graphdeco's 3DGS writes it (`camera_to_JSON`): a list of cameras, camera-to-world with OpenCV axes.
 
-use super::place::{Place, check_count, parsed};
+use super::{check_count, parsed, size};
+use crate::data::formats::camera_checks::{check_focal, posed};
 use crate::data::photos::EXTENSIONS;
 use crate::data::{NamedCamera, Split};
-use crate::error::Result;
+use crate::error::{Result, bail, ensure};
 use crate::splat::camera::Camera;
 use glam::{DMat3, DMat4, DVec3};
 use serde::Deserialize;
@@ -33,41 +34,43 @@ pub(super) fn cameras(path: &Path, list: Value) -> Result<Vec<NamedCamera>> {
     check_count(path, "cameras", entries.len())?;
     let mut cameras = Vec::with_capacity(entries.len());
     let mut first = HashMap::new();
-    for (i, entry) in entries.into_iter().enumerate() {
-        let prefix = format!("cameras[{i}].");
-        let place = Place { path, prefix };
-        let name = entry.name(&place)?;
+    for (i, entry) in entries.iter().enumerate() {
+        let place = format!("cameras[{i}]");
+        let name = entry.name();
+        ensure!(!name.is_empty(), path, "{place}.img_name"; found "no name"; expected "the name of an image";
+            help "name the camera");
         if let Some(first) = first.insert(name.clone(), i) {
-            let found = format!("{name:?}, which cameras[{first}] has too");
-            let expected = "names that differ: outputs are named by them";
-            let help = "rename one of the cameras or drop it";
-            return Err(place.error("img_name", &found, expected, help));
+            bail!(path, "{place}.img_name"; found "{name:?}, which cameras[{first}] has too";
+                expected "names that differ: outputs are named by them"; help "rename one of the cameras or drop it");
         }
-        let camera = entry.camera(&place)?;
         cameras.push(NamedCamera {
             name,
             split: Split::Train,
-            camera,
+            camera: entry.camera(path, &place)?,
         });
     }
     Ok(cameras)
 }
 
 impl Entry {
-    fn camera(&self, place: &Place<'_>) -> Result<Camera> {
-        let size = place.size([("width", self.width), ("height", self.height)])?;
-        let fx = place.check_focal("fx", self.fx)?;
-        let fy = place.check_focal("fy", self.fy)?;
+    fn camera(&self, path: &Path, place: &str) -> Result<Camera> {
+        let size = size(
+            path,
+            place,
+            [("width", self.width), ("height", self.height)],
+        )?;
+        check_focal(path, &format!("{place}.fx"), self.fx)?;
+        check_focal(path, &format!("{place}.fy"), self.fy)?;
         let rotation = DMat3::from_cols_array_2d(&self.rotation).transpose();
         let mut c2w = DMat4::from_mat3(rotation);
         c2w.w_axis = DVec3::from(self.position).extend(1.0);
-        place.posed("position, rotation", &c2w, |pose| {
-            Camera::centred([fx, fy], size).with_opencv_pose(pose)
+        posed(path, &format!("{place}.position, rotation"), &c2w, |pose| {
+            Camera::centred([self.fx, self.fy], size).with_opencv_pose(pose)
         })
     }
 
-    /// The image's name without its extension, which newer versions keep; folders become part of the name.
-    fn name(&self, place: &Place<'_>) -> Result<String> {
+    /// The image's name without its extension, which newer versions keep; folders become part of the name. Empty without a name.
+    fn name(&self) -> String {
         let given = match &self.img_name {
             Value::String(name) => name.clone(),
             Value::Number(number) => number.to_string(),
@@ -77,10 +80,6 @@ impl Entry {
             Some((stem, extension)) if EXTENSIONS.contains(&&*extension.to_lowercase()) => stem,
             _ => &given,
         };
-        if stem.is_empty() {
-            let expected = "the name of an image";
-            return Err(place.error("img_name", "no name", expected, "name the camera"));
-        }
-        Ok(stem.replace(['/', '\\'], "_"))
+        stem.replace(['/', '\\'], "_")
     }
 }

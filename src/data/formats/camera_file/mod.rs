@@ -2,13 +2,14 @@
 
 mod graphdeco;
 mod nerfstudio;
-mod place;
 
+use super::camera_checks::side;
 use super::layout;
 use super::transforms::{self, not_finite::quoted};
-use crate::data::{LoadOptions, NamedCamera, Split};
+use crate::data::{Limits, LoadOptions, NamedCamera, Split};
 use crate::error::{Result, bail, ensure, invalid};
 use crate::files;
+use serde::de::DeserializeOwned;
 use serde_json::Value;
 use std::path::Path;
 
@@ -74,4 +75,37 @@ pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
     ensure!(split != Some(Split::Test), path, "split"; found "cameras without splits, all for training";
         expected "held-out cameras"; help "ask for all of them");
     Ok(cameras)
+}
+
+/// Width and height in pixels, which the fields of `place` gave: in all no more than an image may have. Without a place they are
+/// fields of the file.
+fn size(path: &Path, place: &str, sides: [(&str, f64); 2]) -> Result<[usize; 2]> {
+    let [width, height] = sides.map(|(name, length)| {
+        side(
+            path,
+            format!("{place}.{name}").trim_start_matches('.'),
+            length,
+        )
+    });
+    let size = [width?, height?];
+    Limits::default().check_pixels(&path.join(place), size[0], size[1])?;
+    Ok(size)
+}
+
+/// What serde makes of `value`, which is called `name` in messages; `expected` describes it there.
+fn parsed<T: DeserializeOwned>(path: &Path, name: &str, value: Value, expected: &str) -> Result<T> {
+    serde_path_to_error::deserialize(value).map_err(|error| {
+        let field = match error.path().iter().next() {
+            Some(_) => error.path().to_string(),
+            None => "fields".to_owned(),
+        };
+        invalid!(path, "{name}{field}"; found "{}", error.inner(); expected "{expected}";
+            help "correct the field, or export the cameras again")
+    })
+}
+
+/// Refuses a list of cameras that is empty, or longer than a scene may be.
+fn check_count(path: &Path, field: &str, count: usize) -> Result<()> {
+    ensure!(count > 0, path, "{field}"; found "no cameras"; expected "at least one"; help "export them again");
+    Limits::default().check_views(path, count)
 }

@@ -3,9 +3,10 @@
 //!
 //! Its coordinates are nerfstudio's normalised ones, as are those of the PLY files that `ns-export` writes of the same run.
 
-use super::place::{Place, check_count, parsed};
+use super::{check_count, parsed, size};
+use crate::data::formats::camera_checks::{check_focal, posed};
 use crate::data::{NamedCamera, Split};
-use crate::error::Result;
+use crate::error::{Result, ensure};
 use crate::splat::camera::Camera;
 use glam::DMat4;
 use serde::Deserialize;
@@ -34,41 +35,34 @@ struct Entry {
 
 pub(super) fn cameras(path: &Path, value: Value) -> Result<Vec<NamedCamera>> {
     let file: PathFile = parsed(path, "", value, "a camera path as nerfstudio writes it")?;
-    let place = |prefix| Place { path, prefix };
-    let whole = place(String::new());
     let kind = file.camera_type.as_deref().unwrap_or("perspective");
-    if !kind.eq_ignore_ascii_case("perspective") {
-        let help = "export the path with a perspective camera";
-        return Err(whole.error("camera_type", &format!("{kind:?}"), "\"perspective\"", help));
-    }
+    ensure!(kind.eq_ignore_ascii_case("perspective"), path, "camera_type"; found "{kind:?}"; expected "\"perspective\"";
+        help "export the path with a perspective camera");
     let sides = [
         ("render_width", file.render_width),
         ("render_height", file.render_height),
     ];
-    let size = whole.size(sides)?;
+    let size = size(path, "", sides)?;
     check_count(path, "camera_path", file.camera_path.len())?;
     let cameras = file.camera_path.iter().enumerate().map(|(i, entry)| {
         Ok(NamedCamera {
             name: format!("path_{i:04}"),
             split: Split::Train,
-            camera: entry.camera(&place(format!("camera_path[{i}].")), size)?,
+            camera: entry.camera(path, &format!("camera_path[{i}]"), size)?,
         })
     });
     cameras.collect()
 }
 
 impl Entry {
-    fn camera(&self, place: &Place<'_>, size: [usize; 2]) -> Result<Camera> {
+    fn camera(&self, path: &Path, place: &str, size: [usize; 2]) -> Result<Camera> {
         let fov = self.fov;
-        if !(fov > 0.0 && fov < 180.0) {
-            let expected = "vertical degrees above 0, below 180";
-            let help = "correct the field of view";
-            return Err(place.error("fov", &format!("{fov:?}"), expected, help));
-        }
+        ensure!(fov > 0.0 && fov < 180.0, path, "{place}.fov"; found "{fov:?}"; expected "vertical degrees above 0, below 180";
+            help "correct the field of view");
         let focal = 0.5 * size[1] as f64 / (0.5 * fov.to_radians()).tan();
-        let focal = place.check_focal("fov", focal)?;
+        check_focal(path, &format!("{place}.fov"), focal)?;
         let c2w = DMat4::from_cols_array(&self.camera_to_world).transpose();
-        place.posed("camera_to_world", &c2w, |pose| {
+        posed(path, &format!("{place}.camera_to_world"), &c2w, |pose| {
             Camera::centred([focal; 2], size).with_opengl_pose(pose)
         })
     }

@@ -1,11 +1,11 @@
 //! COLMAP's camera models.
 
 use super::reader::Reader;
-use crate::data::formats::camera_checks::{FOCAL, MAX_PIXELS};
+use crate::data::formats::camera_checks::{check_center, check_focal};
 use crate::data::photos::lens::Lens;
 use crate::error::{Error, Result, ensure, invalid};
 use crate::splat::camera::Camera;
-use std::collections::HashSet;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// The models that are read, by their numbers in binary files: name, number of focal lengths, and number of distortion
@@ -21,23 +21,13 @@ const MODELS: [(&str, usize, usize); 5] = [
 const UNSUPPORTED_MODELS: &str = "OPENCV_FISHEYE FULL_OPENCV FOV SIMPLE_RADIAL_FISHEYE RADIAL_FISHEYE THIN_PRISM_FISHEYE \
     RAD_TAN_THIN_PRISM_FISHEYE SIMPLE_DIVISION DIVISION SIMPLE_FISHEYE FISHEYE";
 
-/// A camera of the model.
-#[derive(Debug, PartialEq)]
-pub(super) struct ModelCamera {
-    pub id: u32,
-    size: [u64; 2],
-    params: Vec<f64>,
-    /// Number of focal lengths among the parameters.
-    focals: usize,
-    /// Where it stands in the file, for messages.
-    place: String,
-}
+/// Cameras without poses, and their lenses, by their numbers.
+pub(super) type Cameras = BTreeMap<u32, (Camera, Lens)>;
 
 /// Reads `cameras.bin` or `cameras.txt`.
-pub(super) fn read(path: &Path) -> Result<Vec<ModelCamera>> {
+pub(super) fn read(path: &Path) -> Result<Cameras> {
     let mut reader = Reader::open(path, "camera", 4 + 4 + 16 + 3 * 8)?;
-    let mut cameras = Vec::new();
-    let mut seen = HashSet::new();
+    let mut cameras = Cameras::new();
     while reader.next()? {
         let place = reader.place();
         let id = reader.value("CAMERA_ID")?;
@@ -48,19 +38,54 @@ pub(super) fn read(path: &Path) -> Result<Vec<ModelCamera>> {
         let count = focals + 2 + distortion;
         let params = (0..count)
             .map(|_| reader.value("PARAMS"))
-            .collect::<Result<_>>()?;
+            .collect::<Result<Vec<f64>>>()?;
         reader.expect_end("PARAMS", &format!("{count} numbers for {name}"))?;
-        ensure!(seen.insert(id), path, "{place}: CAMERA_ID"; found "{id}, which an earlier camera has too";
-            expected "a number of its own for each camera"; help "drop the repeated camera from the model");
-        cameras.push(ModelCamera {
-            id,
+        let camera = camera(
+            path,
+            &format!("{place} (camera {id})"),
             size,
-            params,
-            focals,
-            place,
-        });
+            params.split_at(focals),
+        )?;
+        ensure!(cameras.insert(id, camera).is_none(), path, "{place}: CAMERA_ID";
+            found "{id}, which an earlier camera has too"; expected "a number of its own for each camera";
+            help "drop the repeated camera from the model");
     }
     Ok(cameras)
+}
+
+/// A camera in range, of its focal lengths and its other parameters.
+fn camera(
+    path: &Path,
+    place: &str,
+    size: [u64; 2],
+    (focals, rest): (&[f64], &[f64]),
+) -> Result<(Camera, Lens)> {
+    let [width, height] = size;
+    let in_range = |side: &u64| (1..=u64::from(u32::MAX)).contains(side);
+    ensure!(size.iter().all(in_range), path, "{place}: WIDTH HEIGHT"; found "{width} {height}";
+        expected "pixels, at least 1 and below 2^32"; help "calibrate again, or copy the file again");
+    let field = format!("{place}: PARAMS");
+    let (center, distortion) = rest.split_at(2);
+    for focal in focals {
+        check_focal(path, &field, *focal)?;
+    }
+    for center in center {
+        check_center(path, &field, *center)?;
+    }
+    ensure!(distortion.iter().all(|k| k.is_finite()), path, "{field}"; found "distortion {distortion:?}";
+        expected "finite numbers"; help "calibrate again, or copy the file again");
+    let coefficient = |i: usize| distortion.get(i).copied().unwrap_or(0.0);
+    let lens = Lens {
+        k: [coefficient(0), coefficient(1), 0.0],
+        p: [coefficient(2), coefficient(3)],
+    };
+    let focals = [focals[0], focals[focals.len() - 1]];
+    let camera = Camera {
+        cx: center[0],
+        cy: center[1],
+        ..Camera::centred(focals, size.map(|side| side as usize))
+    };
+    Ok((camera, lens))
 }
 
 fn model_name(number: i32) -> String {
@@ -78,37 +103,4 @@ fn unsupported(path: &Path, place: &str, name: &str) -> Error {
     let names = MODELS.map(|(name, ..)| name).join(", ");
     invalid!(path, "{place}: MODEL"; found "{name}"; expected "one of {names}";
         help "run `colmap image_undistorter` and give the folder that it writes")
-}
-
-impl ModelCamera {
-    /// A camera without its pose, and its lens, in range.
-    pub fn checked(&self, path: &Path) -> Result<(Camera, Lens)> {
-        const HELP: &str = "calibrate again, or copy the file again";
-        let place = format!("{} (camera {})", self.place, self.id);
-        let [width, height] = self.size;
-        let in_range = |side: &u64| (1..=u64::from(u32::MAX)).contains(side);
-        ensure!(self.size.iter().all(in_range), path, "{place}: WIDTH HEIGHT"; found "{width} {height}";
-            expected "pixels, at least 1 and below 2^32"; help "{HELP}");
-        ensure!(self.params.iter().all(|v| v.is_finite()),
-            path, "{place}: PARAMS"; found "{:?}", self.params; expected "finite numbers"; help "{HELP}");
-        let (focals, rest) = self.params.split_at(self.focals);
-        let (center, distortion) = rest.split_at(2);
-        ensure!(focals.iter().all(|f| FOCAL.contains(f)), path, "{place}: PARAMS, focal length"; found "{focals:?}";
-            expected "a positive number of pixels, 0.001 to 1e9"; help "{HELP}");
-        ensure!(center.iter().all(|c| c.abs() <= MAX_PIXELS),
-            path, "{place}: PARAMS, principal point"; found "{center:?}";
-            expected "pixels from the image corner"; help "{HELP}");
-        let coefficient = |i: usize| distortion.get(i).copied().unwrap_or(0.0);
-        let lens = Lens {
-            k: [coefficient(0), coefficient(1), 0.0],
-            p: [coefficient(2), coefficient(3)],
-        };
-        let focals = [focals[0], focals[focals.len() - 1]];
-        let camera = Camera {
-            cx: center[0],
-            cy: center[1],
-            ..Camera::centred(focals, self.size.map(|side| side as usize))
-        };
-        Ok((camera, lens))
-    }
 }

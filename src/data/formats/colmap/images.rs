@@ -1,7 +1,7 @@
 //! The posed images of a model.
 
 use super::DAMAGED_HELP;
-use super::cameras::ModelCamera;
+use super::cameras::Cameras;
 use super::reader::Reader;
 use crate::data::Limits;
 use crate::data::formats::camera_checks::{is_coordinate, posed};
@@ -11,7 +11,6 @@ use crate::error::{Result, ensure, invalid};
 use crate::files::check_limit;
 use crate::splat::camera::Camera;
 use glam::{DMat3, DMat4, DQuat, DVec3};
-use std::collections::BTreeMap;
 use std::path::{Component, Path};
 
 /// Bytes of the smallest image and of each observation in a binary file.
@@ -84,14 +83,14 @@ impl PosedImage {
         &self,
         images: &Path,
         calibration: &Path,
-        cameras: &BTreeMap<u32, ModelCamera>,
+        cameras: &Cameras,
     ) -> Result<(Camera, Lens)> {
         let place = format!("{} ({})", self.place, self.name);
         let is_below = |part| matches!(part, Component::Normal(_) | Component::CurDir);
         ensure!(!self.view_name().is_empty() && Path::new(&self.name).components().all(is_below),
             images, "{place}: NAME"; found "{:?}", self.name; expected "a path below the folder of photos";
             help "write the model with relative names");
-        let camera = cameras.get(&self.camera).ok_or_else(|| {
+        let (intrinsics, lens) = cameras.get(&self.camera).ok_or_else(|| {
             invalid!(images, "{place}: CAMERA_ID"; found "{}", self.camera;
                 expected "one of the {} cameras of {}", cameras.len(), calibration.display();
                 help "copy cameras and images of the same model")
@@ -108,10 +107,9 @@ impl PosedImage {
         let center = -(rotation.transpose() * DVec3::from(self.translation));
         let mut pose = DMat4::from_mat3(rotation.transpose());
         pose.w_axis = center.extend(1.0);
-        let (intrinsics, lens) = camera.checked(calibration)?;
         let camera = posed(images, &self.place, &pose, |pose| {
             intrinsics.clone().with_opencv_pose(pose)
         })?;
-        Ok((camera, lens))
+        Ok((camera, *lens))
     }
 }

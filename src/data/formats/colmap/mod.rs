@@ -9,7 +9,7 @@ mod model;
 mod reader;
 
 use super::folder::{Folder, Problems};
-use super::frame::Frame;
+use super::frame::{Frame, below};
 use super::listing::{Cloud, Listing};
 use super::side_folders::SideFolders;
 use crate::data::options::LoadOptions;
@@ -19,8 +19,8 @@ use crate::files::names;
 use glam::DVec3;
 use model::SparseModel;
 use reader::Reader;
-use std::collections::{BTreeMap, HashMap};
-use std::path::{Component, Path};
+use std::collections::HashMap;
+use std::path::Path;
 
 pub(crate) use self::model::marker;
 
@@ -51,10 +51,6 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
     let Folder { dir, options, .. } = folder;
     let model = SparseModel::find(dir, &options.limits)?;
     let cameras = cameras::read(&model.cameras)?;
-    let cameras: BTreeMap<_, _> = cameras
-        .into_iter()
-        .map(|camera| (camera.id, camera))
-        .collect();
     let mut images = images::read(&model.images, &options.limits)?;
     images.sort_by(|a, b| a.name.cmp(&b.name));
     let folders = SideFolders::new(folder, problems);
@@ -84,9 +80,10 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
     let points = model::find(&model.folder, "points3D");
     let mut notices: Vec<String> = model.others.into_iter().collect();
     // Where the photos lie in the scene folder itself, it has other pictures too.
-    if Path::new(&options.images)
+    if below(Path::new(&options.images))
         .components()
-        .any(|part| matches!(part, Component::Normal(_)))
+        .next()
+        .is_some()
     {
         notices.extend(model::unplaced(&dir.join(&options.images), &images));
     }
@@ -94,13 +91,6 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
         let model = model.folder.display();
         notices.push(format!(
             "no points3D in {model}: Gaussians start from random points"
-        ));
-    }
-    let unlabelled = frames.iter().filter(|frame| frame.truth.is_none()).count();
-    if unlabelled > 0 && unlabelled < frames.len() {
-        notices.push(format!(
-            "{unlabelled} of {} photos have no labels",
-            frames.len()
         ));
     }
     Ok(Listing {

@@ -3,11 +3,12 @@
 use super::images::{self, PosedImage};
 use crate::data::Limits;
 use crate::data::first_names;
+use crate::data::formats::frame::below;
 use crate::data::photos::is_photo;
 use crate::error::{Error, Result, invalid};
 use crate::files::names;
 use std::collections::HashSet;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 /// Parents of numbered models, relative to the scene folder: the mapper writes one for each piece of the scene that it
 /// could not join to the others. The last is nerfstudio's. A model may also lie in `sparse` itself.
@@ -40,18 +41,14 @@ impl SparseModel {
             counts.push(images::count(&part(&dir.join(folder), "images")?, limits)?);
         }
         let most = counts.iter().copied().max().unwrap_or_default();
-        let chosen = counts
-            .iter()
-            .position(|&count| count == most)
-            .unwrap_or_default();
-        let all = folders
+        let is_most = |count: &u64| *count == most;
+        let chosen = counts.iter().position(is_most).unwrap_or_default();
+        let mut others: Vec<String> = folders
             .iter()
             .zip(&counts)
-            .enumerate()
-            .filter(|(i, _)| *i != chosen);
-        let others: Vec<String> = all
-            .map(|(_, (folder, count))| format!("{folder} of {count}"))
+            .map(|(folder, count)| format!("{folder} of {count}"))
             .collect();
+        others.remove(chosen);
         let name = &folders[chosen];
         let notice = format!(
             "{name}, a model of {most} photos, is read, and not {}: COLMAP could not join these pieces; to read another, \
@@ -171,10 +168,7 @@ pub(super) fn unplaced(photos: &Path, images: &[PosedImage]) -> Option<String> {
 
 /// A path to compare by: some file systems do not tell cases apart.
 fn comparable(path: &Path) -> String {
-    let parts = path
-        .components()
-        .filter(|part| matches!(part, Component::Normal(_)));
-    parts.collect::<PathBuf>().to_string_lossy().to_lowercase()
+    below(path).to_string_lossy().to_lowercase()
 }
 
 /// Photos in `folder/below` and in its folders, by their paths within `folder`.

@@ -1,7 +1,7 @@
 //! The fields of a `transforms.json`, and the cameras that they give.
 
 use super::not_finite::quoted;
-use crate::data::formats::camera_checks::{FOCAL, MAX_PIXELS, posed};
+use crate::data::formats::camera_checks::{check_center, check_focal, posed, side};
 use crate::data::photos::lens::Lens;
 use crate::error::{Result, bail, ensure, invalid};
 use crate::files;
@@ -9,11 +9,13 @@ use crate::splat::camera::Camera;
 use glam::DMat4;
 use serde::Deserialize;
 use serde_json::Value;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The file. Unknown keys are ignored: every tool adds its own.
 #[derive(Deserialize)]
 pub(super) struct Transforms {
+    #[serde(skip)]
+    pub path: PathBuf,
     #[serde(flatten)]
     lens: LensFields,
     convention: Option<String>,
@@ -88,7 +90,7 @@ impl Transforms {
         // Python writes NaN into JSON. In a pose, the frame can be named.
         let (text, tokens) = quoted(&original);
         let expected = "transforms.json as nerfstudio and instant-ngp have it";
-        let file: Self = serde_json::from_str(&text).map_err(|e| {
+        let mut file: Self = serde_json::from_str(&text).map_err(|e| {
             let Some(token) = tokens.first() else {
                 return files::json_error(path, &e, expected);
             };
@@ -98,6 +100,7 @@ impl Transforms {
         })?;
         ensure!(!file.frames.is_empty(),
             path, "frames"; found "no frames"; expected "at least one"; help "add views");
+        file.path = path.to_owned();
         let convention = file.convention();
         if convention.contains("opencv") && !convention.contains("opengl") {
             bail!(path, "convention"; found "{convention}"; expected "OpenGL camera-to-world";
@@ -128,12 +131,9 @@ impl Transforms {
     }
 
     /// Width and height that the file gives for a frame.
-    pub fn declared_size(&self, path: &Path, frame: usize) -> Result<Option<(usize, usize)>> {
-        let whole = |name: &str, value: f64| {
-            ensure!(value.fract() == 0.0 && (1.0..=f64::from(u32::MAX)).contains(&value),
-                path, "{}.{name}", self.field(frame); found "{value:?}";
-                expected "a whole number of pixels, at least 1"; help "correct the size");
-            Ok(value as usize)
+    pub fn declared_size(&self, frame: usize) -> Result<Option<(usize, usize)>> {
+        let whole = |name: &str, length: f64| {
+            side(&self.path, &format!("{}.{name}", self.field(frame)), length)
         };
         let lens = self.lens_fields(frame);
         match (lens.w, lens.h) {
@@ -143,26 +143,21 @@ impl Transforms {
     }
 
     /// The camera of a frame, in world units, and its lens.
-    pub fn camera(
-        &self,
-        path: &Path,
-        frame: usize,
-        size: (usize, usize),
-    ) -> Result<(Camera, Lens)> {
-        let (intrinsics, lens) = self.intrinsics(path, frame, size)?;
-        let matrix = self.matrix(path, frame)?;
+    pub fn camera(&self, frame: usize, size: (usize, usize)) -> Result<(Camera, Lens)> {
+        let (intrinsics, lens) = self.intrinsics(frame, size)?;
         let field = format!("{}.transform_matrix", self.field(frame));
-        let camera = posed(path, &field, &matrix, |pose| {
+        let matrix = self.matrix(frame, &field)?;
+        let camera = posed(&self.path, &field, &matrix, |pose| {
             intrinsics.clone().with_opengl_pose(pose)
         })?;
         Ok((camera, lens))
     }
 
-    /// The numbers of a pose, 4x4.
-    fn matrix(&self, path: &Path, frame: usize) -> Result<DMat4> {
+    /// The numbers of a pose, 4x4, which `field` gives.
+    fn matrix(&self, frame: usize, field: &str) -> Result<DMat4> {
         let rows = &self.frames[frame].transform_matrix;
         const DAMAGED_HELP: &str = "export the pose again";
-        let field = format!("{}.transform_matrix", self.field(frame));
+        let path = &self.path;
         let lengths: Vec<_> = rows.iter().map(Vec::len).collect();
         ensure!((3..=4).contains(&rows.len()) && lengths.iter().all(|length| *length == 4),
             path, "{field}"; found "rows of lengths {lengths:?}"; expected "4 rows of 4 numbers"; help "{DAMAGED_HELP}");
@@ -180,12 +175,8 @@ impl Transforms {
     }
 
     /// A camera without its pose, and its lens.
-    fn intrinsics(
-        &self,
-        path: &Path,
-        frame: usize,
-        (width, height): (usize, usize),
-    ) -> Result<(Camera, Lens)> {
+    fn intrinsics(&self, frame: usize, (width, height): (usize, usize)) -> Result<(Camera, Lens)> {
+        let path = &self.path;
         let place = self.field(frame);
         let fields = self.lens_fields(frame);
         let is_pinhole = |model: &str| {
@@ -220,16 +211,12 @@ impl Transforms {
         })?;
         // One focal length only: square pixels.
         let fy = fields.fl_y.or_else(from_height).unwrap_or(fx);
-        for (name, f) in [("fl_x", fx), ("fl_y", fy)] {
-            ensure!(FOCAL.contains(&f), path, "{place}.{name}"; found "{f:?}";
-                expected "a positive number of pixels, 0.001 to 1e9"; help "correct the focal length or camera_angle");
-        }
+        check_focal(path, &format!("{place}.fl_x"), fx)?;
+        check_focal(path, &format!("{place}.fl_y"), fy)?;
         let cx = fields.cx.unwrap_or(0.5 * width as f64);
         let cy = fields.cy.unwrap_or(0.5 * height as f64);
-        for (name, c) in [("cx", cx), ("cy", cy)] {
-            ensure!(c.abs() <= MAX_PIXELS, path, "{place}.{name}"; found "{c:?}";
-                expected "pixels from the image corner"; help "correct the principal point");
-        }
+        check_center(path, &format!("{place}.cx"), cx)?;
+        check_center(path, &format!("{place}.cy"), cy)?;
         let centred = Camera::centred([fx, fy], [width, height]);
         Ok((Camera { cx, cy, ..centred }, lens))
     }

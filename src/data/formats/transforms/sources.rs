@@ -27,7 +27,6 @@ pub(super) struct Sources {
 
 /// One of the files.
 pub(super) struct Source {
-    pub path: PathBuf,
     pub transforms: Transforms,
     splits: Splits,
 }
@@ -39,8 +38,7 @@ pub(super) struct Kept {
     /// Number in the file.
     pub index: usize,
     pub split: Split,
-    /// `None` for a frame whose name is a fault that was reported.
-    pub name: Option<String>,
+    pub name: String,
 }
 
 /// The files of `dir` that list its frames: the file that the options name, else the usual one, else Blender's. Each of these has
@@ -73,66 +71,59 @@ impl Sources {
     pub fn read(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Self> {
         let files = files(dir, options).unwrap_or_else(|| vec![(options.transforms.clone(), None)]);
         let names: Vec<&str> = files.iter().map(|(name, _)| &**name).collect();
-        let file = dir.join(names.join(" and "));
-        let mut sources = Self {
-            file,
-            files: Vec::new(),
-            notices: Vec::new(),
-        };
+        let paths = files.iter().map(|(name, split)| (dir.join(name), *split));
+        let mut sources = Self::of(dir.join(names.join(" and ")), paths, problems)?;
         if files.len() > 1 && names.contains(&TEST) && dir.join(VALIDATION).is_file() {
             let notice = format!("{VALIDATION} is not read: the frames of {TEST} are held out");
             sources.notices.push(notice);
-        }
-        for (name, split) in &files {
-            sources.add(dir.join(name), *split, problems)?;
         }
         Ok(sources)
     }
 
     /// Reads one file and ignores others in the same folder.
     pub fn of_file(path: &Path, problems: &mut Problems) -> Result<Self> {
-        let file = path.to_owned();
-        let mut sources = Self {
+        Self::of(path.to_owned(), [(path.to_owned(), None)], problems)
+    }
+
+    /// Reads files. All frames of one that comes with a split belong to it. `file` stands for all in messages.
+    fn of(
+        file: PathBuf,
+        paths: impl IntoIterator<Item = (PathBuf, Option<Split>)>,
+        problems: &mut Problems,
+    ) -> Result<Self> {
+        let mut files = Vec::new();
+        let mut notices = Vec::new();
+        for (path, split) in paths {
+            let transforms = Transforms::read(&path)?;
+            let splits = match split {
+                Some(_) => splits::all(transforms.frames.len(), split),
+                None => transforms.splits(&mut notices, problems),
+            };
+            files.push(Source { transforms, splits });
+        }
+        Ok(Self {
             file,
-            files: Vec::new(),
-            notices: Vec::new(),
-        };
-        sources.add(path.to_owned(), None, problems)?;
-        Ok(sources)
+            files,
+            notices,
+        })
     }
 
-    /// Reads a file. If `split` is given, all of its frames belong to it.
-    fn add(&mut self, path: PathBuf, split: Option<Split>, problems: &mut Problems) -> Result<()> {
-        let transforms = Transforms::read(&path)?;
-        let splits = match split {
-            Some(_) => splits::all(transforms.frames.len(), split),
-            None => transforms.splits(&path, &mut self.notices, problems),
-        };
-        self.files.push(Source {
-            path,
-            transforms,
-            splits,
-        });
-        Ok(())
-    }
-
-    /// The frames that the options keep, in the order of the files.
+    /// The frames that the options keep, in the order of the files. Frames whose names are faults are left out.
     pub fn pick(&self, options: &LoadOptions, problems: &mut Problems) -> Vec<Kept> {
         let frames: Vec<_> = self.frames().collect();
         let given: Vec<Option<Split>> = frames.iter().map(|(.., split)| *split).collect();
         let mut names = self.names(problems);
-        let mut kept = Vec::new();
-        for (place, split) in options.pick(&given) {
+        let picked = options.pick(&given).into_iter();
+        let kept = picked.filter_map(|(place, split)| {
             let (source, index, _) = frames[place];
-            let name = names[place].take();
-            kept.push(Kept {
+            Some(Kept {
                 source,
                 index,
                 split,
-                name,
-            });
-        }
-        kept
+                name: names[place].take()?,
+            })
+        });
+        kept.collect()
     }
 
     /// The name of each frame: the stem of its photo. Where photos of several files have the same stems, it is the path with
@@ -150,9 +141,8 @@ impl Sources {
         let mut first: HashMap<String, (usize, usize)> = HashMap::new();
         let mut names = Vec::new();
         for (source, i, _) in self.frames() {
-            let Source {
-                path, transforms, ..
-            } = &self.files[source];
+            let transforms = &self.files[source].transforms;
+            let path = &transforms.path;
             let photo = photo(source, i);
             let field = format!("{}.file_path", transforms.field(i));
             let name = if by_path { joined(photo) } else { stem(photo) };
@@ -162,8 +152,8 @@ impl Sources {
                     expected "the path of an image"; help "name the image file")),
                 (Some(name), None) => _ = first.insert(name.clone(), (source, i)),
                 (Some(name), Some(&(other, earlier))) => {
-                    let other_file = &self.files[other];
-                    let mut earlier = other_file.transforms.field(earlier);
+                    let other_file = &self.files[other].transforms;
+                    let mut earlier = other_file.field(earlier);
                     if other != source {
                         let file = other_file.path.file_name().unwrap_or_default();
                         earlier += &format!(" of {}", file.display());

@@ -6,19 +6,14 @@ use crate::data::Split;
 use crate::data::formats::folder::Problems;
 use crate::error::invalid;
 use std::collections::HashMap;
-use std::path::Path;
 
 /// The frames that are read: index in the file, and split. The file gives splits for all frames or for none.
 pub(super) type Splits = Vec<(usize, Option<Split>)>;
 
-/// The use of a frame as its file gives it.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Use {
-    Train,
-    /// For choosing settings, if there are test frames too.
-    Validation,
-    Test,
-}
+/// The use of a frame as its file gives it: a split, or [`VALIDATION`].
+type Use = Option<Split>;
+/// For choosing settings, if there are test frames too.
+const VALIDATION: Use = None;
 
 /// All `count` frames of a file, with one split.
 pub(super) fn all(count: usize, split: Option<Split>) -> Splits {
@@ -27,28 +22,19 @@ pub(super) fn all(count: usize, split: Option<Split>) -> Splits {
 
 impl Transforms {
     /// The split of each frame. Validation frames are held out where there are no test frames, else left out.
-    pub fn splits(
-        &self,
-        path: &Path,
-        notices: &mut Vec<String>,
-        problems: &mut Problems,
-    ) -> Splits {
+    pub fn splits(&self, notices: &mut Vec<String>, problems: &mut Problems) -> Splits {
         let uses = if self.frames.iter().any(|f| f.split.is_some()) {
-            self.uses_by_frame(path, problems)
+            self.uses_by_frame(problems)
         } else if self.lists().next().is_some() {
             self.uses_by_list(notices)
         } else {
             return all(self.frames.len(), None);
         };
-        let tested = uses.iter().any(|(_, of)| *of == Use::Test);
-        let split = |of: Use| match of {
-            Use::Train => Some(Split::Train),
-            Use::Test => Some(Split::Test),
-            Use::Validation => (!tested).then_some(Split::Test),
-        };
+        let tested = uses.iter().any(|(_, of)| *of == Some(Split::Test));
+        let split = |of: Use| of.or((!tested).then_some(Split::Test));
         let frames = uses
             .iter()
-            .filter_map(|&(i, of)| split(of).map(|split| (i, Some(split))));
+            .filter_map(|&(i, of)| Some((i, Some(split(of)?))));
         let frames: Splits = frames.collect();
         let left_out = uses.len() - frames.len();
         if left_out > 0 {
@@ -59,20 +45,22 @@ impl Transforms {
         frames
     }
 
-    fn uses_by_frame(&self, path: &Path, problems: &mut Problems) -> Vec<(usize, Use)> {
+    fn uses_by_frame(&self, problems: &mut Problems) -> Vec<(usize, Use)> {
         let mut uses = Vec::with_capacity(self.frames.len());
         for (i, frame) in self.frames.iter().enumerate() {
             let of = match frame.split.as_deref() {
-                Some("train") => Use::Train,
-                Some("val" | "validation" | "eval") => Use::Validation,
-                Some("test") => Use::Test,
+                Some("train") => Some(Split::Train),
+                Some("val" | "validation" | "eval") => VALIDATION,
+                Some("test") => Some(Split::Test),
                 other => {
                     let nothing = "nothing, though other frames have one".to_owned();
                     let found = other.map_or(nothing, |other| format!("{other:?}"));
-                    problems.push(invalid!(path, "{}.split", self.field(i); found "{found}";
+                    problems.push(
+                        invalid!(&self.path, "{}.split", self.field(i); found "{found}";
                         expected "\"train\", \"test\" or \"val\"";
-                        help "give every frame a split, or none (then every 8th is test)"));
-                    Use::Train
+                        help "give every frame a split, or none (then every 8th is test)"),
+                    );
+                    Some(Split::Train)
                 }
             };
             uses.push((i, of));
@@ -103,9 +91,9 @@ impl Transforms {
 
     fn lists(&self) -> impl Iterator<Item = (Use, &Vec<String>)> {
         let lists = [
-            (Use::Train, &self.train_filenames),
-            (Use::Validation, &self.val_filenames),
-            (Use::Test, &self.test_filenames),
+            (Some(Split::Train), &self.train_filenames),
+            (VALIDATION, &self.val_filenames),
+            (Some(Split::Test), &self.test_filenames),
         ];
         let given = lists.into_iter();
         given.filter_map(|(of, files)| Some((of, files.as_ref()?)))

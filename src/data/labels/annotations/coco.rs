@@ -8,25 +8,18 @@ use crate::data::LabelMap;
 use crate::error::Result;
 use crate::files::atomic;
 use serde::Serialize;
+use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 
 /// The content of such a file.
 #[derive(Clone, Debug, Serialize)]
 pub struct CocoInstances {
-    images: Vec<Image>,
+    images: Vec<Value>,
     annotations: Vec<Annotation>,
-    categories: Vec<Category>,
+    categories: Vec<Value>,
     #[serde(skip)]
     of_labels: BTreeMap<u16, u16>,
-}
-
-#[derive(Clone, Debug, Serialize)]
-struct Image {
-    id: usize,
-    file_name: String,
-    width: usize,
-    height: usize,
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -50,12 +43,6 @@ struct Runs {
     counts: Vec<usize>,
 }
 
-#[derive(Clone, Debug, Serialize)]
-struct Category {
-    id: u16,
-    name: String,
-}
-
 /// Where a label is.
 struct Region {
     counts: Vec<usize>,
@@ -68,10 +55,7 @@ struct Region {
 impl CocoInstances {
     /// A file without images.
     pub fn new(categories: &Categories) -> Self {
-        let category = |(&id, name): (&u16, &String)| Category {
-            id,
-            name: name.clone(),
-        };
+        let category = |(id, name): (&u16, &String)| json!({ "id": id, "name": name });
         Self {
             images: Vec::new(),
             annotations: Vec::new(),
@@ -84,24 +68,16 @@ impl CocoInstances {
     pub fn add(&mut self, file_name: String, map: &LabelMap) {
         let &LabelMap { width, height, .. } = map;
         let image_id = self.images.len() + 1;
-        self.images.push(Image {
-            id: image_id,
-            file_name,
-            width,
-            height,
-        });
+        self.images.push(
+            json!({ "id": image_id, "file_name": file_name, "width": width, "height": height }),
+        );
         for (label, region) in regions(map) {
             let Some(&category_id) = self.of_labels.get(&label) else {
                 continue;
             };
-            let Region {
-                mut counts,
-                end,
-                low,
-                high,
-            } = region;
+            let (low, high, mut counts) = (region.low, region.high, region.counts);
             let area = counts.iter().skip(1).step_by(2).sum();
-            counts.push(width * height - end);
+            counts.push(width * height - region.end);
             self.annotations.push(Annotation {
                 id: self.annotations.len() + 1,
                 image_id,

@@ -35,8 +35,7 @@ struct Image {
 struct Annotation {
     image_id: u64,
     category_id: u64,
-    #[serde(default)]
-    segmentation: Segmentation,
+    segmentation: Option<Segmentation>,
 }
 
 #[derive(Deserialize)]
@@ -102,10 +101,10 @@ pub(super) fn read(
         ensure!(images.contains_key(&annotation.image_id),
             path, "{}", field("image_id"); found "{}", annotation.image_id;
             expected "one of the {} ids of images", images.len(); help "{DAMAGED_HELP}");
-        let region = annotation
-            .segmentation
-            .region(path, &field("segmentation"), limits)?;
-        if let Some(region) = region {
+        let field = field("segmentation");
+        let shape = annotation.segmentation;
+        let region = shape.map(|shape| shape.region(path, &field, limits));
+        if let Some(region) = region.transpose()?.flatten() {
             let regions = of_images.entry(annotation.image_id).or_default();
             regions.push((area(&region), index, region));
         }
@@ -199,12 +198,6 @@ struct Runs {
 enum Counts {
     Numbers(Vec<u64>),
     Packed(String),
-}
-
-impl Default for Segmentation {
-    fn default() -> Self {
-        Self::Polygons(Vec::new())
-    }
 }
 
 impl Segmentation {

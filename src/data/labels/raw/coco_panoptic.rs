@@ -6,7 +6,7 @@
 use super::{RawMap, Vocabulary};
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap, Segment};
-use crate::error::{Error, Result, ensure, invalid};
+use crate::error::{Result, ensure, invalid};
 use crate::files;
 use crate::files::check_limit;
 use serde::{Deserialize, Deserializer};
@@ -166,7 +166,7 @@ impl Panoptic {
             most,
             "leave small segments out",
         )?;
-        let mut numbers = HashMap::from([(0, 0)]);
+        let mut numbers = HashMap::new();
         let mut segments = Vec::new();
         for ((&id, &(class, thing)), number) in listed.iter().zip(1..) {
             numbers.insert(id, if class.is_some() { number } else { 0 });
@@ -189,19 +189,15 @@ impl Panoptic {
             let id = r + 256 * g + 65_536 * b;
             if id != last {
                 last = id;
-                last_number = *numbers
-                    .get(&id)
-                    .ok_or_else(|| self.unknown(id, listed, path, (i % width, i / width)))?;
+                last_number = *numbers.get(&id).ok_or_else(|| {
+                    invalid!(path, "pixel x {}, y {}", i % width, i / width; found "segment id {id}";
+                        expected "one of the {} segments that {} lists", listed.len(), self.path.display();
+                        help "{EXPORT_TOGETHER}")
+                })?;
             }
             ids.push(last_number);
         }
         let map = LabelMap { width, height, ids };
         Ok(RawMap { map, segments })
-    }
-
-    /// The error for a segment that is not listed.
-    fn unknown(&self, id: u32, listed: &Segments, path: &Path, (x, y): (usize, usize)) -> Error {
-        invalid!(path, "pixel x {x}, y {y}"; found "segment id {id}";
-            expected "one of the {} segments that {} lists", listed.len(), self.path.display(); help "{EXPORT_TOGETHER}")
     }
 }

@@ -5,7 +5,7 @@ use crate::data::photos::image_file::ImageFile;
 use crate::data::{LabelMap, Limits};
 use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files::check_limit;
-use crate::files::{self, Numbered, names, numbered};
+use crate::files::{self, Numbered, extension, names, numbered};
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -32,15 +32,12 @@ pub(super) fn read(
         let help = "put the photo's masks there, or drop the frame";
         return Err(Error::missing("folder", folder, help));
     }
-    let is_png = |path: &Path| {
-        path.extension()
-            .is_some_and(|e| e.eq_ignore_ascii_case("png"))
-    };
     let is_number = |name: &str| {
         name.split_once('.')
             .is_some_and(|(stem, _)| !stem.starts_with('+') && stem.parse::<usize>().is_ok())
     };
-    if let Some(other) = names(&folder, |name, path| is_png(path) && !is_number(name)).first() {
+    let is_other = |name: &str, path: &Path| extension(path) == "png" && !is_number(name);
+    if let Some(other) = names(&folder, is_other).first() {
         bail!(&folder, "masks"; found "{other:?}"; expected "whole numbers for names";
             help "rename or remove the file");
     }

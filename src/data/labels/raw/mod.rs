@@ -27,9 +27,9 @@ const SEGMENTS_HELP: &str = "; where ids mean something in their view alone (ins
 pub(crate) struct RawLabels {
     source: Source,
     /// Ids are segments of their view, not classes.
-    segments: bool,
-    /// The ids of scores beside the maps; `None` where maps of this kind have no scores.
-    scores: Option<Arc<ScoreIds>>,
+    pub are_segments: bool,
+    /// The ids of scores that may lie beside the maps; `None` where maps of this kind have no scores.
+    pub score_ids: Option<Arc<ScoreIds>>,
 }
 
 enum Source {
@@ -128,35 +128,34 @@ pub(crate) fn needs_classes(
 
 /// The format that the options name, or that of the first map.
 fn format_of(dir: &Path, options: &LoadOptions, files: &[RawFile]) -> RawFormat {
-    let Some(first) = files.iter().find(|file| file.path.exists()) else {
-        return if options.raw_format == RawFormat::Auto {
-            RawFormat::Grey
-        } else {
-            options.raw_format
-        };
-    };
-    if options.raw_format != RawFormat::Auto {
-        return options.raw_format;
+    let first = files.iter().find(|file| file.path.exists());
+    match (options.raw_format, first) {
+        (RawFormat::Auto, None) => RawFormat::Grey,
+        (RawFormat::Auto, Some(first)) => format_of_file(dir, options, first),
+        (given, _) => given,
     }
-    if first.is_labelme {
+}
+
+fn format_of_file(dir: &Path, options: &LoadOptions, file: &RawFile) -> RawFormat {
+    let path = file.path;
+    if file.is_labelme {
         return RawFormat::Labelme;
     }
-    let first = first.path;
-    if first.is_dir() {
+    if path.is_dir() {
         return RawFormat::Masks;
     }
-    if coco_instances::find(dir, options).as_deref() == Some(first) {
+    if coco_instances::find(dir, options).as_deref() == Some(path) {
         return RawFormat::CocoInstances;
     }
     // A file that cannot be read is reported where it is read.
-    let Ok(file) = ImageFile::open(first, &options.limits) else {
+    let Ok(image) = ImageFile::open(path, &options.limits) else {
         return RawFormat::Grey;
     };
-    match file.png_color() {
-        Some((_, 2 | 6)) if coco_panoptic::find(&folder(dir, options, first)).is_some() => {
+    match image.png_color() {
+        Some((_, 2 | 6)) if coco_panoptic::find(&folder(dir, options, path)).is_some() => {
             RawFormat::CocoPanoptic
         }
-        Some((_, 2 | 3 | 6)) if ade20k::matches(&file) => RawFormat::Ade20k,
+        Some((_, 2 | 3 | 6)) if ade20k::matches(&image) => RawFormat::Ade20k,
         _ => RawFormat::Grey,
     }
 }
@@ -175,8 +174,8 @@ impl RawLabels {
     pub fn grey() -> Self {
         Self {
             source: Source::Grey,
-            segments: false,
-            scores: None,
+            are_segments: false,
+            score_ids: None,
         }
     }
 
@@ -194,75 +193,51 @@ impl RawLabels {
         let Some(first) = files.first().map(|file| file.path) else {
             return Ok((Self::grey(), None));
         };
-        let segments = options.association != Association::None;
-        let mut vocabulary = None;
-        let source = match format_of(dir, options, files) {
-            RawFormat::Auto | RawFormat::Grey if segments => Source::Grey,
-            RawFormat::Auto | RawFormat::Grey => {
-                let table = own_classes::table(dir, &folder(dir, options, first));
-                match table
-                    .map(|file| own_classes::OwnClasses::read(&file, classes))
-                    .transpose()?
-                {
-                    Some((own, known)) => {
-                        vocabulary = Some(known);
-                        Source::Named(own)
-                    }
-                    None => Source::Grey,
+        let are_segments = options.association != Association::None;
+        let folder = || folder(dir, options, first);
+        let (source, vocabulary) = match format_of(dir, options, files) {
+            RawFormat::Auto | RawFormat::Grey => match own_classes::table(dir, &folder()) {
+                Some(file) if !are_segments => {
+                    let (own, vocabulary) = own_classes::OwnClasses::read(&file, classes)?;
+                    (Source::Named(own), Some(vocabulary))
                 }
-            }
+                _ => (Source::Grey, None),
+            },
             RawFormat::CocoPanoptic => {
-                let panoptic =
-                    coco_panoptic::Panoptic::read(&folder(dir, options, first), classes)?;
-                vocabulary = Some(panoptic.vocabulary.clone());
-                Source::Coco(panoptic)
+                let panoptic = coco_panoptic::Panoptic::read(&folder(), classes)?;
+                let vocabulary = panoptic.vocabulary.clone();
+                (Source::Coco(panoptic), Some(vocabulary))
             }
             RawFormat::Ade20k => {
-                let own = vocabulary.insert(ade20k::vocabulary(first, classes)?);
-                Source::Ade20k(own.ids.clone())
+                let vocabulary = ade20k::vocabulary(first, classes)?;
+                (Source::Ade20k(vocabulary.ids.clone()), Some(vocabulary))
             }
             RawFormat::Labelme => {
-                let (drawings, known) = labelme::read(files, classes)?;
-                vocabulary = Some(known);
-                Source::Drawn(drawings)
+                let (drawings, vocabulary) = labelme::read(files, classes)?;
+                (Source::Drawn(drawings), Some(vocabulary))
             }
             RawFormat::CocoInstances => {
-                let read = coco_instances::read(first, files, classes, &options.limits);
-                let (drawings, known) = read?;
-                vocabulary = Some(known);
-                Source::Drawn(drawings)
+                let (drawings, vocabulary) =
+                    coco_instances::read(first, files, classes, &options.limits)?;
+                (Source::Drawn(drawings), Some(vocabulary))
             }
-            RawFormat::Masks if segments => Source::Masks,
+            RawFormat::Masks if are_segments => (Source::Masks, None),
             RawFormat::Masks => bail!(setting "data.association"; found "\"none\"";
                 expected "\"gaussians\", as raw labels are folders of masks, whose ids differ from view to view";
                 help "add --set data.association=gaussians (`coseg train`, `coseg data`), or use `coseg associate`"),
         };
-        let known = vocabulary.as_ref().map_or(classes, |own| &own.classes);
-        let scores = match &source {
-            _ if segments => None,
-            Source::Grey => Some(
-                known
-                    .entries
-                    .iter()
-                    .map(|class| (class.id, class.id))
-                    .collect(),
-            ),
+        let ids = classes.entries.iter().map(|class| (class.id, class.id));
+        let score_ids = match &source {
+            Source::Grey => Some(ids.collect()),
             Source::Named(own) => Some(own.ids.clone()),
             Source::Coco(_) | Source::Ade20k(_) | Source::Masks | Source::Drawn(_) => None,
         };
-        Ok((
-            Self {
-                source,
-                segments,
-                scores: scores.map(Arc::new),
-            },
-            vocabulary,
-        ))
-    }
-
-    /// Whether ids are segments of their view.
-    pub fn are_segments(&self) -> bool {
-        self.segments
+        let raw = Self {
+            source,
+            are_segments,
+            score_ids: score_ids.filter(|_| !are_segments).map(Arc::new),
+        };
+        Ok((raw, vocabulary))
     }
 
     /// Whether labels are shapes that somebody drew.
@@ -284,77 +259,71 @@ impl RawLabels {
         }
     }
 
-    /// The ids of scores that may lie beside the maps.
-    pub fn score_ids(&self) -> Option<Arc<ScoreIds>> {
-        self.scores.clone()
-    }
-
     /// Reads the map at `path` of a photo of the size `photo` and the name `name`; `check_size` refuses files of the wrong size.
-    /// With the class table comes its lookup.
     pub fn read(
         &self,
         (name, path): (&str, &Path),
         photo: (usize, usize),
-        (classes, known): (&Classes, &[u16]),
+        classes: &Classes,
         limits: &Limits,
         check_size: &dyn Fn(&ImageFile) -> Result<()>,
     ) -> Result<RawMap> {
-        let without_segments = |map| RawMap {
-            map,
-            segments: Vec::new(),
-        };
         if let Source::Masks = self.source {
-            return masks::read(path, photo, limits, check_size).map(without_segments);
+            return masks::read(path, photo, limits, check_size).map(RawMap::from);
         }
-        let with_classes = |raw: RawMap| {
-            if self.segments {
+        let in_classes = |raw: RawMap| {
+            if self.are_segments {
                 raw
             } else {
-                without_segments(by_class(&raw, classes))
+                by_class(raw, classes)
             }
         };
         expect_file(path)?;
         if let Some(drawing) = self.drawings().and_then(|drawings| drawings.get(name)) {
-            return drawing.paint(photo).map(with_classes);
+            return drawing.paint(photo).map(in_classes);
         }
         let file = ImageFile::open(path, limits)?;
         check_size(&file)?;
         match &self.source {
-            Source::Coco(panoptic) => panoptic.decode(path, &file).map(with_classes),
+            Source::Coco(panoptic) => panoptic.decode(path, &file).map(in_classes),
             Source::Ade20k(ids) => {
                 let map = ade20k::decode(path, &file, ids, classes.ignore)?;
-                let segments = if self.segments {
-                    ade20k::stuff(ids)
-                } else {
-                    Vec::new()
-                };
+                let segments = self.are_segments.then(|| ade20k::stuff(ids));
+                let segments = segments.unwrap_or_default();
                 Ok(RawMap { map, segments })
             }
             Source::Named(own) => {
                 let mut map = LabelMap::decode(path, &file)?;
                 own.translate(path, &mut map, classes.ignore)?;
-                Ok(without_segments(map))
+                Ok(map.into())
             }
             Source::Grey | Source::Masks | Source::Drawn(_) => {
                 let mut map = LabelMap::decode(path, &file)?;
-                if !self.segments {
-                    map.check_ids(path, classes, known, SEGMENTS_HELP)?;
+                if !self.are_segments {
+                    map.check_ids(path, classes, SEGMENTS_HELP)?;
                 }
-                Ok(without_segments(map))
+                Ok(map.into())
             }
         }
     }
 }
 
+impl From<LabelMap> for RawMap {
+    /// A map of whose segments nothing is known.
+    fn from(map: LabelMap) -> Self {
+        let segments = Vec::new();
+        Self { map, segments }
+    }
+}
+
 /// A map of segments as a map of their classes.
-fn by_class(raw: &RawMap, classes: &Classes) -> LabelMap {
+fn by_class(RawMap { mut map, segments }: RawMap, classes: &Classes) -> RawMap {
     let mut class_ids = vec![classes.ignore; 1 << 16];
-    for segment in &raw.segments {
+    for segment in &segments {
         class_ids[usize::from(segment.id)] = segment.class.unwrap_or(classes.ignore);
     }
-    let mut map = raw.map.clone();
     map.ids
         .iter_mut()
         .for_each(|id| *id = class_ids[usize::from(*id)]);
-    map
+    map.into()
 }

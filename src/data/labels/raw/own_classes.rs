@@ -3,7 +3,7 @@
 use super::Vocabulary;
 use crate::data::labels::scores::ScoreIds;
 use crate::data::{Classes, LabelMap};
-use crate::error::Result;
+use crate::error::{Result, ensure};
 use std::path::{Path, PathBuf};
 
 /// The name of the table.
@@ -20,7 +20,6 @@ pub(super) fn table(dir: &Path, maps: &Path) -> Option<PathBuf> {
 /// The table of the maps, next to the scene's.
 pub(super) struct OwnClasses {
     classes: Classes,
-    known: Vec<u16>,
     /// Class id in the scene of each id of the maps, where the scene has the class.
     pub ids: ScoreIds,
 }
@@ -32,38 +31,27 @@ impl OwnClasses {
     /// As [`Classes::read`]; no class of the table is one of the scene.
     pub fn read(file: &Path, classes: &Classes) -> Result<(Self, Vocabulary)> {
         let own = Classes::read(file)?;
+        ensure!(!own.is_empty(), file, "classes"; found "no class"; expected "the classes of the maps beside it";
+            help "list them, or remove the file");
         let names: Vec<(u16, &str)> = own
             .entries
             .iter()
             .map(|class| (class.id, class.name.as_str()))
             .collect();
-        let vocabulary = if classes.is_empty() {
-            Vocabulary {
-                classes: own.clone(),
-                ids: names.iter().map(|(id, _)| Some(*id)).collect(),
-                notice: None,
-            }
-        } else {
-            Vocabulary::new(file, classes, &names)?
-        };
+        let mut vocabulary = Vocabulary::new(file, classes, &names)?;
+        if classes.is_empty() {
+            vocabulary.classes = own.clone();
+        }
         let matched = names.iter().zip(&vocabulary.ids);
         let ids = matched
             .filter_map(|((id, _), class)| Some((*id, (*class)?)))
             .collect();
-        let known = own.lookup();
-        Ok((
-            Self {
-                classes: own,
-                known,
-                ids,
-            },
-            vocabulary,
-        ))
+        Ok((Self { classes: own, ids }, vocabulary))
     }
 
     /// Replaces the ids of a map by the scene's; classes that the scene lacks become `unlabelled`.
     pub fn translate(&self, path: &Path, map: &mut LabelMap, unlabelled: u16) -> Result<()> {
-        map.check_ids(path, &self.classes, &self.known, "")?;
+        map.check_ids(path, &self.classes, "")?;
         for id in &mut map.ids {
             *id = self.ids.get(id).copied().unwrap_or(unlabelled);
         }

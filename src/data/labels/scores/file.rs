@@ -194,18 +194,15 @@ fn inflate(path: &Path, limits: &Limits) -> Result<Vec<u8>> {
     let damaged = |found: String| invalid!(path, "compressed data"; found "{found}"; expected "a complete file of scores"; help "{DAMAGED_HELP}");
     let mut decoder = Decompress::new(true);
     let mut bytes = Vec::new();
-    loop {
+    let mut status = Status::Ok;
+    while status != Status::StreamEnd {
         bytes.reserve(CHUNK);
-        let read = decoder.total_in();
-        let written = decoder.total_out();
-        let rest = &file[read as usize..];
-        let status = decoder.decompress_vec(rest, &mut bytes, FlushDecompress::None);
-        let status = status.map_err(|e| damaged(e.to_string()))?;
+        let rest = &file[decoder.total_in() as usize..];
+        let more = decoder.decompress_vec(rest, &mut bytes, FlushDecompress::None);
+        status = more.map_err(|e| damaged(e.to_string()))?;
         check_limit(path, "bytes", bytes.len() as u64, most, help)?;
-        if status == Status::StreamEnd {
-            break;
-        }
-        if (decoder.total_in(), decoder.total_out()) == (read, written) {
+        // There is room: it is the input that has ended.
+        if status == Status::BufError {
             return Err(damaged(format!("{} bytes without the end", file.len())));
         }
     }

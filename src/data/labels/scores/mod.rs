@@ -36,10 +36,10 @@ pub(crate) type ScoreIds = HashMap<u16, u16>;
 /// The scores of a view's raw labels, in their file.
 #[derive(Clone, Debug)]
 pub struct ViewScores {
-    file: PathBuf,
-    ids: Arc<ScoreIds>,
-    placement: Placement,
-    limits: Limits,
+    pub(crate) file: PathBuf,
+    pub(crate) ids: Arc<ScoreIds>,
+    pub(crate) placement: Placement,
+    pub(crate) limits: Limits,
 }
 
 /// How a view lies on its photo.
@@ -69,20 +69,6 @@ impl Placement {
 }
 
 impl ViewScores {
-    pub(crate) fn new(
-        file: PathBuf,
-        ids: Arc<ScoreIds>,
-        placement: Placement,
-        limits: &Limits,
-    ) -> Self {
-        Self {
-            file,
-            ids,
-            placement,
-            limits: limits.clone(),
-        }
-    }
-
     /// The file.
     pub fn file(&self) -> &Path {
         &self.file
