@@ -242,7 +242,7 @@ impl ExportArgs {
 }
 
 /// A name as a part of a file name: letters, digits and `-` stay, others become `_`.
-fn safe(name: &str) -> String {
+pub fn safe(name: &str) -> String {
     let stays = |c: char| {
         if c.is_alphanumeric() || c == '-' {
             c

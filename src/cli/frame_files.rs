@@ -47,6 +47,32 @@ impl FrameFiles<'_> {
         })
     }
 
+    /// Writes relevancy, `[H, W]`, as a picture over the colours of `frame`: black at `least`, bright at `most`.
+    pub fn write_relevancy(
+        &self,
+        relevancy: &[f32],
+        [least, most]: [f32; 2],
+        &Frame {
+            width,
+            height,
+            ref rgb,
+            ..
+        }: &Frame,
+    ) -> Result<()> {
+        let file = |extension| self.file(&format!("relevancy.{extension}"));
+        match self.format {
+            Format::Npy => write_npy(&file("npy"), &[height, width], relevancy),
+            Format::Png => {
+                let share = |value: &f32| (value - least) / (most - least).max(f32::EPSILON);
+                let shares: Vec<f32> = relevancy.iter().map(share).collect();
+                pictures::write(
+                    &file("png"),
+                    &pictures::heated(rgb, &shares, width, height)?,
+                )
+            }
+        }
+    }
+
     /// Writes normals, `[H, W, 3]` world directions.
     pub fn write_normals(&self, size: [usize; 2], normals: &[f32]) -> Result<()> {
         match self.format {
@@ -95,7 +121,7 @@ impl FrameFiles<'_> {
 }
 
 /// Writes a little-endian float32 array in C order.
-fn write_npy(path: &Path, shape: &[usize], values: &[f32]) -> Result<()> {
+pub fn write_npy(path: &Path, shape: &[usize], values: &[f32]) -> Result<()> {
     use npyz::WriterBuilder;
     let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
     atomic::write(path, |out| {

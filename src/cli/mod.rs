@@ -24,6 +24,7 @@ mod objects;
 mod program;
 mod progress;
 mod prune;
+mod query;
 mod render;
 mod render_path;
 mod select;
@@ -90,6 +91,7 @@ Examples:
   coseg associate --scene scene.ply --data scenes/living --out runs/objects --set data.raw_labels=segments
   coseg objects --scene runs/living            its objects, and where they are
   coseg select --scene runs/living --frame test_001 --pixel 240,180 --name lamp --out named
+  coseg query --scene runs/living --features lseg --weights clip.safetensors --text \"a red chair\" --out found
   coseg separate --scene runs/living --out objects/scene.ply    each chair an object of its own
   coseg edit --scene runs/living --out without.ply --remove sofa
   coseg export --scene runs/living --out living.spz
@@ -99,8 +101,8 @@ Examples:
   coseg bench --run runs/living                speed on this machine
   coseg compare configs/tables/table1.toml --data-root scenes --out runs/table1
 
-No command writes over files that it did not write, except `train --resume` in its run, and `edit`, `select`, `separate`
-and `export` with --force.
+No command writes over files that it did not write, except `train --resume` in its run, and `edit`, `select`, `query`,
+`separate` and `export` with --force.
 Exit code: 0 success, 1 an error that says what to do, 2 options or settings that cannot be read, 130 stopped by Ctrl-C.";
 
 /// The subcommands.
@@ -128,6 +130,8 @@ pub enum Command {
     Objects(objects::ObjectsArgs),
     /// Make an object of the thing that a few pixels show, with or without labels
     Select(select::SelectArgs),
+    /// Find what a text says in a scene, by feature maps of CLIP; makes an object of it
+    Query(query::QueryArgs),
     /// Split a label into objects that do not touch
     Separate(separate::SeparateArgs),
     /// Keep, remove, turn, move and paint objects of a labelled scene, or apply edits of the viewer
@@ -172,6 +176,7 @@ impl Command {
             Self::Associate(args) => args.run(),
             Self::Objects(args) => args.run(),
             Self::Select(args) => args.run(),
+            Self::Query(args) => args.run(),
             Self::Separate(args) => args.run(),
             Self::Edit(args) => args.run(),
             Self::Export(args) => args.run(),
@@ -214,7 +219,7 @@ impl BackendArgs {
 }
 
 /// Settings, for several commands.
-#[derive(Args, Debug)]
+#[derive(Args, Clone, Debug)]
 pub struct Settings {
     /// Settings file (TOML); see configs/ for examples
     #[arg(long, value_name = "FILE")]

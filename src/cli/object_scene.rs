@@ -4,6 +4,7 @@ use super::terminal;
 use clap::Args;
 use coseg::data::Classes;
 use coseg::error::Result;
+use coseg::files::extension;
 use coseg::runs::{ObjectScene, read_scene, scene_output, scene_path};
 use std::path::PathBuf;
 
@@ -46,18 +47,37 @@ pub struct OutArgs {
 }
 
 impl OutArgs {
-    /// The .ply file to write, where a scene with labels of `classes` may be written there, see [`scene_output`].
+    /// The folder that the scene is written into.
+    pub fn folder(&self) -> PathBuf {
+        if self.out.is_dir() || extension(&self.out).is_empty() {
+            return self.out.clone();
+        }
+        self.out.with_file_name("")
+    }
+
+    /// The .ply file to write, where a scene with labels of `classes` may be written there, see [`scene_output`]. Says so if it is
+    /// written over.
     pub fn check(
         &self,
         input: &ObjectSceneArgs,
         scene: &ObjectScene,
         classes: &Classes,
     ) -> Result<PathBuf> {
-        let inputs = (scene.path.as_path(), input.classes.as_deref());
-        let out = scene_output(&self.out, self.force, inputs, classes)?;
+        let out = self.file(input, scene, classes)?;
         if out.is_file() {
             terminal::note(&format!("writing over {}", out.display()));
         }
         Ok(out)
+    }
+
+    /// The same, without a word.
+    pub fn file(
+        &self,
+        input: &ObjectSceneArgs,
+        scene: &ObjectScene,
+        classes: &Classes,
+    ) -> Result<PathBuf> {
+        let inputs = (scene.path.as_path(), input.classes.as_deref());
+        scene_output(&self.out, self.force, inputs, classes)
     }
 }

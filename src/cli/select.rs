@@ -5,7 +5,7 @@ use super::{terminal, values};
 use clap::Args;
 use coseg::data::{NamedCamera, read_cameras};
 use coseg::error::{Result, ensure, invalid};
-use coseg::objects::{Edited, Editing, Growth, Regions, color_apart, is_name, seed};
+use coseg::objects::{Growth, Regions, seed};
 use coseg::raster::{Projected, Settings};
 use coseg::runs::{ObjectScene, cameras_path, frame_with_pixel, rendering_beside};
 use std::path::PathBuf;
@@ -42,19 +42,11 @@ pub struct SelectArgs {
     #[arg(long = "pixel", value_name = "X,Y", required = true, value_parser = values::pixel, allow_hyphen_values = true)]
     pixels: Vec<[usize; 2]>,
     /// Name of the object
-    #[arg(long, value_name = "NAME", value_parser = parse_name)]
+    #[arg(long, value_name = "NAME", value_parser = values::name)]
     name: String,
     /// How far the selection grows, 0 or more [default: proposed, and printed]
     #[arg(long, value_name = "T", value_parser = parse_threshold)]
     threshold: Option<f32>,
-}
-
-fn parse_name(text: &str) -> std::result::Result<String, String> {
-    let name = text.trim();
-    let expected = "expected a name of 1 to 200 characters, without line ends";
-    is_name(name)
-        .then(|| name.to_owned())
-        .ok_or_else(|| expected.into())
 }
 
 fn parse_threshold(text: &str) -> std::result::Result<f32, String> {
@@ -75,7 +67,12 @@ impl SelectArgs {
         let growth = Growth::new(&Regions::new(&scene.ply.gaussians)?, &seeds);
         let threshold = self.threshold.unwrap_or(growth.proposed);
         let rows = growth.rows(threshold);
-        let (id, edited) = self.named(&scene, &rows)?;
+        let (ids, edited) = scene.named(&[(&self.name, &rows)], "--name")?;
+        let id = ids
+            .into_iter()
+            .flatten()
+            .next()
+            .unwrap_or(scene.classes.ignore);
         let out = self.out.check(&self.input, &scene, &edited.classes)?;
         scene.write(&out, &edited.gaussians, &edited.labels, &edited.classes)?;
         let own = |row: &&u32| {
@@ -108,39 +105,5 @@ impl SelectArgs {
             })
         };
         self.frames.iter().zip(&self.pixels).map(under).collect()
-    }
-
-    /// The scene in which `rows` have the label with the name, and that label.
-    fn named(&self, scene: &ObjectScene, rows: &[u32]) -> Result<(u16, Edited)> {
-        let gaussians = scene.ply.gaussians.clone();
-        let mut editing = Editing::new(gaussians, scene.labels.clone(), scene.classes.clone());
-        let there = scene
-            .classes
-            .entries
-            .iter()
-            .find(|class| class.name == self.name);
-        let Some(id) = there.map_or_else(
-            || (1..=u16::MAX).find(|id| !editing.is_known(*id)),
-            |c| Some(c.id),
-        ) else {
-            return Err(
-                invalid!(argument "--name"; found "a scene with all labels in use";
-                expected "a free label"; help "name an object that is there"),
-            );
-        };
-        if there.is_none() {
-            editing.entry(id).name.clone_from(&self.name);
-        }
-        editing.assign(rows, id);
-        let mut edited = editing.finish("--name")?;
-        if there.is_none() {
-            color_apart(
-                &edited.gaussians,
-                &edited.labels,
-                &mut edited.classes,
-                &[id].into(),
-            )?;
-        }
-        Ok((id, edited))
     }
 }

@@ -1,5 +1,6 @@
-//! Values of options that are numbers.
+//! Values of options: numbers and names.
 
+use coseg::objects::is_name;
 use std::str::FromStr;
 
 /// Exactly `N` numbers with `separator` between them.
@@ -29,4 +30,20 @@ pub fn number<T: FromStr>(
 ) -> Result<T, String> {
     let number = text.trim().parse().ok().filter(fits);
     number.ok_or_else(|| format!("expected {expected}"))
+}
+
+/// The name of an object.
+pub fn name(text: &str) -> Result<String, String> {
+    let name = text.trim();
+    let expected = "expected a name of 1 to 200 characters, without line ends";
+    is_name(name)
+        .then(|| name.to_owned())
+        .ok_or_else(|| expected.into())
+}
+
+/// A number from 0 to 1.
+pub fn share(text: &str) -> Result<f32, String> {
+    let share = text.trim().parse().ok();
+    let share = share.filter(|share: &f32| (0.0..=1.0).contains(share));
+    share.ok_or_else(|| "expected a number from 0 to 1".into())
 }

@@ -3,11 +3,11 @@
 
 use super::{FeatureMap, SCALES};
 use crate::error::{Result, ensure, invalid};
-use crate::files;
+use crate::files::{self, extension};
 use crate::weights::floats;
 use npyz::{DType, Endianness, NpyFile, Order, TypeChar};
 use safetensors::{Dtype, SafeTensors};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// What a map file must hold, for error messages.
 const WANTED: &str = "an [H, W, C] array of f32 or f16, none of them 0";
@@ -24,7 +24,7 @@ pub fn expect(dir: &Path, stem: &str) -> Result<()> {
         ensure!(dir.join(format!("{stem}.{n}.npy")).exists(), dir, "view {stem}, scale {n}";
             found "neither {stem}.{n}.npy nor {stem}.safetensors";
             expected "one of them for every view";
-            help "write the missing maps or correct features.source.import");
+            help "write the missing maps, or name the folder that has them");
     }
     Ok(())
 }
@@ -37,13 +37,32 @@ pub fn read(dir: &Path, stem: &str) -> Result<[FeatureMap; SCALES]> {
     expect(dir, stem)?;
     let bundle = dir.join(format!("{stem}.safetensors"));
     if bundle.exists() {
-        return read_bundle(&bundle);
+        return read_bundle(&bundle, SCALES).map(by_scale);
     }
-    let mut maps: [FeatureMap; SCALES] = Default::default();
-    for (n, map) in (1..).zip(&mut maps) {
-        *map = read_npy(&dir.join(format!("{stem}.{n}.npy")))?;
+    let maps = (1..=SCALES).map(|n| read_npy(&dir.join(format!("{stem}.{n}.npy"))));
+    maps.collect::<Result<_>>().map(by_scale)
+}
+
+/// The files of view `stem`: the bundle, or the maps of one to four scales. None where there are none.
+pub fn found(dir: &Path, stem: &str) -> Vec<PathBuf> {
+    let bundle = dir.join(format!("{stem}.safetensors"));
+    if bundle.exists() {
+        return vec![bundle];
     }
-    Ok(maps)
+    let maps = (1..=SCALES).map(|n| dir.join(format!("{stem}.{n}.npy")));
+    maps.take_while(|path| path.exists()).collect()
+}
+
+/// The maps of view `stem` at the scales that there are, one to four.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_found(dir: &Path, stem: &str) -> Result<Vec<FeatureMap>> {
+    match &found(dir, stem)[..] {
+        [] => expect(dir, stem).map(|()| Vec::new()),
+        [bundle] if extension(bundle) == "safetensors" => read_bundle(bundle, 1),
+        maps => maps.iter().map(|path| read_npy(path)).collect(),
+    }
 }
 
 fn read_npy(path: &Path) -> Result<FeatureMap> {
@@ -88,15 +107,24 @@ fn read_npy(path: &Path) -> Result<FeatureMap> {
     checked(path, "data", [height, width, channels], data)
 }
 
-fn read_bundle(path: &Path) -> Result<[FeatureMap; SCALES]> {
+fn by_scale(maps: Vec<FeatureMap>) -> [FeatureMap; SCALES] {
+    let mut maps = maps.into_iter();
+    std::array::from_fn(|_| maps.next().unwrap_or_default())
+}
+
+/// The maps of a safetensors file, of `least` scales or more.
+fn read_bundle(path: &Path, least: usize) -> Result<Vec<FeatureMap>> {
     let bytes = files::read(path)?;
     let tensors = SafeTensors::deserialize(&bytes).map_err(|e| {
         invalid!(path, "header"; found "{e}"; expected "a safetensors file with scale1 to scale4";
             help "write the file again")
     })?;
-    let mut maps: [FeatureMap; SCALES] = Default::default();
-    for (n, map) in (1..).zip(&mut maps) {
+    let mut maps = Vec::new();
+    for n in 1..=SCALES {
         let name = format!("scale{n}");
+        if n > least && !tensors.names().contains(&name.as_str()) {
+            break;
+        }
         let bad = |found| {
             invalid!(path, "{}", name; found "{found}"; expected "{WANTED}";
             help "write the map again")
@@ -108,7 +136,7 @@ fn read_bundle(path: &Path) -> Result<[FeatureMap; SCALES]> {
             .ok_or_else(|| bad(format!("shape {:?}", tensor.shape())))?;
         let data = floats(tensor.data(), tensor.dtype())
             .ok_or_else(|| bad(format!("{:?}", tensor.dtype())))?;
-        *map = checked(path, &name, shape, data)?;
+        maps.push(checked(path, &name, shape, data)?);
     }
     Ok(maps)
 }

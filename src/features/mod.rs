@@ -1,20 +1,22 @@
-//! 2D image features: where they come from, reduction by PCA, and the on-disk cache.
+//! 2D image features: where they come from, reduction by PCA, and the on-disk cache; texts that they are compared with.
 //!
 //! For every view an [`Extractor`] gives four [`FeatureMap`]s, fine and local to coarse and global. [`Reduction`] fits a PCA per
 //! scale on the training views, reduces every map to [`crate::config::FeatureConfig::dimensions`] channels and
 //! L2-normalises each cell.
 
 mod cache;
+pub mod clip;
 mod colors;
 pub mod descriptor;
 pub mod dino;
 mod extract;
-mod import;
+pub(crate) mod import;
 mod lattice;
 mod map;
 pub mod mobilenet;
 mod pca;
 mod segmenter;
+mod transformer;
 
 pub use self::colors::FeatureColors;
 pub use self::extract::{PCA_CELLS, Reduction, ViewFeatures};
@@ -23,6 +25,7 @@ pub use self::lattice::{Lattice, Steps};
 pub use self::map::FeatureMap;
 pub use self::pca::{Moments, Pca};
 pub use self::segmenter::Tap;
+pub use self::transformer::Activation;
 
 use crate::backend::device::upload;
 use crate::config::{FeatureConfig, FeatureSource};

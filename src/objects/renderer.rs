@@ -156,18 +156,36 @@ impl Renderer {
     /// As [`SplatView::blend`].
     pub fn depth(&self, camera: &Camera) -> Result<Vec<f32>> {
         camera.check()?;
-        let view = self.view(camera);
         let forward = camera.rotation.row(2);
         let axis = forward.to_array().map(|v| v as f32).to_vec();
         let axis = upload(axis, [3, 1], &self.splats.device());
         let depths = self.splats.means.clone().matmul(axis) - forward.dot(camera.center);
-        let (mut depth, transmittance) = blended(&view, depths)?;
-        for (depth, t) in depth.iter_mut().zip(transmittance) {
+        self.mean_of(camera, depths)
+    }
+
+    /// Mean of `values`, one for each Gaussian, over what each pixel of `camera` shows, `[H, W]`, blended as depths are. 0 where
+    /// alpha is too low.
+    ///
+    /// # Errors
+    /// [`crate::Error::Argument`] for another number of values; as [`SplatView::blend`].
+    pub fn mean(&self, camera: &Camera, values: &[f32]) -> Result<Vec<f32>> {
+        camera.check()?;
+        let count = self.splats.len();
+        ensure!(values.len() == count, argument "values"; found "{}", values.len(); expected "{count}, one for each Gaussian";
+            help "pass a value for each Gaussian");
+        let values = upload(values.to_vec(), [count, 1], &self.splats.device());
+        self.mean_of(camera, values)
+    }
+
+    /// `values` `[N, 1]`, blended by alpha' T and divided by alpha, `[H, W]`.
+    fn mean_of(&self, camera: &Camera, values: Tensor<2>) -> Result<Vec<f32>> {
+        let (mut mean, transmittance) = blended(&self.view(camera), values)?;
+        for (mean, t) in mean.iter_mut().zip(transmittance) {
             let alpha = 1.0 - t;
             let is_seen = alpha > 0.0 && alpha >= self.options.min_coverage;
-            *depth = if is_seen { *depth / alpha } else { 0.0 };
+            *mean = if is_seen { *mean / alpha } else { 0.0 };
         }
-        Ok(depth)
+        Ok(mean)
     }
 
     /// Normals of what each pixel of `camera` shows, `[H, W, 3]`, world directions of length 1: the shortest axes of the Gaussians,

@@ -18,6 +18,7 @@ mod initial_scene;
 pub(crate) mod label_evidence;
 pub(crate) mod lift;
 mod prune;
+mod query;
 mod reconstruct;
 mod requirements;
 mod rivals;
@@ -33,6 +34,7 @@ pub use self::evaluate::{FieldScores, HeldOut, HeldOutScores, Pictures, score_im
 pub use self::initial_scene::compare_with_photos;
 pub use self::lift::{LiftedFeatures, Pruned};
 pub use self::prune::{Keep, Pruning, prune};
+pub use self::query::LiftedMaps;
 pub use self::run::{Outcome, Scored, Seconds, load_scene, run, run_on};
 pub use self::suggest::{Suggestion, suggest};
 pub use self::variant_outcome::VariantOutcome;

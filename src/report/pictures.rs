@@ -103,6 +103,20 @@ pub fn heat(share: f32) -> [u8; 3] {
     std::array::from_fn(|c| (STOPS[i][c] + f * (STOPS[i + 1][c] - STOPS[i][c])).round() as u8)
 }
 
+/// Shares in 0..1 as [`heat`] over the colours `rgb` `[H, W, 3]`, 0..1, which are grey and dark where the share is low.
+///
+/// # Errors
+/// As [`from_floats`].
+pub fn heated(rgb: &[f32], shares: &[f32], width: usize, height: usize) -> Result<RgbImage> {
+    let mut picture = from_floats(rgb, width, height)?;
+    for (pixel, share) in picture.pixels_mut().zip(shares) {
+        let share = share.clamp(0.0, 1.0);
+        let grey = pixel.0.iter().map(|&v| f32::from(v)).sum::<f32>() / 6.0;
+        pixel.0 = heat(share).map(|v| (share * f32::from(v) + (1.0 - share) * grey).round() as u8);
+    }
+    Ok(picture)
+}
+
 fn per_pixel(width: usize, height: usize, color: impl Fn(usize) -> [u8; 3]) -> RgbImage {
     RgbImage::from_fn(width as u32, height as u32, |x, y| {
         Rgb(color(y as usize * width + x as usize))

@@ -4,10 +4,11 @@ use super::scene_file::{CLASSES, SCENE, classes_beside, copy_cameras};
 use crate::data::{Classes, LoadOptions, check_output_file, locate};
 use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files::{atomic, extension, own, sha256};
-use crate::objects::{Edited, Editing, Edits, Object, inventory};
+use crate::objects::{Edited, Editing, Edits, Object, color_apart, inventory};
 use crate::splat::ply::PlyScene;
 use crate::splat::{Gaussians, ply};
 use glam::DVec3;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Objects that an error lists at most.
@@ -163,6 +164,55 @@ impl ObjectScene {
             labels,
             classes,
         }
+    }
+
+    /// The scene in which the Gaussians `rows` have the label called `name`, for each of `objects` that has rows, and these labels.
+    /// A label that is not there yet is made, with a colour of its own. `flag` is the option that errors name.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where no label is free; as [`color_apart`].
+    pub fn named(
+        &self,
+        objects: &[(&str, &[u32])],
+        flag: &str,
+    ) -> Result<(Vec<Option<u16>>, Edited)> {
+        let gaussians = self.ply.gaussians.clone();
+        let mut editing = Editing::new(gaussians, self.labels.clone(), self.classes.clone());
+        let mut ids = Vec::with_capacity(objects.len());
+        let mut made = BTreeSet::new();
+        for (name, rows) in objects {
+            if rows.is_empty() {
+                ids.push(None);
+                continue;
+            }
+            let there = self
+                .classes
+                .entries
+                .iter()
+                .find(|class| class.name == *name);
+            let free = || (1..=u16::MAX).find(|id| !editing.is_known(*id));
+            let id = there.map_or_else(free, |class| Some(class.id));
+            let Some(id) = id else {
+                bail!(argument "{flag}"; found "a scene with all labels in use"; expected "a free label";
+                    help "name an object that is there");
+            };
+            if there.is_none() {
+                editing.entry(id).name = (*name).to_owned();
+                made.insert(id);
+            }
+            editing.assign(rows, id);
+            ids.push(Some(id));
+        }
+        let mut edited = editing.finish(flag)?;
+        if !made.is_empty() {
+            let Edited {
+                gaussians,
+                labels,
+                classes,
+            } = &mut edited;
+            color_apart(gaussians, labels, classes, &made)?;
+        }
+        Ok((ids, edited))
     }
 
     /// The scene after `edits`, which must belong to its file.

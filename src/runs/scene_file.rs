@@ -127,7 +127,7 @@ pub fn named_frame<'a>(frames: &'a [NamedCamera], frame: &str) -> Result<&'a Nam
     near.sort_by(|a, b| likeness(b).total_cmp(&likeness(a)));
     near.truncate(5);
     Err(invalid!(argument "--frame"; found "{frame}";
-        expected "one of {} frames such as {}", frames.len(), near.join(", "); help "name a frame of --cameras"))
+        expected "one of {} frames such as {}", frames.len(), near.join(", "); help "name one of these frames"))
 }
 
 /// The same, where the frame must have the pixel `[x, y]`.

@@ -5,13 +5,11 @@
 
 use super::position::PositionEmbedding;
 use super::{Block, HEAD, Vit};
-use crate::backend::device::upload;
-use crate::error::{Error, Result};
+use crate::error::Result;
+use crate::features::transformer::Weights;
 use crate::weights::WeightFile;
 use burn::module::Param;
-use burn::nn::{LayerNorm, LayerNormConfig, Linear};
-use burn::tensor::{Device, Tensor};
-use std::fmt::Display;
+use burn::tensor::Device;
 use std::path::Path;
 
 /// Epsilon of the layer normalisations.
@@ -44,11 +42,15 @@ impl Vit {
         if !file.tensors.contains_key("cls_token") {
             file = network(WeightFile::open(path)?);
         }
-        let weights = Weights { file, device };
+        let weights = Weights {
+            file,
+            device,
+            epsilon: EPSILON,
+        };
         weights.check_kind()?;
         let (width, patch) = weights.patch()?;
         let side = weights.side(width)?;
-        let blocks = (0..weights.depth()?).map(|n| weights.block(n, width));
+        let blocks = (0..weights.depth("blocks.")?).map(|n| weights.block(n, width));
         let places = 1 + side * side;
         let positions = weights.tensor("pos_embed", &[1, places, width])?;
         Ok(Self {
@@ -85,18 +87,7 @@ fn network(file: WeightFile) -> WeightFile {
     file.under(&prefix).of_network(NETWORK)
 }
 
-/// The weights of a file and where they go.
-struct Weights<'a> {
-    file: WeightFile,
-    device: &'a Device,
-}
-
 impl Weights<'_> {
-    /// The error for the tensor or block `name`.
-    fn problem(&self, name: &str, found: impl Display, expected: impl Display) -> Error {
-        self.file.problem(name, found, expected)
-    }
-
     /// Refuses relatives that compute something else: DINOv2 scales its layers and may have registers, iBOT masks.
     fn check_kind(&self) -> Result<()> {
         for name in self.file.tensors.keys() {
@@ -155,33 +146,9 @@ impl Weights<'_> {
         })
     }
 
-    /// One more than the highest number of a block. A gap becomes an error when its tensors are read.
-    fn depth(&self) -> Result<usize> {
-        let names = self.file.tensors.keys();
-        let numbers = names.filter_map(|name| name.strip_prefix("blocks.")?.split('.').next());
-        let mut depth = 0;
-        for number in numbers {
-            match number.parse::<usize>() {
-                Ok(n) if n < self.file.tensors.len() => depth = depth.max(n + 1),
-                _ => {
-                    let name = format!("blocks.{number}");
-                    return Err(self.problem(&name, "this block", "blocks.0, blocks.1, ..."));
-                }
-            }
-        }
-        match depth {
-            0 => Err(self.problem("blocks.0", "no such block", "one or more")),
-            depth => Ok(depth),
-        }
-    }
-
     fn block(&self, n: usize, width: usize) -> Result<Block> {
         let name = |part: &str| format!("blocks.{n}.{part}");
-        let fc1 = name("mlp.fc1.weight");
-        let hidden = self.shape(&fc1, &format!("[hidden, {width}]"), |shape| match *shape {
-            [hidden, found] if found == width && hidden > 0 => Some(hidden),
-            _ => None,
-        })?;
+        let hidden = self.outputs(&name("mlp.fc1"), width)?;
         Ok(Block {
             norm1: self.norm(&name("norm1"), width)?,
             qkv: self.linear(&name("attn.qkv"), &[3 * width, width])?,
@@ -190,36 +157,5 @@ impl Weights<'_> {
             fc1: self.linear(&name("mlp.fc1"), &[hidden, width])?,
             fc2: self.linear(&name("mlp.fc2"), &[width, hidden])?,
         })
-    }
-
-    /// The layer whose weights have the shape `[out, in]`, or `[out, ...]` with the extents of the inputs.
-    fn linear(&self, name: &str, shape: &[usize]) -> Result<Linear> {
-        let weight = self.tensor(&format!("{name}.weight"), shape)?;
-        let weight: Tensor<2> = weight.reshape([shape[0], shape[1..].iter().product()]);
-        Ok(Linear {
-            // Burn keeps weights as [in, out].
-            weight: Param::from_tensor(weight.transpose()),
-            bias: Some(self.parameter(&format!("{name}.bias"), [shape[0]])?),
-        })
-    }
-
-    fn norm(&self, name: &str, width: usize) -> Result<LayerNorm> {
-        let mut norm = LayerNormConfig::new(width)
-            .with_epsilon(EPSILON)
-            .init(self.device);
-        norm.gamma = self.parameter(&format!("{name}.weight"), [width])?;
-        norm.beta = Some(self.parameter(&format!("{name}.bias"), [width])?);
-        Ok(norm)
-    }
-
-    fn parameter<const D: usize>(&self, name: &str, shape: [usize; D]) -> Result<Param<Tensor<D>>> {
-        let values = self.tensor(name, &shape)?;
-        Ok(Param::from_tensor(values.reshape(shape)))
-    }
-
-    /// The values of a tensor of this shape, in one row.
-    fn tensor(&self, name: &str, shape: &[usize]) -> Result<Tensor<1>> {
-        let values = self.file.get(name, shape)?;
-        Ok(upload(values.to_vec(), [values.len()], self.device))
     }
 }

@@ -13,24 +13,19 @@
 mod load;
 mod position;
 
+pub use super::transformer::HEAD;
+
+use super::transformer::{Block, Style};
 use super::{FeatureMap, SCALES, Steps, normalized};
 use crate::error::Result;
 use burn::module::{Module, Param};
 use burn::nn::{LayerNorm, Linear};
-use burn::tensor::activation::gelu;
-use burn::tensor::module::attention;
-use burn::tensor::ops::{AttentionModuleOptions, PadMode};
+use burn::tensor::ops::PadMode;
 use burn::tensor::{Device, Tensor};
 use position::PositionEmbedding;
 
 /// Part of cache keys. Raise it when the arithmetic changes.
 pub const VERSION: &str = "dino-2";
-
-/// Channels of an attention head in every DINO ViT: there are `width / 64` heads.
-pub const HEAD: usize = 64;
-
-/// Queries attended at once. Memory for scores grows with this, not with the square of the number of tokens.
-const QUERIES: usize = 256;
 
 /// The network. Its dimensions are those of its weights, see [`Vit::load`].
 #[derive(Module, Debug)]
@@ -43,47 +38,6 @@ pub struct Vit {
     positions: PositionEmbedding,
     blocks: Vec<Block>,
     norm: LayerNorm,
-}
-
-/// A pre-norm transformer block: self-attention and a perceptron, each added to its input.
-#[derive(Module, Debug)]
-struct Block {
-    norm1: LayerNorm,
-    /// Queries, keys and values: `[width, 3 * width]`.
-    qkv: Linear,
-    projection: Linear,
-    norm2: LayerNorm,
-    fc1: Linear,
-    fc2: Linear,
-}
-
-impl Block {
-    /// Tokens `[B, N, width]`.
-    fn forward(&self, x: Tensor<3>) -> Tensor<3> {
-        let attended = self.attend(self.norm1.forward(x.clone()), QUERIES);
-        let x = x + self.projection.forward(attended);
-        let hidden = self.fc1.forward(self.norm2.forward(x.clone()));
-        x + self.fc2.forward(gelu(hidden))
-    }
-
-    /// Attention of all heads, for `queries` tokens at a time: that changes the memory, and the result by rounding only.
-    fn attend(&self, x: Tensor<3>, queries: usize) -> Tensor<3> {
-        let [batch, tokens, width] = x.dims();
-        let qkv = self.qkv.forward(x);
-        let [query, key, value] = [0, 1, 2].map(|part| {
-            qkv.clone()
-                .narrow(2, part * width, width)
-                .reshape([batch, tokens, width / HEAD, HEAD])
-                .swap_dims(1, 2)
-        });
-        let chunks = query.split(queries, 2).into_iter().map(|query| {
-            let options = AttentionModuleOptions::default();
-            attention(query, key.clone(), value.clone(), None, None, options)
-        });
-        Tensor::cat(chunks.collect(), 2)
-            .swap_dims(1, 2)
-            .reshape([batch, tokens, width])
-    }
 }
 
 impl Vit {
@@ -114,7 +68,7 @@ impl Vit {
         let mut x = self.embed(images);
         for block in &self.blocks {
             tokens.push(x.clone());
-            x = block.forward(x);
+            x = block.forward(x, Style::default());
         }
         tokens.push(x);
         tokens
@@ -172,46 +126,5 @@ impl Vit {
 
     fn device(&self) -> Device {
         self.class_token.device()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::backend::device::{open_cpu, read, upload};
-    use burn::nn::LayerNormConfig;
-
-    #[test]
-    fn attention_in_chunks_equals_attention_at_once() {
-        let device = open_cpu().unwrap();
-        let (tokens, width) = (300, 2 * HEAD);
-        let wave = |count: usize, step: f32| (0..count).map(|i| (i as f32 * step).sin()).collect();
-        let linear = |outputs: usize| {
-            let weight =
-                upload(wave(width * outputs, 1.3), [width, outputs], &device) / width as f64;
-            Linear {
-                weight: Param::from_tensor(weight),
-                bias: None,
-            }
-        };
-        let norm = || LayerNormConfig::new(width).init(&device);
-        let block = Block {
-            norm1: norm(),
-            qkv: linear(3 * width),
-            projection: linear(width),
-            norm2: norm(),
-            fc1: linear(width),
-            fc2: linear(width),
-        };
-        let x = upload(wave(tokens * width, 0.7), [1, tokens, width], &device);
-        let attended = |queries| read("attention", block.attend(x.clone(), queries)).unwrap();
-        let at_once = attended(tokens);
-        let largest = at_once.iter().fold(0.0_f32, |most, v| most.max(v.abs()));
-        assert!(largest > 0.0);
-        for queries in [1, 7, 64] {
-            for (a, b) in attended(queries).iter().zip(&at_once) {
-                assert!((a - b).abs() < 2e-6 * largest, "{queries}: {a} {b}");
-            }
-        }
     }
 }

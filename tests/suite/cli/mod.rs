@@ -19,6 +19,7 @@ pub mod from_photos;
 pub mod from_photos_programs;
 pub mod hostile;
 pub mod prune;
+pub mod query;
 pub mod render;
 pub mod render_path;
 pub mod render_settings;

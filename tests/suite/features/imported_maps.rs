@@ -1,23 +1,10 @@
 //! Feature maps of other programs: npy and safetensors, whole, then hostile.
 
+use crate::support::feature_maps::write_npy;
 use crate::support::lifting::extract;
 use crate::support::pictures::{picture, pictures, scene, view};
 use coseg::config::{FeatureConfig, FeatureSource};
 use coseg::data::{Classes, Split};
-use std::path::Path;
-
-fn write_npy(path: &Path, shape: &[u64], values: &[f32]) {
-    use npyz::WriterBuilder;
-    let file = std::fs::File::create(path).expect("create");
-    let mut writer = npyz::WriteOptions::new()
-        .default_dtype()
-        .shape(shape)
-        .writer(file)
-        .begin_nd()
-        .expect("header");
-    writer.extend(values.iter().copied()).expect("values");
-    writer.finish().expect("finish");
-}
 
 fn ramp(count: usize, seed: usize) -> Vec<f32> {
     (0..count)

@@ -1,5 +1,6 @@
 //! Tests of `coseg::features`.
 
+pub mod clip;
 pub mod dino;
 pub mod dino_weights;
 pub mod extraction;

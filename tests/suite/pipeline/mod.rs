@@ -8,6 +8,7 @@ pub mod initial_scene;
 #[cfg(unix)]
 pub mod interrupt;
 pub mod provenance;
+pub mod query;
 pub mod resume;
 pub mod rivals;
 pub mod rows;

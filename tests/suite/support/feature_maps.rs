@@ -6,6 +6,7 @@ use coseg::features::{FeatureMap, Moments, Pca, Steps, ViewFeatures};
 use coseg::splat::Gaussians;
 use coseg::splat::camera::Camera;
 use glam::{DMat3, DQuat, DVec3};
+use std::path::Path;
 
 /// Numbers in -1..1 without pattern.
 pub fn noise(i: usize, salt: usize) -> f64 {
@@ -125,4 +126,18 @@ pub fn views(width: usize, height: usize) -> Vec<View> {
         .enumerate()
         .map(|(i, c)| view(format!("v{i}"), c))
         .collect()
+}
+
+/// Writes an NPY file of f32.
+pub fn write_npy(path: &Path, shape: &[u64], values: &[f32]) {
+    use npyz::WriterBuilder;
+    let file = std::fs::File::create(path).expect("create");
+    let mut writer = npyz::WriteOptions::new()
+        .default_dtype()
+        .shape(shape)
+        .writer(file)
+        .begin_nd()
+        .expect("header");
+    writer.extend(values.iter().copied()).expect("values");
+    writer.finish().expect("finish");
 }

@@ -6,6 +6,7 @@ pub mod browser;
 pub mod capture;
 #[cfg(feature = "serve")]
 pub mod client;
+pub mod clip_weights;
 pub mod colmap;
 pub mod comparison;
 pub mod damage;
