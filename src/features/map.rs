@@ -37,7 +37,8 @@ impl FeatureMap {
     /// The map of cells `[1, height, width, channels]`; `what` names it in errors.
     ///
     /// # Errors
-    /// [`crate::Error::NonFinite`] with the first cell that holds a NaN or an infinity; [`crate::Error::Device`] when the device fails.
+    /// [`crate::Error::NonFinite`] with the first cell that holds a NaN or an infinity; [`crate::Error::Device`] when the device
+    /// fails.
     pub(super) fn from_tensor(cells: Tensor<4>, steps: Option<Steps>, what: &str) -> Result<Self> {
         let [_, height, width, channels] = cells.dims();
         let map = Self {
