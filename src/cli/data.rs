@@ -149,8 +149,8 @@ impl InfoArgs {
         if let Some(path) = &self.sheet {
             ensure!(extension(path) == "png", argument "--sheet"; found "{}", path.display();
                 expected "a .png file"; help "end the name in .png");
-            ensure!(own::check(path).is_ok(), argument "--sheet"; found "{}, which this command did not write", path.display();
-                expected "a new file, or one that this command wrote"; help "name another file");
+            data::check_output_file("--sheet", path, (&self.dir, &options))?;
+            own::check_argument("--sheet", path)?;
         }
         let info = data::info(&self.dir, &options)?;
         if let Some(path) = &self.sheet {

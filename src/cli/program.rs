@@ -1,6 +1,6 @@
 //! Other programs that a command calls.
 
-use coseg::error::{Error, Result};
+use coseg::error::{Error, Result, clipped};
 use std::io;
 use std::process::Command;
 
@@ -23,7 +23,7 @@ pub fn run(command: &mut Command, missing: &str, failed: &str) -> Result<()> {
     Err(Error::Program {
         program,
         status: done.status.to_string(),
-        output: last.join(" | "),
+        output: clipped(last.join(" | ")),
         help: failed.to_owned(),
     })
 }

@@ -69,8 +69,9 @@ impl PathArgs {
                 expected "--path orbit"; help "leave one of them out");
         }
         let file = out.join(CAMERAS);
-        ensure!(!atomic::same_file(&file, cameras) && own::check(&file).is_ok(), argument "--out"; found "{}", file.display();
+        ensure!(!atomic::same_file(&file, cameras), argument "--out"; found "{}", file.display();
             expected "a folder without cameras.json: the cameras of the path go there"; help "name another folder");
+        own::check_argument("--out", &file)?;
         // A film of the frames would end with those of the longer path.
         let next = format!("{PREFIX}{:04}.", self.frames.unwrap_or(FRAMES));
         if let Some(left) = names(out, |name, _| name.starts_with(&next)).first() {

@@ -253,7 +253,12 @@ fn summary(outcome: &Outcome) {
     if outcome.rows.is_empty() {
         return;
     }
-    let is_scored = |row: &VariantOutcome| row.scores.miou().is_some();
+    let is_scored = |row: &VariantOutcome| {
+        let scores = &row.scores;
+        scores.labels.pixels.miou.is_some()
+            || scores.instances.is_some()
+            || scores.semantic.is_some()
+    };
     if !outcome.rows.iter().any(is_scored) {
         let names: Vec<&str> = outcome.rows.iter().map(|row| row.variant.title()).collect();
         terminal::say(&format!(

@@ -87,8 +87,7 @@ pub(super) fn write_cell(out: &Path, cell: Cell, provenance: Provenance) -> Resu
     atomic::write_json(&path, &CellFile { cell, provenance })
 }
 
-/// The finished cell `id` in the folder `out`. It has to have `provenance`, and be of `commit` unless that is
-/// `None`.
+/// The finished cell `id` in the folder `out`. It has to have `provenance`, and be of `commit` unless that is `None`.
 ///
 /// # Errors
 /// [`crate::Error::Input`] naming the file and what differs.

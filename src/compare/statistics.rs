@@ -39,8 +39,8 @@ fn deviation(values: &[f64]) -> Option<f64> {
     Some((squares / (values.len() - 1) as f64).sqrt())
 }
 
-/// The row whose mean, times `sign`, is ahead of all others by more than the larger spread of the two first. `None` where a row does not have `all` of
-/// its cells: it may be better than those that do.
+/// The row whose mean, times `sign`, is ahead of all others by more than the larger spread of the two first. `None` where a row
+/// does not have `all` of its cells: it may be better than those that do.
 pub(super) fn best(rows: &[Option<Statistic>], all: usize, sign: f64) -> Option<usize> {
     let complete = |row: &Option<Statistic>| row.filter(|row| row.cells == all);
     let rows: Option<Vec<Statistic>> = rows.iter().map(complete).collect();

@@ -52,7 +52,7 @@ use std::path::Path;
 /// field: malformed, missing or damaged files, sizes that disagree, poses that are no rotations, camera models that are
 /// no pinhole after undistortion, unknown label ids, repeated names, no training view.
 pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
-    let listing = notices::listed(dir, options)?;
+    let listing = notices::list_sound(dir, options)?;
     let warn = |notice: &String| tracing::warn!("{}: {notice}", dir.display());
     listing.notices.iter().for_each(warn);
     let (scene, turned) = listing.load(dir, options)?;
@@ -87,7 +87,7 @@ pub fn load_cameras(
     options: &LoadOptions,
     split: Option<Split>,
 ) -> Result<Vec<NamedCamera>> {
-    let listing = notices::listed(dir, options)?;
+    let listing = notices::list_sound(dir, options)?;
     let mut cameras = Vec::new();
     for frame in &listing.frames {
         if split.is_some_and(|split| split != frame.split) {

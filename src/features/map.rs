@@ -1,8 +1,9 @@
 //! Feature maps: grids of vectors.
 
 use super::lattice::{Axis, Lattice, Steps};
+use crate::backend::check_finite;
 use crate::backend::device::read;
-use crate::error::{Error, Result, ensure};
+use crate::error::{Result, ensure};
 use burn::tensor::Tensor;
 use rayon::prelude::*;
 
@@ -36,7 +37,8 @@ impl FeatureMap {
     /// The map of cells `[1, height, width, channels]`; `what` names it in errors.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] with the first cell that holds a NaN or an infinity; [`Error::Device`] when the device fails.
+    /// [`crate::Error::NonFinite`] with the first cell that holds a NaN or an infinity; [`crate::Error::Device`] when the device
+    /// fails.
     pub(super) fn from_tensor(cells: Tensor<4>, steps: Option<Steps>, what: &str) -> Result<Self> {
         let [_, height, width, channels] = cells.dims();
         let map = Self {
@@ -132,21 +134,13 @@ impl FeatureMap {
     /// Checks that the sizes agree and every value is finite; `what` names the map in the error.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] with the first offending cell; [`Error::Argument`] when the length is not `h * w * c`.
+    /// [`crate::Error::NonFinite`] with the first offending cell; [`crate::Error::Argument`] when the length is not `h * w * c`.
     pub fn check(&self, what: &str) -> Result<()> {
         let expected = self.height * self.width * self.channels;
         ensure!(self.data.len() == expected, argument "{what}"; found "{} values", self.data.len();
             expected  "{expected} = {} x {} x {}", self.height, self.width, self.channels;
             help "give height * width * channels values");
-        check_finite(&self.data, self.channels, what)
-    }
-}
-
-/// Refuses rows `[n, channels]` that hold a NaN or an infinity; `what` names them in the error.
-pub(super) fn check_finite(rows: &[f32], channels: usize, what: &str) -> Result<()> {
-    match rows.iter().position(|x| !x.is_finite()) {
-        Some(at) => Err(Error::non_finite(what, at / channels.max(1))),
-        None => Ok(()),
+        check_finite(what, &self.data, self.channels)
     }
 }
 

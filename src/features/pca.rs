@@ -4,7 +4,7 @@
 //! Golub and LeVeque (1979). So the result does not depend on the number of threads, and large means do not cancel.
 
 use super::FeatureMap;
-use super::map::check_finite;
+use crate::backend::check_finite;
 use crate::error::{Result, ensure};
 use nalgebra::{DMatrix, DVector, DVectorView, SymmetricEigen};
 use rayon::prelude::*;
@@ -40,7 +40,7 @@ impl Moments {
     /// holds a NaN or an infinity.
     pub fn add(&mut self, rows: &[f32], what: &str, channels: usize) -> Result<()> {
         check_channels(what, channels, self.mean.len())?;
-        check_finite(rows, channels, what)?;
+        check_finite(what, rows, channels)?;
         // Blocks are independent; groups of them bound the memory, and merging follows the row order.
         for group in rows.chunks((BLOCK * channels * 16).max(1)) {
             let blocks = group.par_chunks(BLOCK * channels);
@@ -154,7 +154,7 @@ impl Pca {
     /// # Errors
     /// [`crate::Error::NonFinite`] with the first row that holds a NaN or an infinity.
     pub fn project(&self, rows: &[f32], what: &str) -> Result<Vec<f32>> {
-        check_finite(rows, self.channels, what)?;
+        check_finite(what, rows, self.channels)?;
         let mut out = vec![0.0; rows.len() / self.channels.max(1) * self.dimensions];
         self.each_projection(rows, &mut out, |projection, out| {
             let along = out.iter_mut().zip(projection);

@@ -9,7 +9,7 @@ use crate::error::{Error, Result, bail, ensure};
 use sha2::{Digest, Sha256};
 use std::cell::RefCell;
 use std::collections::{HashMap, HashSet};
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{LazyLock, Mutex, PoisonError};
@@ -85,11 +85,19 @@ pub fn allow(path: impl AsRef<Path>) {
 /// # Errors
 /// [`Error::Argument`] naming the file; [`Error::Io`] where it cannot be read.
 pub fn check(path: impl AsRef<Path>) -> Result<()> {
+    check_argument("output", path)
+}
+
+/// As [`check`], where `argument` gave the path.
+///
+/// # Errors
+/// As [`check`].
+pub fn check_argument(argument: &str, path: impl AsRef<Path>) -> Result<()> {
     let path = path.as_ref();
     let Ok(there) = fs::symlink_metadata(path) else {
         return Ok(());
     };
-    let stamp = stamp_of(path);
+    let stamp = stamp_at(&there);
     let is_known = with_known(|known| {
         let is_allowed = |path: &Path| known.allowed.contains(path);
         known.commands.is_empty()
@@ -101,7 +109,7 @@ pub fn check(path: impl AsRef<Path>) -> Result<()> {
         return Ok(());
     }
     ensure!(there.is_file() && is_recorded(path)?,
-        argument "output"; found "{}, which this command did not write, or which was changed since", path.display();
+        argument "{argument}"; found "{}, which this command did not write, or which was changed since", path.display();
         expected "a new file, or one that this command wrote"; help "move it away, or name another output");
     Ok(())
 }
@@ -178,14 +186,19 @@ fn note_in(known: &mut Known, path: &Path, digest: &str) -> Result<()> {
 
 /// Notes when the file at `path` was written.
 pub(super) fn stamp(path: &Path) {
-    if let Some(stamp) = stamp_of(path) {
+    // Of a link itself, as in [`check`].
+    let written = fs::symlink_metadata(path).ok();
+    if let Some(stamp) = written.as_ref().and_then(stamp_at) {
         with_known(|known| known.stamps.insert(path.to_owned(), stamp));
     }
 }
 
-/// Time and size of the file at `path`, which change with its content; `None` where there is none.
+/// Time and size of the file at `path`, or that a link there leads to, which change with its content; `None` where there is none.
 pub fn stamp_of(path: &Path) -> Option<Stamp> {
-    let there = fs::metadata(path).ok()?;
+    stamp_at(&fs::metadata(path).ok()?)
+}
+
+fn stamp_at(there: &Metadata) -> Option<Stamp> {
     Some((there.modified().ok()?, there.len()))
 }
 

@@ -143,21 +143,21 @@ impl<'a> StageTwo<'a> {
         })
     }
 
-    /// Parameters `module` of `model` that learn the raw labels at learning rate `rate`.
+    /// Parameters `module` of `model` that learn the raw labels by `plan` at learning rate `rate`.
     fn of_raw_labels<M: IdentityModel>(
         &mut self,
         variant: Variant,
+        plan: &TrainingPlan,
         model: M,
         module: M::Module,
         rate: f64,
         progress: &mut dyn Progress,
     ) -> Result<VariantOutcome> {
-        let plan = plan(variant, self.inputs)?;
         self.views.use_raw_labels();
         let classes = self.inputs.scene.classes.len();
         let training = Training::new(model, module, Adam::new(rate, None), classes);
         let schedule = schedule(variant, self.inputs, self.checkpoints)?;
-        self.trained(variant, training, &plan, &schedule, progress)
+        self.trained(variant, training, plan, &schedule, progress)
     }
 
     /// Zero logits for each Gaussian and class.
@@ -171,25 +171,30 @@ impl<'a> StageTwo<'a> {
     fn per_gaussian(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
         let model = PerGaussian(self.inputs.config.segmentation.blend);
         let (variant, rate) = (Variant::PerGaussian, LR_PER_GAUSSIAN);
-        self.of_raw_labels(variant, model, self.logits(), rate, progress)
+        let plan = plan(variant, self.inputs)?;
+        self.of_raw_labels(variant, &plan, model, self.logits(), rate, progress)
     }
 
     /// Gaussian Grouping.
     fn grouping(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
+        let (variant, rate) = (Variant::Grouping, LR_GROUPING);
+        let plan = plan(variant, self.inputs)?;
         let model = Grouping::new(self.inputs)?;
         let codes = Codes::random(self.inputs, &self.device);
-        self.of_raw_labels(Variant::Grouping, model, codes, LR_GROUPING, progress)
+        self.of_raw_labels(variant, &plan, model, codes, rate, progress)
     }
 
     /// Feature 3DGS: distillation, then a linear head on the raw labels.
     fn distilled(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
         let (inputs, variant) = (self.inputs, Variant::Distilled);
+        let plan = plan(variant, inputs)?;
         let Some(distilled) = distil(inputs, &self.device, progress)? else {
             return Ok(VariantOutcome::new(variant, HeldOutScores::default()));
         };
         let model = LinearHead::new(&distilled.field);
         let head = LinearHead::random(inputs, &self.device);
-        let mut outcome = self.of_raw_labels(variant, model, head, LR_LINEAR_HEAD, progress)?;
+        let mut outcome =
+            self.of_raw_labels(variant, &plan, model, head, LR_LINEAR_HEAD, progress)?;
         outcome.seconds += distilled.seconds;
         outcome.learnable_bytes += distilled.field.bytes();
         if inputs.scores_fields && outcome.identities.is_some() {
@@ -200,9 +205,10 @@ impl<'a> StageTwo<'a> {
 
     /// The losses of Panoptic Lifting.
     fn panoptic_lifting(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
-        let model = PanopticLifting::new(self.inputs);
         let (variant, rate) = (Variant::PanopticLifting, LR_PER_GAUSSIAN);
-        self.of_raw_labels(variant, model, self.logits(), rate, progress)
+        let plan = plan(variant, self.inputs)?;
+        let model = PanopticLifting::new(self.inputs);
+        self.of_raw_labels(variant, &plan, model, self.logits(), rate, progress)
     }
 
     /// A decoder (Eq. 7).

@@ -148,10 +148,7 @@ fn check_alike(parts: &[Part]) -> Result<()> {
     for part in parts {
         let [run, other] = [&part.run, &first.run].map(|run| run.display());
         let [now, then] = [part, first].map(|part| serde_json::json!(part.config));
-        let differs = |key: &&str| {
-            let place = format!("/{}", key.replace('.', "/"));
-            now.pointer(&place) != then.pointer(&place)
-        };
+        let differs = |key: &&str| now.pointer(&pointer(key)) != then.pointer(&pointer(key));
         if let Some(key) = SHARED.into_iter().find(differs) {
             bail!(argument "RUN"; found "{run}, whose settings of {key} are not those of {other}";
                 expected "runs with the same settings"; help "train this block again with the settings of the others");
@@ -161,6 +158,11 @@ fn check_alike(parts: &[Part]) -> Result<()> {
             help "train the blocks without labels again, with raw labels");
     }
     Ok(())
+}
+
+/// Where the setting `key` is in the JSON of settings.
+fn pointer(key: &str) -> String {
+    format!("/{}", key.replace('.', "/"))
 }
 
 impl Part {
@@ -351,5 +353,18 @@ impl Merged {
             None => atomic::remove(out.join(IDENTITIES))?,
         }
         atomic::write_bytes(out.join(CONFIG), self.config.to_toml()?.as_bytes())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_settings_of_the_whole_scene_exist() {
+        let config = serde_json::json!(Config::default());
+        for key in SHARED {
+            assert!(config.pointer(&pointer(key)).is_some(), "{key}");
+        }
     }
 }

@@ -41,8 +41,8 @@ impl Cloud<'_> {
     /// Positions in metres, z up, the median at the origin.
     ///
     /// # Errors
-    /// [`crate::Error::NonFinite`] naming the first bad row; [`crate::Error::Config`] for an unusable scale; [`crate::Error::Argument`] for an up
-    /// direction of no length.
+    /// [`crate::Error::NonFinite`] naming the first bad row; [`crate::Error::Config`] for an unusable scale;
+    /// [`crate::Error::Argument`] for an up direction of no length.
     pub fn oriented(&self) -> Result<Vec<[f32; 3]>> {
         check_finite("positions to encode", self.positions.as_flattened(), 3)?;
         ensure!(self.scale.is_finite() && self.scale > 0.0, setting "spatial.scale"; found "{}", self.scale;

@@ -1,4 +1,4 @@
-//! Linear maps of many rows, computed in blocks of them.
+//! Linear layers: their random first weights, and maps of many rows, computed in blocks of them.
 //!
 //! The gradients of a weight and of a bias are sums over all rows. A GPU computes such a product, of few outputs and a long
 //! sum, within one workgroup. In blocks it has a workgroup for each of them, and then adds up their sums.

@@ -133,7 +133,7 @@ fn frames(job: &Job<'_>) -> Result<Listing> {
         association: Association::Gaussians,
         ..job.options.clone()
     };
-    Problems::none(|problems| layout::list(job.dir, &options, problems))
+    Problems::first_of(|problems| layout::list(job.dir, &options, problems))
 }
 
 /// The photos to label.

@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tract_onnx::pb::ModelProto;
 use tract_onnx::prelude::{
-    Datum, Framework, InferenceFact, InferenceModelExt, IntoRunnable, IntoTensor, Tensor,
-    TractError, TypedFact, TypedModel, TypedRunnableModel, tvec,
+    Datum, Framework, InferenceFact, InferenceModelExt, IntoRunnable, Tensor, TractError,
+    TypedFact, TypedModel, TypedRunnableModel, tvec,
 };
 
 /// Most values of a tensor within a network: 4 GB.
@@ -78,19 +78,19 @@ impl Network {
     /// The output for an input of the contract's shape, row-major.
     ///
     /// # Errors
-    /// [`Error::Input`] where the network fails; [`Error::NonFinite`].
+    /// [`Error::Input`] where the network fails, and for an output of another shape than the contract says;
+    /// [`Error::NonFinite`].
     pub(crate) fn output(&self, input: &[f32]) -> Result<Vec<f32>> {
         let shape = self.contract.input_shape();
-        let values = guarded(&self.file, || {
+        let (shape, values) = guarded(&self.file, || {
             let input = Tensor::from_shape(&shape, input)?;
-            let mut outputs = self.plan.run(tvec!(input.into()))?;
-            let output = outputs.remove(0).into_tensor().into_shape(&self.shape)?;
-            Ok(output
-                .to_plain_array_view::<f32>()?
-                .iter()
-                .copied()
-                .collect::<Vec<f32>>())
+            let outputs = self.plan.run(tvec!(input.into()))?;
+            let values = outputs[0].to_plain_array_view::<f32>()?;
+            let flat: Vec<f32> = values.iter().copied().collect();
+            Ok((values.shape().to_vec(), flat))
         })?;
+        ensure!(shape == self.shape, &self.file, "tensor {}", self.output; found "{shape:?}";
+            expected "{:?}", self.shape; help "{UNFIT_HELP}");
         let name = || format!("{} of {}", self.output, self.file.display());
         match values.iter().position(|v| !v.is_finite()) {
             Some(row) => Err(Error::non_finite(name(), row)),

@@ -133,47 +133,58 @@ impl Logits {
     }
 }
 
-/// For each pixel of axis `a` the two of its `cells` around it, and the share of the second. Pixels outside take the border.
-fn axis(grid: &ScoreGrid, a: usize, cells: usize) -> Vec<(usize, usize, f32)> {
-    let pixel = |pixel: usize| {
-        let cell = grid.scale[a] * (pixel as f64 + 0.5) + grid.offset[a];
-        let (first, second, share) = beside(cell, cells);
-        (first, second, share as f32)
-    };
-    (0..grid.photo[a]).map(pixel).collect()
+/// The two cells around a pixel on one axis, and the share of the second.
+#[derive(Clone, Copy)]
+struct Between {
+    first: usize,
+    second: usize,
+    share: f32,
 }
 
-/// Between two values, at the share of the second.
-fn between(first: f32, second: f32, share: f32) -> f32 {
-    first + share * (second - first)
+impl Between {
+    /// For each pixel of an axis `a` with `cells` cells. Pixels outside take the border.
+    fn axis(grid: &ScoreGrid, a: usize, cells: usize) -> Vec<Self> {
+        let pixel = |pixel: usize| {
+            let cell = grid.scale[a] * (pixel as f64 + 0.5) + grid.offset[a];
+            let (first, second, share) = beside(cell, cells);
+            let share = share as f32;
+            Self {
+                first,
+                second,
+                share,
+            }
+        };
+        (0..grid.photo[a]).map(pixel).collect()
+    }
+
+    fn of(&self, first: f32, second: f32) -> f32 {
+        first + self.share * (second - first)
+    }
 }
 
 impl Mapped<'_> {
     /// The class of the highest value at each pixel of the photo, values bilinear between the cells.
     fn map(&self) -> LabelMap {
+        let Logits { grid, values, .. } = &self.logits;
+        let [width, height] = grid.photo;
         let channels = self.mapping.ids.len();
-        let columns = axis(&self.logits.grid, 0, self.logits.width);
-        let mut ids = Vec::with_capacity(self.logits.grid.photo[0] * self.logits.grid.photo[1]);
+        let columns = Between::axis(grid, 0, self.logits.width);
+        let mut ids = Vec::with_capacity(width * height);
         let mut row = Vec::new();
         let mut listed = Vec::new();
         let mut candidates = Vec::new();
-        for (upper, lower, share) in axis(&self.logits.grid, 1, self.logits.height) {
-            self.blend_rows(
-                [upper, lower],
-                share,
-                &self.logits.values,
-                channels,
-                &mut row,
-            );
-            self.blend_rows([upper, lower], share, &self.listed, 1, &mut listed);
+        for down in Between::axis(grid, 1, self.logits.height) {
+            self.blend_rows(down, values, channels, &mut row);
+            self.blend_rows(down, &self.listed, 1, &mut listed);
             let mut interval = None;
-            for &(first, second, share) in &columns {
-                let [left, right] = [first, second].map(|cell| &row[cell * channels..][..channels]);
-                if interval != Some(first) {
-                    interval = Some(first);
+            for across in &columns {
+                let cells = [across.first, across.second];
+                let [left, right] = cells.map(|cell| &row[cell * channels..][..channels]);
+                if interval != Some(across.first) {
+                    interval = Some(across.first);
                     find_candidates(left, right, &mut candidates);
                 }
-                let value = |channel: usize| between(left[channel], right[channel], share);
+                let value = |channel: usize| across.of(left[channel], right[channel]);
                 let higher = |best, other| {
                     if value(other) > value(best) {
                         other
@@ -182,43 +193,35 @@ impl Mapped<'_> {
                     }
                 };
                 let best = candidates.iter().copied().reduce(higher);
-                let is_known = between(listed[first], listed[second], share) >= MIN_PROBABILITY;
+                let [left, right] = cells.map(|cell| listed[cell]);
+                let is_known = across.of(left, right) >= MIN_PROBABILITY;
                 let id = best
                     .filter(|_| is_known)
                     .map_or(self.mapping.classes.ignore, |best| self.mapping.ids[best]);
                 ids.push(id);
             }
         }
-        LabelMap {
-            width: self.logits.grid.photo[0],
-            height: self.logits.grid.photo[1],
-            ids,
-        }
+        LabelMap { width, height, ids }
     }
 
-    /// A row of `values` with `channels` values a cell, between two `rows` of cells.
-    fn blend_rows(
-        &self,
-        rows: [usize; 2],
-        share: f32,
-        values: &[f32],
-        channels: usize,
-        row: &mut Vec<f32>,
-    ) {
+    /// A row of `values` with `channels` values a cell, between two rows of cells.
+    fn blend_rows(&self, down: Between, values: &[f32], channels: usize, row: &mut Vec<f32>) {
         let length = self.logits.width * channels;
-        let [upper, lower] = rows.map(|y| &values[y * length..][..length]);
+        let [upper, lower] = [down.first, down.second].map(|y| &values[y * length..][..length]);
         row.clear();
-        row.extend(upper.iter().zip(lower).map(|(&a, &b)| between(a, b, share)));
+        row.extend(upper.iter().zip(lower).map(|(&a, &b)| down.of(a, b)));
     }
 
     /// The `best` most probable classes of each cell, or block of cells.
     fn scores(&self, best: usize) -> ScoreMap {
-        let block = self
-            .logits
-            .width
-            .max(self.logits.height)
-            .div_ceil(MAX_CELLS);
-        let [width, height] = [self.logits.width, self.logits.height].map(|n| n.div_ceil(block));
+        let &Logits {
+            grid,
+            width,
+            height,
+            ..
+        } = &self.logits;
+        let block = width.max(height).div_ceil(MAX_CELLS);
+        let [width, height] = [width, height].map(|n| n.div_ceil(block));
         let classes = best.clamp(1, self.mapping.ids.len());
         let mut ids = vec![0; classes * width * height];
         let mut probabilities = vec![0; classes * width * height];
@@ -239,25 +242,19 @@ impl Mapped<'_> {
                 probabilities[n * width * height + cell] = (255.0 * sums[channel]) as u8;
             }
         }
-        let scale = self.logits.grid.scale;
-        let offset = self.logits.grid.offset;
-        let grid = ScoreGrid {
-            photo: self.logits.grid.photo,
-            scale: scale.map(|scale| scale / block as f64),
-            offset: offset.map(|offset| (offset + 0.5) / block as f64 - 0.5),
-        };
-        let id_limit = self
-            .mapping
-            .ids
-            .iter()
-            .max()
-            .map_or(1, |id| u32::from(*id) + 1);
+        let largest = self.mapping.ids.iter().max();
         ScoreMap {
-            grid,
+            grid: ScoreGrid {
+                scale: grid.scale.map(|scale| scale / block as f64),
+                offset: grid
+                    .offset
+                    .map(|offset| (offset + 0.5) / block as f64 - 0.5),
+                ..grid
+            },
             width,
             height,
             classes,
-            id_limit,
+            id_limit: largest.map_or(1, |id| u32::from(*id) + 1),
             ids,
             probabilities,
         }
@@ -265,17 +262,24 @@ impl Mapped<'_> {
 
     /// The probabilities of the channels, mean over a block of cells. All 0 where those of the listed classes are nil.
     fn mean_probabilities(&self, [column, row]: [usize; 2], block: usize, sums: &mut [f32]) {
+        let Logits {
+            width,
+            height,
+            values,
+            kind,
+            ..
+        } = &self.logits;
         sums.fill(0.0);
         let mut cells = 0.0;
-        for y in row * block..((row + 1) * block).min(self.logits.height) {
-            for x in column * block..((column + 1) * block).min(self.logits.width) {
+        for y in row * block..((row + 1) * block).min(*height) {
+            for x in column * block..((column + 1) * block).min(*width) {
                 cells += 1.0;
-                let cell = y * self.logits.width + x;
+                let cell = y * width + x;
                 if self.listed[cell] < MIN_PROBABILITY {
                     continue;
                 }
-                let values = &self.logits.values[cell * sums.len()..][..sums.len()];
-                let weights = weights(values, self.logits.kind);
+                let values = &values[cell * sums.len()..][..sums.len()];
+                let weights = weights(values, *kind);
                 let all: f32 = weights.iter().sum();
                 sums.iter_mut()
                     .zip(weights)

@@ -39,7 +39,7 @@ pub struct PlannedBlock {
 pub fn split(dir: &Path, options: &LoadOptions, counts: [usize; 2]) -> Result<Vec<PlannedBlock>> {
     ensure!(Block::in_folder(dir)?.is_none(), argument "--data"; found "{}, a block", dir.display();
         expected "a whole scene"; help "split the scene into more blocks");
-    let mut listing = Problems::none(|problems| layout::list(dir, options, problems))?;
+    let mut listing = Problems::first_of(|problems| layout::list(dir, options, problems))?;
     listing.check_sizes(&options.limits)?;
     let train = listing
         .frames

@@ -145,20 +145,26 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
 }
 
 fn class_shares(listing: &Listing, frames: &[FrameInfo]) -> Vec<ClassShare> {
-    let counts = || frames.iter().flat_map(|frame| &frame.of_classes);
-    let all = [TRUTH, RAW].map(|kind| counts().map(|(_, count)| count[kind]).sum::<u64>());
+    // Pixels of each class, and its views.
+    let mut sums: BTreeMap<u16, ([u64; 2], usize)> = BTreeMap::new();
+    let mut all = [0; 2];
+    for (id, count) in frames.iter().flat_map(|frame| &frame.of_classes) {
+        let (sum, views) = sums.entry(*id).or_default();
+        *views += 1;
+        for kind in [TRUTH, RAW] {
+            sum[kind] += count[kind];
+            all[kind] += count[kind];
+        }
+    }
     let share = |id: u16, name: &str| {
-        let own: Vec<_> = counts().filter(|(other, _)| **other == id).collect();
-        let share = |kind: usize| {
-            let pixels: u64 = own.iter().map(|(_, count)| count[kind]).sum();
-            pixels as f64 / all[kind].max(1) as f64
-        };
+        let (sum, views) = sums.get(&id).copied().unwrap_or_default();
+        let share = |kind: usize| sum[kind] as f64 / all[kind].max(1) as f64;
         ClassShare {
             id,
             name: name.to_owned(),
             truth: share(TRUTH),
             raw: share(RAW),
-            views: own.len(),
+            views,
         }
     };
     let Classes { entries, ignore } = &listing.classes;
@@ -174,7 +180,7 @@ fn class_shares(listing: &Listing, frames: &[FrameInfo]) -> Vec<ClassShare> {
 }
 
 fn listing(dir: &Path, options: &LoadOptions) -> Result<Listing> {
-    let listing = notices::listed(dir, options)?;
+    let listing = notices::list_sound(dir, options)?;
     listing.check_sizes(&options.limits)?;
     Ok(listing)
 }

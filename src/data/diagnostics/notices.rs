@@ -45,12 +45,12 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     Ok(listing)
 }
 
-/// As [`list`], without faults.
+/// As [`list`], where a fault is an error.
 ///
 /// # Errors
 /// The first fault.
-pub(crate) fn listed(dir: &Path, options: &LoadOptions) -> Result<Listing> {
-    Problems::none(|problems| list(dir, options, problems))
+pub(crate) fn list_sound(dir: &Path, options: &LoadOptions) -> Result<Listing> {
+    Problems::first_of(|problems| list(dir, options, problems))
 }
 
 fn frame_names(frames: &[&Frame]) -> String {

@@ -27,17 +27,17 @@ pub(crate) fn side(path: &Path, field: &str, side: f64) -> Result<usize> {
 }
 
 /// Refuses a focal length, in pixels, that `field` of the file `path` gave.
-pub(crate) fn check_focal(path: &Path, field: &str, focal: f64) -> Result<()> {
+pub(crate) fn check_focal(path: &Path, field: &str, focal: f64, help: &str) -> Result<()> {
     ensure!(FOCAL.contains(&focal), path, "{field}"; found "{focal:?} pixels";
         expected "a positive focal length, 0.001 to 1e9 pixels";
-        help "correct the focal length, or the angle that gives it (fov, camera_angle)");
+        help "{help}");
     Ok(())
 }
 
 /// Refuses a coordinate of a principal point, in pixels, that `field` of the file `path` gave.
-pub(crate) fn check_center(path: &Path, field: &str, center: f64) -> Result<()> {
+pub(crate) fn check_center(path: &Path, field: &str, center: f64, help: &str) -> Result<()> {
     ensure!(center.abs() <= MAX_PIXELS, path, "{field}"; found "{center:?}"; expected "pixels from the image corner";
-        help "correct the principal point");
+        help "{help}");
     Ok(())
 }
 

@@ -29,11 +29,11 @@ impl Problems {
         result.map_err(|error| self.push(error)).ok()
     }
 
-    /// What `list` gives, unless it has collected a fault.
+    /// What `list` gives; a fault that it has collected is an error.
     ///
     /// # Errors
     /// Its error, or the first fault.
-    pub fn none<T>(list: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
+    pub fn first_of<T>(list: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
         let mut problems = Self::default();
         let found = list(&mut problems)?;
         problems.0.into_iter().next().map_or(Ok(found), Err)

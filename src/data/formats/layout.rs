@@ -111,28 +111,53 @@ fn unread_transforms(dir: &Path, options: &LoadOptions, layout: Layout) -> Optio
     ))
 }
 
-/// The error for a folder of no layout, or not of the one that the options name.
-fn nothing(dir: &Path, options: &LoadOptions) -> Error {
-    let (found, help) = meant(dir, options);
-    invalid!(dir, "{}", options.transforms; found "no such file, {found}";
-        expected "cameras and frames: transforms.json (nerfstudio, instant-ngp), transforms_train.json with \
-            transforms_test.json (Blender), sparse/0 or sparse with cameras and images as .bin or .txt (COLMAP), \
-            traj.txt with results/ or traj_w_c.txt with rgb/ (Replica), or color/ with pose/ (ScanNet); see docs/data.md";
-        help "{help}")
+/// What a folder of a layout has.
+const fn needs(layout: Layout) -> &'static str {
+    match layout {
+        Layout::Auto => {
+            "transforms.json (nerfstudio, instant-ngp), transforms_train.json with transforms_test.json (Blender), \
+            sparse/0 or sparse with cameras and images as .bin or .txt (COLMAP), traj.txt with results/ or traj_w_c.txt with \
+            rgb/ (Replica), or color/ with pose/ (ScanNet)"
+        }
+        Layout::Transforms => {
+            "transforms.json (nerfstudio, instant-ngp), or transforms_train.json with transforms_test.json (Blender)"
+        }
+        Layout::Colmap => "sparse/0 or sparse with cameras and images as .bin or .txt",
+        Layout::Replica => {
+            "traj.txt with results/ (NICE-SLAM) or traj_w_c.txt with rgb/ (Semantic-NeRF)"
+        }
+        Layout::Scannet => "color/ with pose/, as ScanNet's SensReader writes them",
+    }
 }
 
-/// What such a folder has, and what the user may have meant by it.
-fn meant(dir: &Path, options: &LoadOptions) -> (String, String) {
-    if let Some((other, file)) = markers(dir, options).first() {
-        let help =
-            format!("choose that one with --set data.layout={other}, or give another folder");
-        return (format!("but {file} of layout {other}"), help);
+/// The error for a folder of no layout, or not of the one that the options name.
+fn nothing(dir: &Path, options: &LoadOptions) -> Error {
+    let (named, file) = (options.layout, &options.transforms);
+    let expected = format!("cameras and frames: {}; see docs/data.md", needs(named));
+    if matches!(named, Layout::Auto | Layout::Transforms) {
+        let others = transforms::alternatives(dir);
+        if let Some(first) = others.first() {
+            return invalid!(dir, "{file}"; found "no such file, but {}", others.join(", ");
+                expected "{expected}"; help "name one with --set data.transforms={first}");
+        }
     }
-    let others = transforms::alternatives(dir);
-    if let Some(first) = others.first() {
-        let help = format!("name one with --set data.transforms={first}");
-        return (format!("but {}", others.join(", ")), help);
+    if let Some((other, there)) = markers(dir, options).first() {
+        return invalid!(dir, "data.layout"; found "{named}, but {there} of layout {other}"; expected "{expected}";
+            help "choose that one with --set data.layout={other}, or give another folder");
     }
+    let (found, help) = meant(dir);
+    match named {
+        Layout::Auto | Layout::Transforms => {
+            invalid!(dir, "{file}"; found "no such file, {found}"; expected "{expected}"; help "{help}")
+        }
+        _ => {
+            invalid!(dir, "data.layout"; found "no files of layout {named}, {found}"; expected "{expected}"; help "{help}")
+        }
+    }
+}
+
+/// What a folder without the files of a layout has, and what the user may have meant by it.
+fn meant(dir: &Path) -> (String, String) {
     let inner = names(dir, |_, path| path.is_dir());
     for folder in inner.into_iter().take(MAX_FOLDERS) {
         let inner = dir.join(&folder);

@@ -103,7 +103,7 @@ impl<'a> DecoderModel<'a> {
         }
     }
 
-    /// Adds `prior` `[N, C]` to the scores of every Gaussian, on `device`.
+    /// Adds `prior` `[N, C]` to the scores of every Gaussian, on `device`. Train it from `Decoder::with_silent_start`.
     ///
     /// # Panics
     /// If `prior` does not hold one score for each Gaussian and class.

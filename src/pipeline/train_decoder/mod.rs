@@ -129,7 +129,7 @@ pub struct Training<M: IdentityModel> {
     model: M,
     /// The parameters.
     pub module: M::Module,
-    /// What moves them.
+    /// The optimizer.
     pub adam: Adam,
     recall: ClassRecall,
     iteration: usize,
@@ -233,7 +233,9 @@ impl<M: IdentityModel> Training<M> {
             return Ok(0.0);
         }
         let visible = &sample.visible;
-        let decoded = (self.model).decode(&self.module, view, visible, self.iteration)?;
+        let decoded = self
+            .model
+            .decode(&self.module, view, visible, self.iteration)?;
         let scores = sample.blended(decoded.scores.clone(), plan.blend)?;
         let coseg = self.coseg_loss(plan, &scores, &sample)?;
         let rendered = Rendered {
@@ -245,7 +247,7 @@ impl<M: IdentityModel> Training<M> {
         };
         let loss = self.model.loss(&coseg, rendered)?;
         let gradients = &mut loss.backward();
-        let gradient = (self.model).gradient(&self.module, view, &decoded, gradients);
+        let gradient = self.model.gradient(&self.module, view, &decoded, gradients);
         let named = [("the parameters", &gradient)];
         let value = finite_loss("segmentation loss", loss.inner(), &named)?;
         let factor = plan.rate_factor(self.iteration);

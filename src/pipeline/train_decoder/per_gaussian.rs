@@ -39,7 +39,7 @@ impl Logits {
     }
 }
 
-/// Scores that each Gaussian learns by itself, blended in this way.
+/// Scores that each Gaussian learns by itself; `.0` says how they are blended.
 pub struct PerGaussian(pub Blend);
 
 impl IdentityModel for PerGaussian {

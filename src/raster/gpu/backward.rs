@@ -168,7 +168,7 @@ fn load_gaussians(
 
 /// Blends the batch that starts at `first` into the unit's pixel and leaves `alpha' T` and g of each Gaussian.
 #[cube]
-fn blend_batch(
+fn replay_batch(
     light: &mut Light,
     behind: &mut Behind,
     exchange: &mut Exchange,
@@ -338,7 +338,7 @@ pub(super) fn tiles_backward(
             if unit == 0 {
                 exchange.live[next_slot].store(0u32);
             }
-            blend_batch(
+            replay_batch(
                 &mut light,
                 &mut behind,
                 &mut exchange,

@@ -39,6 +39,7 @@ fn add_moments(
     }
 }
 
+/// Whether the slab has the entry.
 #[cube]
 fn contains(slab: &Slab, entry: u32) -> bool {
     entry >= slab.first && entry < slab.end

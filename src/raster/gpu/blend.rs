@@ -51,6 +51,7 @@ struct Signals {
     masks: Shared<[Atomic<u32>]>,
 }
 
+/// Makes a slot ready for the next batch: no unit blends, and no Gaussian shows.
 #[cube]
 fn clear_slot(signals: &Signals, slot: usize, unit: usize) {
     if unit == 0 {

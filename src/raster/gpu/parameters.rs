@@ -31,6 +31,7 @@ fn write_rotation(to: &mut [f32], i: usize, q: &Unit, d0: &Vec3, d1: &Vec3, d2: 
     to[4 * i + 3] = select(whole, (gz - z * along) / by, 0.0f32);
 }
 
+/// Writes `count` zeros from `at` on.
 #[cube]
 fn write_zeros(to: &mut [f32], at: usize, #[comptime] count: usize) {
     #[unroll]

@@ -161,7 +161,7 @@ impl SplatView {
         let indices = transmittance.split_off(pixels);
         // A pixel with nothing at it has a negative index.
         let label = |index: f32| match index {
-            0.0.. => labels.ids[index as usize],
+            0.0.. => labels.ids.get(index as usize).copied().unwrap_or(0),
             _ => 0,
         };
         Ok(LabelledImage {

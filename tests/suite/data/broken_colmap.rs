@@ -1,8 +1,8 @@
 //! COLMAP models that are refused: of another camera, broken, cut off and damaged.
 
-use crate::support::colmap::{Calibrated, binary, name, photo, pinhole, scene, text};
+use crate::support::colmap::{Calibrated, VIEWS, binary, name, photo, pinhole, scene, text};
 use crate::support::damage::Damage;
-use coseg::data::{Limits, LoadOptions, load};
+use coseg::data::{Limits, LoadOptions, check, load};
 use std::fs;
 use std::path::Path;
 
@@ -38,6 +38,22 @@ fn colmap_models_that_are_no_pinhole_are_refused_by_name() {
             "image_undistorter",
         ],
     );
+}
+
+#[test]
+fn faults_of_a_colmap_camera_are_those_of_the_images_that_use_it() {
+    let options = LoadOptions::default();
+    let dir = scene(text, &pinhole());
+    let path = dir.path().join("sparse/0/cameras.txt");
+    let unused = "8 PINHOLE 16 12 -20.0 21.0 8.5 6.25\n";
+    let cameras = fs::read_to_string(&path).expect("read") + unused;
+    fs::write(&path, cameras).expect("write");
+    load(dir.path(), &options).expect("no image has camera 8");
+    let dir = scene(text, &Calibrated(1, vec![-20.0, 21.0, 8.5, 6.25]));
+    let problems = check(dir.path(), &options).problems;
+    let of_camera = |problem: &String| problem.contains("PARAMS, focal length: found -20");
+    let messages = problems.iter().map(ToString::to_string);
+    assert_eq!(messages.filter(of_camera).count(), VIEWS, "{problems:?}");
 }
 
 #[test]

@@ -112,6 +112,10 @@ fn broken_coco_instances_are_refused() {
         &["line 1", "a list of polygons"],
     );
     broken(
+        &|v| v["annotations"][0]["segmentation"] = json!(null),
+        &["line 1", "a list of polygons"],
+    );
+    broken(
         &|v| v["annotations"][0]["segmentation"][0][3] = json!(1e200),
         &["points", "80x64"],
     );

@@ -299,3 +299,33 @@ fn layouts_are_told_apart_or_asked_for() {
         assert!(message.contains(part), "{message}");
     }
 }
+
+#[test]
+fn a_layout_that_is_asked_for_is_named_with_the_files_that_are_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    scene(dir);
+    let refused = |options: LoadOptions, parts: &[&str]| {
+        crate::support::assert_names(&locate(dir, &options).unwrap_err(), parts);
+    };
+    let replica = LoadOptions {
+        layout: Layout::Replica,
+        ..LoadOptions::default()
+    };
+    let found = "data.layout: found replica, but transforms.json of layout transforms";
+    let parts = [found, "traj.txt", "--set data.layout=transforms"];
+    refused(replica, &parts);
+    // As nerfstudio keeps the model that it started from.
+    let model = dir.join("colmap/sparse/0");
+    fs::create_dir_all(&model).unwrap();
+    for file in ["cameras.bin", "images.bin"] {
+        fs::write(model.join(file), [0; 8]).unwrap();
+    }
+    let mistyped = LoadOptions {
+        layout: Layout::Transforms,
+        transforms: "transform.json".into(),
+        ..LoadOptions::default()
+    };
+    let found = "transform.json: found no such file, but transforms.json";
+    refused(mistyped, &[found, "--set data.transforms=transforms.json"]);
+}

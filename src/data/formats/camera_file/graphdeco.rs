@@ -59,8 +59,9 @@ impl Entry {
             place,
             [("width", self.width), ("height", self.height)],
         )?;
-        check_focal(path, &format!("{place}.fx"), self.fx)?;
-        check_focal(path, &format!("{place}.fy"), self.fy)?;
+        let help = "correct the focal length";
+        check_focal(path, &format!("{place}.fx"), self.fx, help)?;
+        check_focal(path, &format!("{place}.fy"), self.fy, help)?;
         let rotation = DMat3::from_cols_array_2d(&self.rotation).transpose();
         let mut c2w = DMat4::from_mat3(rotation);
         c2w.w_axis = DVec3::from(self.position).extend(1.0);

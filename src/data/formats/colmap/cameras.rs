@@ -20,9 +20,22 @@ const MODELS: [(&str, usize, usize); 5] = [
 /// The models behind them, which are no pinholes after undistortion.
 const UNSUPPORTED_MODELS: &str = "OPENCV_FISHEYE FULL_OPENCV FOV SIMPLE_RADIAL_FISHEYE RADIAL_FISHEYE THIN_PRISM_FISHEYE \
     RAD_TAN_THIN_PRISM_FISHEYE SIMPLE_DIVISION DIVISION SIMPLE_FISHEYE FISHEYE";
+/// The help of numbers out of range.
+const HELP: &str = "calibrate again, or copy the file again";
 
-/// Cameras without poses, and their lenses, by their numbers.
-pub(super) type Cameras = BTreeMap<u32, (Camera, Lens)>;
+/// The cameras of a model, by their numbers.
+pub(super) type Cameras = BTreeMap<u32, ModelCamera>;
+
+/// A camera of the model. Its numbers are checked for each image that uses it.
+#[derive(Debug)]
+pub(super) struct ModelCamera {
+    size: [u64; 2],
+    params: Vec<f64>,
+    /// Number of focal lengths among the parameters.
+    focals: usize,
+    /// Where it stands in the file, for messages.
+    place: String,
+}
 
 /// Reads `cameras.bin` or `cameras.txt`.
 pub(super) fn read(path: &Path) -> Result<Cameras> {
@@ -38,14 +51,14 @@ pub(super) fn read(path: &Path) -> Result<Cameras> {
         let count = focals + 2 + distortion;
         let params = (0..count)
             .map(|_| reader.value("PARAMS"))
-            .collect::<Result<Vec<f64>>>()?;
+            .collect::<Result<_>>()?;
         reader.expect_end("PARAMS", &format!("{count} numbers for {name}"))?;
-        let camera = camera(
-            path,
-            &format!("{place} (camera {id})"),
+        let camera = ModelCamera {
             size,
-            params.split_at(focals),
-        )?;
+            params,
+            focals,
+            place: format!("{place} (camera {id})"),
+        };
         ensure!(cameras.insert(id, camera).is_none(), path, "{place}: CAMERA_ID";
             found "{id}, which an earlier camera has too"; expected "a number of its own for each camera";
             help "drop the repeated camera from the model");
@@ -53,39 +66,47 @@ pub(super) fn read(path: &Path) -> Result<Cameras> {
     Ok(cameras)
 }
 
-/// A camera in range, of its focal lengths and its other parameters.
-fn camera(
-    path: &Path,
-    place: &str,
-    size: [u64; 2],
-    (focals, rest): (&[f64], &[f64]),
-) -> Result<(Camera, Lens)> {
-    let [width, height] = size;
-    let in_range = |side: &u64| (1..=u64::from(u32::MAX)).contains(side);
-    ensure!(size.iter().all(in_range), path, "{place}: WIDTH HEIGHT"; found "{width} {height}";
-        expected "pixels, at least 1 and below 2^32"; help "calibrate again, or copy the file again");
-    let field = format!("{place}: PARAMS");
-    let (center, distortion) = rest.split_at(2);
-    for focal in focals {
-        check_focal(path, &field, *focal)?;
+impl ModelCamera {
+    /// A camera without its pose, and its lens, in range.
+    pub fn checked(&self, path: &Path) -> Result<(Camera, Lens)> {
+        let Self { size, place, .. } = self;
+        let [width, height] = size;
+        let in_range = |side: &u64| (1..=u64::from(u32::MAX)).contains(side);
+        ensure!(size.iter().all(in_range), path, "{place}: WIDTH HEIGHT"; found "{width} {height}";
+            expected "pixels, at least 1 and below 2^32"; help "{HELP}");
+        let (focals, rest) = self.params.split_at(self.focals);
+        let (center, distortion) = rest.split_at(2);
+        for focal in focals {
+            check_focal(
+                path,
+                &format!("{place}: PARAMS, focal length"),
+                *focal,
+                HELP,
+            )?;
+        }
+        for center in center {
+            check_center(
+                path,
+                &format!("{place}: PARAMS, principal point"),
+                *center,
+                HELP,
+            )?;
+        }
+        ensure!(distortion.iter().all(|k| k.is_finite()), path, "{place}: PARAMS, distortion"; found "{distortion:?}";
+            expected "finite numbers"; help "{HELP}");
+        let coefficient = |i: usize| distortion.get(i).copied().unwrap_or(0.0);
+        let lens = Lens {
+            k: [coefficient(0), coefficient(1), 0.0],
+            p: [coefficient(2), coefficient(3)],
+        };
+        let focals = [focals[0], focals[focals.len() - 1]];
+        let camera = Camera {
+            cx: center[0],
+            cy: center[1],
+            ..Camera::centred(focals, size.map(|side| side as usize))
+        };
+        Ok((camera, lens))
     }
-    for center in center {
-        check_center(path, &field, *center)?;
-    }
-    ensure!(distortion.iter().all(|k| k.is_finite()), path, "{field}"; found "distortion {distortion:?}";
-        expected "finite numbers"; help "calibrate again, or copy the file again");
-    let coefficient = |i: usize| distortion.get(i).copied().unwrap_or(0.0);
-    let lens = Lens {
-        k: [coefficient(0), coefficient(1), 0.0],
-        p: [coefficient(2), coefficient(3)],
-    };
-    let focals = [focals[0], focals[focals.len() - 1]];
-    let camera = Camera {
-        cx: center[0],
-        cy: center[1],
-        ..Camera::centred(focals, size.map(|side| side as usize))
-    };
-    Ok((camera, lens))
 }
 
 fn model_name(number: i32) -> String {

@@ -90,7 +90,7 @@ impl PosedImage {
         ensure!(!self.view_name().is_empty() && Path::new(&self.name).components().all(is_below),
             images, "{place}: NAME"; found "{:?}", self.name; expected "a path below the folder of photos";
             help "write the model with relative names");
-        let (intrinsics, lens) = cameras.get(&self.camera).ok_or_else(|| {
+        let camera = cameras.get(&self.camera).ok_or_else(|| {
             invalid!(images, "{place}: CAMERA_ID"; found "{}", self.camera;
                 expected "one of the {} cameras of {}", cameras.len(), calibration.display();
                 help "copy cameras and images of the same model")
@@ -107,9 +107,10 @@ impl PosedImage {
         let center = -(rotation.transpose() * DVec3::from(self.translation));
         let mut pose = DMat4::from_mat3(rotation.transpose());
         pose.w_axis = center.extend(1.0);
+        let (intrinsics, lens) = camera.checked(calibration)?;
         let camera = posed(images, &self.place, &pose, |pose| {
             intrinsics.clone().with_opencv_pose(pose)
         })?;
-        Ok((camera, *lens))
+        Ok((camera, lens))
     }
 }

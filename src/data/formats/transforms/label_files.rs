@@ -4,7 +4,7 @@ use super::schema;
 use super::sources::Sources;
 use crate::data::formats::folder::{Folder, Problems};
 use crate::data::formats::frame::{Frame, below};
-use crate::data::formats::label_folder::{drawn, file, map};
+use crate::data::formats::label_folder::{drawn, file};
 use crate::data::formats::mask_file::Masks;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -38,31 +38,28 @@ impl<'a> LabelFiles<'a> {
     /// `frame` with the files of `fields`, which are its entry in the file.
     pub fn add(&self, frame: Frame, fields: &schema::Frame) -> Frame {
         let given = |path: &Option<String>| path.as_ref().map(|path| self.dir.join(path));
-        let names = |folder: &Path, given: &[PathBuf]| {
+        let in_folder = |folder: &Path, given: &[PathBuf]| {
             let photos = self.of_photos.unique(Some(&fields.file_path));
-            let files = names(given, &photos, &frame.name);
-            files
-                .iter()
-                .map(|path| folder.join(path))
-                .collect::<Vec<_>>()
+            let files = candidates(given, &photos, &frame.name).into_iter();
+            files.map(|path| folder.join(path)).collect::<Vec<_>>()
         };
         let mask = match &self.masks {
             Masks::Off => None,
             Masks::OfFrames => given(&fields.mask_path),
             Masks::In(folder) => {
                 let of_frame = self.of_masks.unique(fields.mask_path.as_ref());
-                file(&names(folder, &of_frame))
+                file(&in_folder(folder, &of_frame))
             }
         };
         let (raw, drawn) = match &self.raw {
             None => (given(&fields.raw_label_path), None),
             Some(folder) => {
                 let mut of_frame = self.of_raw.unique(fields.raw_label_path.as_ref());
-                let names = names(folder, &of_frame);
+                let files = in_folder(folder, &of_frame);
                 let usual = of_frame.pop();
                 let usual = usual.unwrap_or_else(|| with_png(Path::new(&frame.name)));
-                let raw = map(&names).unwrap_or_else(|| folder.join(usual));
-                (Some(raw), drawn(&names))
+                let raw = file_or_masks(&files).unwrap_or_else(|| folder.join(usual));
+                (Some(raw), drawn(&files))
             }
         };
         Frame {
@@ -76,9 +73,21 @@ impl<'a> LabelFiles<'a> {
     }
 }
 
+/// The first of `files` that is there, as a file or as a folder of masks with its name without extension.
+fn file_or_masks(files: &[PathBuf]) -> Option<PathBuf> {
+    files.iter().find_map(|file| {
+        let masks = file.with_extension("");
+        if file.is_file() {
+            return Some(file.clone());
+        }
+        masks.is_dir().then_some(masks)
+    })
+}
+
 /// Possible files of a frame in a folder, the likeliest first: those of the paths that are `given` for its file, then those of its
-/// photo, and the view's name last.
-fn names(given: &[PathBuf], photos: &[PathBuf], name: &str) -> Vec<PathBuf> {
+/// photo, and the view's name last. Leading folders of these paths are cut off only as long as no two frames share a file, see
+/// [`Endings::unique`].
+fn candidates(given: &[PathBuf], photos: &[PathBuf], name: &str) -> Vec<PathBuf> {
     let png = |path: &PathBuf| [path.with_extension("png"), with_png(path)];
     let given = given
         .iter()

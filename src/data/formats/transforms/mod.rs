@@ -129,7 +129,7 @@ fn frame(dir: &Path, source: &Source, kept: &Kept, limits: &Limits) -> (Option<F
 /// # Errors
 /// As [`crate::data::load`]; also when no frame is left.
 pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera>> {
-    let (sources, kept) = Problems::none(|problems| {
+    let (sources, kept) = Problems::first_of(|problems| {
         let sources = Sources::of_file(path, problems)?;
         let kept = sources.pick(&LoadOptions::default(), problems);
         Ok((sources, kept))

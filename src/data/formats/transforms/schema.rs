@@ -211,12 +211,14 @@ impl Transforms {
         })?;
         // One focal length only: square pixels.
         let fy = fields.fl_y.or_else(from_height).unwrap_or(fx);
-        check_focal(path, &format!("{place}.fl_x"), fx)?;
-        check_focal(path, &format!("{place}.fl_y"), fy)?;
+        let help = "correct the focal length or camera_angle";
+        check_focal(path, &format!("{place}.fl_x"), fx, help)?;
+        check_focal(path, &format!("{place}.fl_y"), fy, help)?;
         let cx = fields.cx.unwrap_or(0.5 * width as f64);
         let cy = fields.cy.unwrap_or(0.5 * height as f64);
-        check_center(path, &format!("{place}.cx"), cx)?;
-        check_center(path, &format!("{place}.cy"), cy)?;
+        let help = "correct the principal point";
+        check_center(path, &format!("{place}.cx"), cx, help)?;
+        check_center(path, &format!("{place}.cy"), cy, help)?;
         let centred = Camera::centred([fx, fy], [width, height]);
         Ok((Camera { cx, cy, ..centred }, lens))
     }

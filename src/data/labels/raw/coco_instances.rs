@@ -35,7 +35,8 @@ struct Image {
 struct Annotation {
     image_id: u64,
     category_id: u64,
-    segmentation: Option<Segmentation>,
+    #[serde(default)]
+    segmentation: Segmentation,
 }
 
 #[derive(Deserialize)]
@@ -101,10 +102,10 @@ pub(super) fn read(
         ensure!(images.contains_key(&annotation.image_id),
             path, "{}", field("image_id"); found "{}", annotation.image_id;
             expected "one of the {} ids of images", images.len(); help "{DAMAGED_HELP}");
-        let field = field("segmentation");
-        let shape = annotation.segmentation;
-        let region = shape.map(|shape| shape.region(path, &field, limits));
-        if let Some(region) = region.transpose()?.flatten() {
+        let region = annotation
+            .segmentation
+            .region(path, &field("segmentation"), limits)?;
+        if let Some(region) = region {
             let regions = of_images.entry(annotation.image_id).or_default();
             regions.push((area(&region), index, region));
         }
@@ -198,6 +199,12 @@ struct Runs {
 enum Counts {
     Numbers(Vec<u64>),
     Packed(String),
+}
+
+impl Default for Segmentation {
+    fn default() -> Self {
+        Self::Polygons(Vec::new())
+    }
 }
 
 impl Segmentation {
