@@ -34,7 +34,7 @@ The Gaussians above --threshold become an object with the text as its name, as w
 apply, of the most relevant one. For each text TEXT the output folder gets
   scene.ply, classes.json, cameras.json   the scene with these objects
   TEXT/relevancy.npy                      [N] float32, in the order of scene.ply; 0 for Gaussians without features
-  TEXT/STEM.relevancy.png                 held-out views, or those of --frame: black at 0.5, bright at the largest relevancy of a
+  TEXT/STEM.relevancy.png                 held-out views, or those of --frame: grey up to 0.5, bright at the largest relevancy of a
                                           Gaussian; npy: [H, W] float32, the mean of what a pixel shows
   lifted/                                 the lifted features, for the next query; features.cache_dir is used instead if it is set
 
