@@ -6,7 +6,8 @@
     python3 scripts/reference_clip.py weights clip.safetensors      the weights of the case "base" as a file of 254 MB
     python3 scripts/reference_clip.py maps bpe_simple_vocab_16e6.txt.gz SCENE OUT     maps by these weights, made up of true labels
 
-The vocabulary is of github.com/openai/CLIP, folder clip. No published weights are read. Weights are hashes of tensor names and places, which tests/suite/support/clip_weights.rs makes
+The vocabulary is of github.com/openai/CLIP, folder clip. No published weights are read.
+Weights are hashes of tensor names and places, which tests/suite/support/clip_weights.rs makes
 anew, so the fixture holds results alone. "base" has the shape of the text encoder of ViT-B/32.
 """
 import argparse
@@ -151,7 +152,6 @@ def main():
         maps(arguments.files[0], Path(arguments.files[1]), Path(out))
     else:
         save_file({name: values(name, shape) for name, shape in shapes(SIZES["base"])}, out)
-
 
 
 if __name__ == "__main__":

@@ -47,7 +47,7 @@ impl FrameFiles<'_> {
         })
     }
 
-    /// Writes relevancy, `[H, W]`, as a picture over the colours of `frame`: black at `least`, bright at `most`.
+    /// Writes relevancy, `[H, W]`, as a picture over the colours of `frame`: dark grey up to `least`, bright at `most`.
     pub fn write_relevancy(
         &self,
         relevancy: &[f32],

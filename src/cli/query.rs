@@ -12,7 +12,9 @@ use coseg::error::{Error, Result, ensure, invalid};
 use coseg::features::Activation;
 use coseg::features::clip::{TextEncoder, Tokenizer};
 use coseg::files::own;
-use coseg::objects::{CANONICAL, RenderOptions, Renderer};
+use coseg::objects::{
+    CANONICAL, NEUTRAL, RenderOptions, Renderer, best_scale, largest, selections,
+};
 use coseg::pipeline::{LiftedMaps, compare_with_photos, load_scene};
 use coseg::runs::{CONFIG, ObjectScene, named_frame};
 use std::collections::BTreeSet;
@@ -22,13 +24,11 @@ use std::path::{Path, PathBuf};
 const LIFTED: &str = "lifted";
 /// Lifted features that are in memory at once, bytes.
 const LIFTED_BYTES: usize = 1 << 29;
-/// Relevancy of a Gaussian that is as much another phrase as the text.
-const NEUTRAL: f32 = 0.5;
 
 const HELP: &str = "\
 Lifts feature maps in the space of CLIP (of LSeg, OpenSeg or CLIP itself, all channels) onto the Gaussians, and compares
 them with texts as LERF does: the relevancy of a Gaussian is the share of --text in a softmax with each --negative, the
-smallest of these shares. 0.5 is neither. Each text has the scale at which some Gaussian is most relevant.
+smallest of these shares. 0.5 is neither. For each text, the scale with the highest relevancy is used.
 
 The Gaussians above --threshold become an object with the text as its name, as with `coseg select`; where several texts
 apply, of the most relevant one. For each text TEXT the output folder gets
@@ -131,9 +131,7 @@ impl QueryArgs {
         bar.finish_and_clear();
         let relevancy = |text: usize| {
             let others = self.others(text, &phrases);
-            let scales = compared.iter().map(|scale| scale.relevancy(text, &others));
-            let best = scales.max_by(|a, b| largest(a).total_cmp(&largest(b)));
-            best.unwrap_or_default()
+            best_scale(&compared, text, &others)
         };
         let relevancies: Vec<Vec<f32>> = (0..self.texts.len()).map(relevancy).collect();
         self.write(&scene, &relevancies)?;
@@ -270,7 +268,7 @@ impl QueryArgs {
 
     /// Writes the relevancy of each Gaussian to each text, and the scene with an object for each text.
     fn write(&self, scene: &ObjectScene, relevancies: &[Vec<f32>]) -> Result<()> {
-        let selections = self.selections(relevancies);
+        let selections = selections(relevancies, self.threshold);
         let objects = self.texts.iter().zip(&selections);
         let objects: Vec<(&str, &[u32])> = objects
             .map(|(text, rows)| (text.as_str(), &rows[..]))
@@ -299,24 +297,6 @@ impl QueryArgs {
         Ok(())
     }
 
-    /// The Gaussians that each text selects: those relevant enough to it, and to no other text more.
-    fn selections(&self, relevancies: &[Vec<f32>]) -> Vec<Vec<u32>> {
-        let mut selections = vec![Vec::new(); relevancies.len()];
-        for row in 0..relevancies.first().map_or(0, Vec::len) {
-            let (mut best, mut most) = (None, self.threshold);
-            for (text, relevancy) in relevancies.iter().enumerate() {
-                let value = relevancy[row];
-                if value > most {
-                    (best, most) = (Some(text), value);
-                }
-            }
-            if let Some(text) = best {
-                selections[text].push(row as u32);
-            }
-        }
-        selections
-    }
-
     /// Draws the relevancy of each text in each view.
     fn draw(
         &self,
@@ -338,9 +318,4 @@ impl QueryArgs {
         }
         Ok(())
     }
-}
-
-/// The largest of some values of 0 or more.
-fn largest(values: &[f32]) -> f32 {
-    values.iter().copied().fold(0.0, f32::max)
 }

@@ -32,7 +32,7 @@ pub use self::label_maps::LabelMaps;
 pub(crate) use self::largest::first_largest;
 pub use self::pooled_vote::{PooledVote, PooledVotes, pooled_vote};
 pub use self::regions::Regions;
-pub use self::relevancy::{CANONICAL, Similarities};
+pub use self::relevancy::{CANONICAL, NEUTRAL, Similarities, best_scale, largest, selections};
 pub use self::renderer::{Frame, RenderOptions, Renderer};
 pub use self::select::{Growth, seed};
 pub use self::semantics::{Semantics, has_truth};

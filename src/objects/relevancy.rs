@@ -5,6 +5,8 @@ use rayon::prelude::*;
 
 /// LERF's canonical phrases: what a text is compared with.
 pub const CANONICAL: [&str; 4] = ["object", "things", "stuff", "texture"];
+/// Relevancy of a Gaussian that is as much another phrase as the text.
+pub const NEUTRAL: f32 = 0.5;
 /// LERF's inverse temperature of the softmax.
 const SHARPNESS: f32 = 10.0;
 
@@ -75,9 +77,52 @@ impl Similarities {
     }
 }
 
+/// Relevancy of each Gaussian to the phrase `text` at the one of `scales` where the highest relevancy occurs, as
+/// [`Similarities::relevancy`]; empty without scales.
+///
+/// # Panics
+/// If there is no such phrase.
+pub fn best_scale(scales: &[Similarities], text: usize, others: &[usize]) -> Vec<f32> {
+    let relevancies = scales.iter().map(|scale| scale.relevancy(text, others));
+    let best = relevancies.max_by(|a, b| largest(a).total_cmp(&largest(b)));
+    best.unwrap_or_default()
+}
+
+/// The largest of some relevancies; 0 without any.
+pub fn largest(relevancies: &[f32]) -> f32 {
+    relevancies.iter().copied().fold(0.0, f32::max)
+}
+
+/// For each text the Gaussians that are more relevant to it than `threshold`, and to no other text more. `relevancies` has those of
+/// all Gaussians for each text.
+pub fn selections(relevancies: &[Vec<f32>], threshold: f32) -> Vec<Vec<u32>> {
+    let mut selections = vec![Vec::new(); relevancies.len()];
+    for row in 0..relevancies.iter().map(Vec::len).min().unwrap_or(0) {
+        let (mut best, mut most) = (None, threshold);
+        for (text, relevancy) in relevancies.iter().enumerate() {
+            if relevancy[row] > most {
+                (best, most) = (Some(text), relevancy[row]);
+            }
+        }
+        if let Some(text) = best {
+            selections[text].push(row as u32);
+        }
+    }
+    selections
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_gaussian_goes_to_the_text_it_is_most_relevant_to_if_to_any() {
+        let relevancies = [vec![0.5, 0.6, 0.7, 0.0], vec![0.4, 0.8, 0.7, 0.5]];
+        let expected: [Vec<u32>; 2] = [vec![2], vec![1]];
+        assert_eq!(selections(&relevancies, NEUTRAL), expected);
+        assert_eq!(selections(&relevancies, 0.0), [vec![0, 2], vec![1, 3]]);
+        assert!(selections(&[], NEUTRAL).is_empty());
+    }
 
     #[test]
     fn relevancy_is_the_smallest_share_of_softmaxes_whatever_the_length_of_features() {

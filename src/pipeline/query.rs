@@ -1,7 +1,6 @@
 //! Features of other programs on Gaussians, all channels of them, compared with phrases.
 
-use crate::checkpoint::Checkpoint;
-use crate::checkpoint::Scalar;
+use crate::checkpoint::{Checkpoint, Scalar};
 use crate::config::{Config, Resolution};
 use crate::data::{Scene, Split, View};
 use crate::error::{Error, Result, ensure, invalid};

@@ -73,7 +73,8 @@ impl<'a> LabelFiles<'a> {
     }
 }
 
-/// The first of `files` that is there, as a file or as a folder of masks with its name without extension.
+/// The first of `files` that is there, as a file or as a folder of masks with its name without extension. In side folders any file
+/// comes before any folder; here the likelier name does.
 fn file_or_masks(files: &[PathBuf]) -> Option<PathBuf> {
     files.iter().find_map(|file| {
         let masks = file.with_extension("");
