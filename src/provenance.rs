@@ -301,7 +301,7 @@ fn digest_photos(scene: &Scene) -> Sha256 {
     digest
 }
 
-/// Class ids, and of every training view with raw labels its name, split, camera, labels and scores.
+/// Class ids, and of every training view with raw labels its name, split, camera, labels, corrections and scores.
 fn digest_labels(scene: &Scene) -> Result<Sha256> {
     let views: Vec<&View> = scene.labelled().collect();
     let parts = views.par_iter().map(|view| {
@@ -310,6 +310,7 @@ fn digest_labels(scene: &Scene) -> Result<Sha256> {
         let scores = scores.transpose()?;
         Ok(digest_view(view, |hash| {
             digest_map(view.raw.as_ref(), hash);
+            digest_map(view.corrected.as_ref(), hash);
             hash.update(scores.unwrap_or_default());
         }))
     });

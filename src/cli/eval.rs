@@ -8,7 +8,7 @@ use coseg::data::{Classes, Limits, Split};
 use coseg::error::{Result, ensure};
 use coseg::metrics::ImageScores;
 use coseg::objects::Semantics;
-use coseg::pipeline::{HeldOut, Inputs, Pictures, load_scene};
+use coseg::pipeline::{HeldOut, Inputs, Pictures, load_scene, stored_corrections};
 use coseg::report::{TestScores, VariantScores};
 use coseg::runs::{RunFolder, SCENE, identities_beside};
 use coseg::splat::ply;
@@ -55,7 +55,8 @@ impl EvalArgs {
             // True labels have no ids of objects.
             semantics = Semantics::of(&scene);
             scene.views.iter_mut().for_each(|view| view.truth = None);
-        } else {
+        } else if stored_corrections(run.path())?.is_none() {
+            // A person may add and rename classes.
             same_classes(&scene.classes, &classes)?;
         }
         scene.classes = classes;

@@ -12,7 +12,9 @@ use coseg::files::own;
 use coseg::pipeline::{Outcome, VariantOutcome};
 use coseg::progress::Progress;
 use coseg::report::Command;
-use coseg::runs::{REPORT, RunFolder, RunOptions, VIEWER, check_folder, scene_name, train};
+use coseg::runs::{
+    REPORT, RunFolder, RunOptions, VIEWER, check_folder, correct, scene_name, train,
+};
 use coseg::viewer::MAX_PAGE_BYTES;
 #[cfg(feature = "serve")]
 use coseg::watch::Watched;
@@ -56,6 +58,7 @@ Examples:
   coseg train --data scenes/fox --scene other/point_cloud.ply --set building.iterations=2000      trained further first
   coseg train --data scenes/fox --view                                 shows the scene as it grows (feature `serve`)
   coseg train --resume runs/fox
+  coseg train --resume runs/fox --corrections edits.json               labels corrected in its page count as true
   coseg train --resume runs/fox --data elsewhere/fox                   its scene has moved";
 
 /// Arguments of `coseg train`.
@@ -79,6 +82,9 @@ pub struct TrainArgs {
     /// Continue this run from its last checkpoint; add --data if its scene has moved
     #[arg(long, value_name = "RUN", conflicts_with_all = ["out", "seed", "config"])]
     resume: Option<PathBuf>,
+    /// Train again on labels that you corrected in the page of this run; see docs/edits.md
+    #[arg(long, value_name = "FILE.json", requires = "resume")]
+    corrections: Option<PathBuf>,
     /// Serve a page on which a browser of this machine watches the run; its address is printed
     #[cfg(feature = "serve")]
     #[arg(long)]
@@ -113,6 +119,10 @@ impl TrainArgs {
         interrupt::watch();
         if self.label(run, &mut config)? {
             return Ok(interrupt::stopped("the same command continues"));
+        }
+        if let Some(edits) = &self.corrections {
+            let count = correct(run, edits)?;
+            terminal::note(&format!("corrected labels: {count} Gaussians"));
         }
         let command = Command {
             line: command_line(),

@@ -16,6 +16,8 @@ pub struct Editing {
     labels: Vec<u16>,
     classes: Classes,
     removed: Vec<bool>,
+    /// Gaussians that were given a label.
+    given: Vec<bool>,
     /// Labels of the scene as it was.
     used: BTreeSet<u16>,
     farthest: f64,
@@ -42,6 +44,7 @@ impl Editing {
         let corners = bounds(gaussians.positions(DVec3::ZERO).into_iter());
         Self {
             removed: vec![false; labels.len()],
+            given: vec![false; labels.len()],
             used: labels.iter().copied().collect(),
             farthest: MAX_MOVE * corners.map_or(0.0, |(low, high)| low.distance(high)),
             gaussians,
@@ -78,6 +81,18 @@ impl Editing {
         self.removed[row as usize]
     }
 
+    /// The class table as it is now.
+    pub fn classes(&self) -> &Classes {
+        &self.classes
+    }
+
+    /// Gaussians that were given a label and are not removed, ascending, with that label.
+    pub fn given(&self) -> impl Iterator<Item = (u32, u16)> {
+        let given = self.given.iter().zip(&self.removed);
+        let rows = rows_where(given, |(given, removed)| *given && !removed);
+        rows.into_iter().map(|row| (row, self.labels[row as usize]))
+    }
+
     /// Gaussians of a label that are not removed, ascending.
     pub fn rows(&self, id: u16) -> Vec<u32> {
         let labelled = self.labels.iter().zip(&self.removed);
@@ -112,6 +127,7 @@ impl Editing {
     pub fn assign(&mut self, rows: &[u32], id: u16) {
         for &row in rows {
             self.labels[row as usize] = id;
+            self.given[row as usize] = true;
         }
     }
 

@@ -34,16 +34,22 @@ impl<'a> LabelMaps<'a> {
         source: LabelSource,
         min_coverage: f32,
     ) -> Self {
-        let blended = match source {
-            LabelSource::Labels => {
-                let label = |class: Option<u16>| class.map_or(0, |c| c + 1);
-                let labels = identities.labels().into_iter().map(label).collect();
-                Blended::Labels(GaussianLabels::new(labels))
-            }
-            LabelSource::Scores => Blended::Scores(identities, OnceLock::new()),
-        };
+        match source {
+            LabelSource::Labels => Self::of_labels(identities.labels(), classes, min_coverage),
+            LabelSource::Scores => Self {
+                blended: Blended::Scores(identities, OnceLock::new()),
+                classes,
+                min_coverage,
+            },
+        }
+    }
+
+    /// The maps of one class index for each Gaussian, `None` where nothing is known. The rest is as in [`Self::new`].
+    pub fn of_labels(labels: Vec<Option<u16>>, classes: &'a Classes, min_coverage: f32) -> Self {
+        let label = |class: Option<u16>| class.map_or(0, |c| c + 1);
+        let labels = labels.into_iter().map(label).collect();
         Self {
-            blended,
+            blended: Blended::Labels(GaussianLabels::new(labels)),
             classes,
             min_coverage,
         }

@@ -6,7 +6,7 @@ use crate::backend::device::upload;
 use crate::config::{Config, Encode, SpatialConfig, SpatialSource, Variant};
 use crate::data::{Scene, Split};
 use crate::error::{Result, bail};
-use crate::objects::Semantics;
+use crate::objects::{Corrections, Semantics};
 use crate::raster::{Projected, Settings};
 use crate::segmentation::encoder::{self, Cloud, Encoding, load_spatial, metres_per_unit};
 use crate::segmentation::pyramid::{Pyramid, Standardisation, Switches};
@@ -27,6 +27,8 @@ pub struct Inputs<'a> {
     pub lifted: Option<LiftedFeatures>,
     /// What the classes of objects are scored against, after association.
     pub semantics: Option<&'a Semantics>,
+    /// Labels that a person corrected, if any.
+    pub corrections: Option<&'a Corrections>,
     /// Whether feature fields are scored.
     pub scores_fields: bool,
     /// Settings of the run.
@@ -38,7 +40,7 @@ pub struct Inputs<'a> {
 }
 
 impl<'a> Inputs<'a> {
-    /// Inputs for `gaussians`, without lifted features, semantics and scores of feature fields.
+    /// Inputs for `gaussians`, without lifted features, semantics, corrections and scores of feature fields.
     pub fn new(
         scene: &'a Scene,
         gaussians: &'a Gaussians,
@@ -50,10 +52,18 @@ impl<'a> Inputs<'a> {
             gaussians,
             lifted: None,
             semantics: None,
+            corrections: None,
             scores_fields: false,
             config,
             settings: Settings::from(&config.raster),
             device,
+        }
+    }
+
+    /// Makes corrected labels those of `scores`, `[N, C]`.
+    pub(super) fn correct(&self, scores: &mut [f32]) {
+        if let Some(corrections) = self.corrections {
+            corrections.fix(scores, &self.scene.classes);
         }
     }
 

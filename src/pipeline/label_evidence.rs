@@ -91,9 +91,13 @@ pub(crate) fn votes(inputs: &Inputs) -> Result<Votes> {
 pub(crate) fn pooled(inputs: &Inputs, votes: &Votes) -> Result<PooledVote> {
     let (scene, gaussians, settings) = (inputs.scene, inputs.gaussians, &inputs.settings);
     let train = scene.split(Split::Train);
-    let refined = refined_vote(gaussians, train, &scene.classes, settings, inputs.device)?;
+    let mut refined = refined_vote(gaussians, train, &scene.classes, settings, inputs.device)?;
+    // Corrected Gaussians vote for their labels, and so have a say in their superpoints.
+    inputs.correct(&mut refined.table);
+    let mut votes = votes.clone();
+    inputs.correct(&mut votes.table);
     let exponent = inputs.config.segmentation.prior_exponent;
-    pooled_vote(gaussians, votes, &refined, exponent)
+    pooled_vote(gaussians, &votes, &refined, exponent)
 }
 
 /// The value of `cell`, made where it has none yet.

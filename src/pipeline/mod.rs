@@ -11,6 +11,7 @@
 pub mod train_decoder;
 
 mod associate;
+mod corrections;
 pub(crate) mod encode;
 pub(crate) mod evaluate;
 mod fine_tuning;
@@ -29,6 +30,7 @@ pub(crate) mod variant_training;
 pub(crate) mod variants;
 
 pub use self::associate::{Associated, AssociationCounts, associate};
+pub use self::corrections::{store_corrections, stored_corrections};
 pub use self::encode::{Encodings, Inputs, encode};
 pub use self::evaluate::{FieldScores, HeldOut, HeldOutScores, Pictures, score_images};
 pub use self::initial_scene::compare_with_photos;

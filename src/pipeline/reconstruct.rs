@@ -5,6 +5,7 @@ use crate::checkpoint::Checkpoint;
 use crate::config::Config;
 use crate::data::Scene;
 use crate::error::{Error, Result};
+use crate::files::{self, atomic};
 use crate::progress::{CurvePoint, Progress, Review};
 use crate::provenance::Provenance;
 use crate::reconstruction::{Trainer, TrainerState};
@@ -17,6 +18,8 @@ use std::time::Instant;
 const BUILDING: &str = "building.safetensors";
 /// Provenance of Gaussians that were taken as they are.
 const INITIAL: &str = "initial.safetensors";
+/// Labels that a person corrected.
+const CORRECTIONS: &str = "corrections.safetensors";
 /// Kind of the second file.
 const INITIAL_KIND: &str = "initial Gaussians";
 
@@ -53,6 +56,24 @@ impl RunFiles {
             checkpoints: out.join("checkpoint"),
             scene: out.join("scene.ply"),
         }
+    }
+
+    /// Labels that a person corrected.
+    pub fn corrections(&self) -> PathBuf {
+        self.checkpoints.join(CORRECTIONS)
+    }
+
+    /// Removes the checkpoints of stage two.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn forget_stage_two(&self) -> Result<()> {
+        let is_of_stage_two = |name: &str, _: &Path| {
+            name.ends_with(".safetensors") && ![BUILDING, INITIAL, CORRECTIONS].contains(&name)
+        };
+        let names = files::names(&self.checkpoints, is_of_stage_two);
+        let mut files = names.iter().map(|name| self.checkpoints.join(name));
+        files.try_for_each(atomic::remove)
     }
 
     fn building(&self) -> PathBuf {

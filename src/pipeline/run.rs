@@ -1,6 +1,7 @@
 //! The main job: a scene in, a segmented Gaussian scene out, with everything that a report needs.
 
 use super::associate::{Associated, AssociationCounts, associate};
+use super::corrections;
 use super::encode::Inputs;
 use super::evaluate::score_images;
 use super::lift::{Pruned, lift};
@@ -16,7 +17,7 @@ use crate::error::Result;
 use crate::features::FeatureColors;
 use crate::memory;
 use crate::metrics::ImageScores;
-use crate::objects::{Identities, Semantics, has_truth};
+use crate::objects::{Corrections, Identities, Semantics, has_truth};
 use crate::progress::{CurvePoint, Progress, Review};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
@@ -59,6 +60,8 @@ pub struct Outcome {
     pub association: Option<AssociationCounts>,
     /// What the classes of objects are scored against, where association found objects with classes.
     pub semantics: Option<Semantics>,
+    /// Labels that a person corrected, where the run folder has some and stage two was reached.
+    pub corrections: Option<Corrections>,
     /// Variants of the label table, in the order of the settings; empty without labels.
     pub rows: Vec<VariantOutcome>,
     /// Where the 2D features came from; empty when none were needed.
@@ -175,9 +178,11 @@ pub fn run_on(
     progress: &mut dyn Progress,
 ) -> Result<Outcome> {
     let start = Instant::now();
-    let config = &resolved(config, &scene);
+    let files = RunFiles::new(out);
+    let corrections = Corrections::read(&files.corrections())?;
+    let config = &resolved(config, &scene, corrections.is_some());
     if !config.segmentation.rows().is_empty() {
-        if has_raw_labels(&scene) || has_segments(&scene, config) {
+        if has_raw_labels(&scene) || has_segments(&scene, config) || corrections.is_some() {
             check_networks(config, &scene, device)?;
         } else {
             tracing::warn!(
@@ -188,10 +193,10 @@ pub fn run_on(
     }
     check_scores(least_count(&scene, config), &scene, config)?;
     progress.scene(&scene);
-    let files = RunFiles::new(out);
     let reconstruction = reconstruct(&scene, config, &files, device, progress)?;
     let complete = reconstruction.complete;
     let mut outcome = Outcome::new(scene, config, reconstruction);
+    outcome.corrections = corrections;
     // A run that is stopped ends without delay.
     let finished = complete && {
         outcome.test = score_images(&outcome.gaussians, &outcome.scene, config, device)?;
@@ -230,7 +235,8 @@ impl Outcome {
         progress: &mut dyn Progress,
     ) -> Result<bool> {
         let config = &self.config;
-        if !has_raw_labels(&self.scene) || config.segmentation.rows().is_empty() {
+        let is_labelled = has_raw_labels(&self.scene) || self.corrections.is_some();
+        if !is_labelled || config.segmentation.rows().is_empty() {
             return Ok(true);
         }
         if progress.stop() {
@@ -257,10 +263,26 @@ impl Outcome {
         if let Some(features) = &lifted.features {
             self.features.clone_from(&features.name);
         }
+        if let Some(corrections) = &self.corrections {
+            let (file, gaussians) = (files.corrections(), &self.gaussians);
+            if !corrections::apply(
+                corrections,
+                &file,
+                &mut self.scene,
+                gaussians,
+                config,
+                device,
+                progress,
+            )? {
+                return Ok(false);
+            }
+            progress.scene(&self.scene);
+        }
         let clock = Instant::now();
         let inputs = Inputs {
             lifted: lifted.features,
             semantics: self.semantics.as_ref(),
+            corrections: self.corrections.as_ref(),
             scores_fields: scored == Scored::LabelsAndFeatures,
             ..Inputs::new(&self.scene, &self.gaussians, config, device)
         };
@@ -280,11 +302,13 @@ impl Outcome {
 }
 
 /// `config` with everything that follows from the scene: who made the labels, the loss for such labels, and the variants to train
-/// where it names none.
-fn resolved(config: &Config, scene: &Scene) -> Config {
+/// where it names none. `has_corrections` says whether a person corrected labels.
+fn resolved(config: &Config, scene: &Scene, has_corrections: bool) -> Config {
     let mut config = config.clone();
     if has_raw_labels(scene) {
         trust_labels(&mut config, scene);
+    } else if has_corrections {
+        trust(&mut config);
     }
     if config.segmentation.rows.is_none() {
         // The semantics of stage two: association has yet to come.
@@ -318,18 +342,23 @@ fn trust_labels(config: &mut Config, scene: &Scene) {
         };
     }
     if config.data.labels_by == LabelsBy::Hand {
-        if config.segmentation.loss == LabelLoss::GCE {
-            config.segmentation.loss = LabelLoss::Ce;
-        }
-        if config.segmentation.prior == Prior::Pooled {
-            config.segmentation.prior = Prior::Votes;
-        }
-        tracing::info!(
-            "labels made by hand are trusted: `ours` is trained under {:?} from the prior {:?} (data.labels_by)",
-            config.segmentation.loss,
-            config.segmentation.prior
-        );
+        trust(config);
     }
+}
+
+/// Trains on labels that a person made.
+fn trust(config: &mut Config) {
+    if config.segmentation.loss == LabelLoss::GCE {
+        config.segmentation.loss = LabelLoss::Ce;
+    }
+    if config.segmentation.prior == Prior::Pooled {
+        config.segmentation.prior = Prior::Votes;
+    }
+    tracing::info!(
+        "labels made by hand are trusted: `ours` is trained under {:?} from the prior {:?} (data.labels_by)",
+        config.segmentation.loss,
+        config.segmentation.prior
+    );
 }
 
 /// Whether there are segments of single views that the settings make objects of.
@@ -361,7 +390,7 @@ mod tests {
     fn decided(scene: &Scene, change: impl Fn(&mut Config)) -> (LabelsBy, LabelLoss, Prior) {
         let mut config = Config::default();
         change(&mut config);
-        let resolved = resolved(&config, scene);
+        let resolved = resolved(&config, scene, false);
         (
             resolved.data.labels_by,
             resolved.segmentation.loss,

@@ -135,7 +135,12 @@ impl<'a> StageTwo<'a> {
     }
 
     /// `identities` of Gaussians, from labels alone.
-    fn of_identities(&self, variant: Variant, identities: Identities) -> Result<VariantOutcome> {
+    fn of_identities(
+        &self,
+        variant: Variant,
+        mut identities: Identities,
+    ) -> Result<VariantOutcome> {
+        self.inputs.correct(&mut identities.scores);
         let scores = self.held_out.score(&identities)?;
         Ok(VariantOutcome {
             identities: Some(identities),
@@ -297,13 +302,18 @@ impl<'a> StageTwo<'a> {
         progress: &mut dyn Progress,
     ) -> Result<VariantOutcome> {
         let held_out = &self.held_out;
+        let identities = |training: &Training<M>| -> Result<Identities> {
+            let mut identities = training.identities()?;
+            self.inputs.correct(&mut identities.scores);
+            Ok(identities)
+        };
         // Of the last iteration.
         let mut last: Option<(Identities, HeldOutScores)> = None;
         let mut evaluate = |training: &Training<M>| {
             if held_out.is_empty() {
                 return Ok(None);
             }
-            let identities = training.identities()?;
+            let identities = identities(training)?;
             let scores = held_out.score(&identities)?;
             let miou = scores.miou();
             if training.iteration() == plan.iterations {
@@ -313,7 +323,7 @@ impl<'a> StageTwo<'a> {
         };
         let finished = training.run(&mut self.views, plan, schedule, &mut evaluate, progress)?;
         if finished && last.is_none() {
-            let identities = training.identities()?;
+            let identities = identities(&training)?;
             let scores = held_out.score(&identities)?;
             last = Some((identities, scores));
         }

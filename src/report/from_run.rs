@@ -184,6 +184,12 @@ impl Report<'_> {
                 a.segments, a.objects, a.dropped, a.divided
             ));
         }
+        if let Some(corrections) = &outcome.corrections {
+            let count = corrections.count();
+            note(format!(
+                "A person set the labels of {count} Gaussians. Their pixels in training photos, and they themselves, have these labels."
+            ));
+        }
         if let Some(pruned) = &outcome.pruned {
             let psnr = |psnr: Option<f64>| {
                 psnr.map_or("not measured".to_owned(), |psnr| format!("{psnr:.2} dB"))

@@ -1,5 +1,6 @@
 //! Run folders and scene files, and what commands do with them: their names, checks of what is written, training, votes, edits.
 
+mod corrections;
 mod folder;
 mod merge;
 mod object_edits;
@@ -8,6 +9,7 @@ mod scene_file;
 mod training;
 mod vote;
 
+pub use self::corrections::correct;
 pub use self::folder::{IDENTITIES, RENDERS, REPORT, RunFolder, StartedRun, identities_beside};
 pub use self::merge::{Merged, merge};
 pub use self::object_edits::{ObjectEdits, turn};

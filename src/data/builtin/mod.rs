@@ -168,6 +168,7 @@ fn assemble(options: &BuiltinOptions) -> Scene {
                 raw: Some(raw.into()),
                 scores: None,
                 segments: Vec::new(),
+                corrected: None,
                 instances: Some(instances.into()),
             }
         });

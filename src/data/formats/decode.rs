@@ -85,6 +85,7 @@ impl Listing {
             raw,
             scores,
             segments,
+            corrected: None,
             instances,
         };
         Ok((view, frame.may_be_turned(&file)))

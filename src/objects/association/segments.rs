@@ -172,6 +172,7 @@ mod tests {
             raw: None,
             scores: None,
             segments: Vec::new(),
+            corrected: None,
             instances: None,
         };
         let of = |view: &View| {

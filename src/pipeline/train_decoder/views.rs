@@ -9,7 +9,9 @@ use crate::objects::{Identities, first_largest};
 use crate::ops::select;
 use crate::raster::Settings;
 use crate::segmentation::loss::Scores;
-use crate::segmentation::pixels::{FrozenGaussians, LabelledPixels, LabelledView, PixelWeights};
+use crate::segmentation::pixels::{
+    FrozenGaussians, LabelledPixels, LabelledView, NO_CLASS, PixelWeights,
+};
 use crate::splat::Gaussians;
 use burn::tensor::{Device, Tensor};
 use rand::Rng;
@@ -51,7 +53,7 @@ pub struct TrainingViews<'a> {
     gaussians: FrozenGaussians,
     device: Device,
     views: Vec<&'a View>,
-    /// Class index of each label id, [`NO_CLASS`](crate::segmentation::pixels::NO_CLASS) for the others. Absent where labels do
+    /// Class index of each label id, [`NO_CLASS`] for the others. Absent where labels do
     /// not count.
     lookup: Option<Vec<u16>>,
     min_coverage: f32,
@@ -204,10 +206,15 @@ impl<'a> TrainingViews<'a> {
         if numbers.is_empty() {
             return Ok(None);
         }
+        let corrected = self.corrected(index);
         let read = || Ok((file.read(&self.classes)?, 0));
         let scores = self.scores.get(index, read)?;
         let size = [numbers.len(), self.classes.len()];
-        let rows = probabilities(&scores, labels, numbers, size[1]);
+        let certain = |number: u32| {
+            let class = *corrected.get(number as usize)?;
+            (class != NO_CLASS).then_some(class)
+        };
+        let rows = probabilities(&scores, labels, numbers, size[1], certain);
         Ok(Some(upload(rows, size, &self.device)))
     }
 
@@ -221,7 +228,10 @@ impl<'a> TrainingViews<'a> {
             Some(lookup) => {
                 let raw = view.raw.as_ref().map(LabelRuns::map);
                 let ids = raw.map_or_else(Vec::new, |map| map.ids);
-                ids.iter().map(|&id| lookup[usize::from(id)]).collect()
+                let raw = ids.iter().map(|&id| lookup[usize::from(id)]);
+                let mut labels: Vec<u16> = raw.collect();
+                put(&self.corrected(index), &mut labels);
+                labels
             }
             None => vec![0; view.camera.width * view.camera.height],
         };
@@ -236,6 +246,15 @@ impl<'a> TrainingViews<'a> {
         Ok((view, Some(weights)))
     }
 
+    /// The class of each pixel of view `index` whose label a person corrected, [`NO_CLASS`] for the others; empty where there are none.
+    fn corrected(&self, index: usize) -> Vec<u16> {
+        let (Some(lookup), Some(corrected)) = (&self.lookup, &self.views[index].corrected) else {
+            return Vec::new();
+        };
+        let ids = corrected.map().ids.into_iter();
+        ids.map(|id| lookup[usize::from(id)]).collect()
+    }
+
     /// The labels of the pixels of `view`, number `index`: its own or what replaces them; and `weights`, which that may need.
     fn labels(
         &mut self,
@@ -243,6 +262,7 @@ impl<'a> TrainingViews<'a> {
         view: &LabelledView,
         mut weights: Option<PixelWeights>,
     ) -> Result<(Arc<Vec<u16>>, Option<PixelWeights>)> {
+        let corrected = self.corrected(index);
         let Some(ReplacedLabels { scores, labels }) = &mut self.replaced else {
             return Ok((view.labels.clone(), weights));
         };
@@ -259,9 +279,23 @@ impl<'a> TrainingViews<'a> {
                 labels: view.labels.clone(),
                 distributions: None,
             };
-            Ok((largest_blended(scores, &view.visible, &pixels)?, 0))
+            let mut labels = largest_blended(scores, &view.visible, &pixels)?;
+            for (label, &number) in labels.iter_mut().zip(view.numbers.iter()) {
+                let corrected = corrected.get(number as usize).copied();
+                *label = corrected.filter(|c| *c != NO_CLASS).unwrap_or(*label);
+            }
+            Ok((labels, 0))
         })?;
         Ok((labels, weights))
+    }
+}
+
+/// Puts corrected classes into the `labels` of all pixels.
+fn put(corrected: &[u16], labels: &mut [u16]) {
+    for (label, &class) in labels.iter_mut().zip(corrected) {
+        if class != NO_CLASS {
+            *label = class;
+        }
     }
 }
 
@@ -271,6 +305,7 @@ fn probabilities(
     labels: &[u16],
     numbers: &[u32],
     classes: usize,
+    certain: impl Fn(u32) -> Option<u16>,
 ) -> Vec<f32> {
     let [width, _] = scores.size();
     let mut rows = vec![0.0; numbers.len() * classes];
@@ -281,7 +316,9 @@ fn probabilities(
     {
         let pixel = number as usize;
         scores.at(pixel % width, pixel / width, &mut found);
-        if found.is_empty() {
+        if let Some(class) = certain(number) {
+            found = vec![(class, 1.0)];
+        } else if found.is_empty() {
             found.push((label, 1.0));
         }
         for &(class, p) in &found {

@@ -6,6 +6,7 @@ pub mod associate;
 pub mod bench;
 pub mod commands;
 pub mod compare;
+pub mod corrections;
 pub mod edit;
 pub mod edits;
 pub mod export;

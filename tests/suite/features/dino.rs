@@ -247,6 +247,7 @@ fn extraction_reduces_the_maps_and_names_the_file() {
             raw: None,
             scores: None,
             segments: Vec::new(),
+            corrected: None,
             instances: None,
         }
     };

@@ -1,6 +1,7 @@
 //! Tests of `coseg::objects`.
 
 pub mod association;
+pub mod corrections;
 #[cfg(feature = "wgpu")]
 pub mod device_labels;
 pub mod edit;

@@ -100,6 +100,7 @@ pub fn view(name: String, camera: Camera) -> View {
         raw: None,
         scores: None,
         segments: Vec::new(),
+        corrected: None,
         instances: None,
     }
 }

@@ -95,6 +95,7 @@ fn views(classes: &Classes) -> Vec<View> {
         raw: Some(labels(9.0 + i as f64).into()),
         scores: None,
         segments: Vec::new(),
+        corrected: None,
         instances: None,
     };
     (0..8).map(view).collect()

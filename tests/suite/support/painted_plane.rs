@@ -67,6 +67,7 @@ pub fn scene() -> Scene {
                 raw: None,
                 scores: None,
                 segments: Vec::new(),
+                corrected: None,
                 instances: None,
             }
         })

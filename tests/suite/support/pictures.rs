@@ -33,6 +33,7 @@ pub fn view(name: &str, split: Split, image: RgbImage, truth: Option<LabelMap>) 
         raw: None,
         scores: None,
         segments: Vec::new(),
+        corrected: None,
         instances: None,
     }
 }
