@@ -8,6 +8,7 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     cli::allocator::keep_freed_memory();
     cli::terminal::report_panics();
+    cli::quiet::silence_drivers();
     let matches = cli::Cli::command().get_matches();
     let name = matches.subcommand_name().unwrap_or_default();
     let cli = cli::Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());

@@ -123,17 +123,17 @@ impl EditArgs {
             gaussians = gaussians.painted(&colors);
         }
         scene.write(&out, &gaussians, &edited.labels, &edited.classes)?;
-        let painted = if self.paint {
-            "; painted in the colours of their labels"
-        } else {
-            ""
-        };
-        terminal::say(&format!(
-            "{}: {} of {} Gaussians; {done}{painted}",
-            out.display(),
-            edited.labels.len(),
-            scene.labels.len(),
-        ));
+        let (left, all) = (edited.labels.len(), scene.labels.len());
+        let mut said = format!("{}: {left} of {all} Gaussians", out.display());
+        let painted = self
+            .paint
+            .then(|| "painted in the colours of their labels".to_owned());
+        let parts = [Some(done).filter(|done| !done.is_empty()), painted];
+        for part in parts.into_iter().flatten() {
+            said.push_str("; ");
+            said.push_str(&part);
+        }
+        terminal::say(&said);
         Ok(())
     }
 

@@ -25,6 +25,7 @@ mod program;
 mod progress;
 mod prune;
 mod query;
+pub mod quiet;
 mod render;
 mod render_path;
 mod select;

@@ -71,7 +71,7 @@ pub struct TrainArgs {
     /// Scene whose Gaussians to label instead of new ones: a PLY, .spz or .splat file, or its folder
     #[arg(long, value_name = "FILE|DIR", conflicts_with = "resume")]
     scene: Option<PathBuf>,
-    /// Label the photos first by this segmenter, into labels/ of the run folder; see `coseg label --help`
+    /// Label the photos first by this segmenter (`coseg label --help`), into labels/ of the run folder
     #[arg(long, value_name = "FILE.onnx", conflicts_with = "resume")]
     segmenter: Option<PathBuf>,
     #[command(flatten)]

@@ -147,6 +147,8 @@ impl Assignment<'_> {
         let elsewhere = values.into_iter().map(|(key, _)| key);
         let beside = known.map(|name| format!("{section}{name}"));
         let last = |key: &str| key.rsplit('.').next().unwrap_or_default().to_owned();
+        // A key that is less like another one is no misspelling of it.
+        const ALIKE: f64 = 0.8;
         // The whole key may be misspelt, or only its last part be right and the section be missing or wrong.
         let score = |k: &String| {
             strsim::jaro_winkler(k, &key).max(strsim::jaro_winkler(&last(k), unknown) - 0.05)
@@ -154,7 +156,11 @@ impl Assignment<'_> {
         let nearest = beside
             .chain(elsewhere)
             .max_by(|a, b| score(a).total_cmp(&score(b)));
-        let help = nearest.map_or("remove it".into(), |k| format!("did you mean {k}?"));
+        let nearest = nearest.filter(|key| score(key) > ALIKE);
+        let help = nearest.map_or_else(
+            || "docs/settings.md lists the keys".into(),
+            |key| format!("did you mean {key}?"),
+        );
         fault(
             self.file,
             &key,

@@ -33,7 +33,7 @@ impl ObjectEdits {
         *self == Self::default()
     }
 
-    /// What they make of `scene`, of which `editing` has the Gaussians, and a few words about it.
+    /// What they make of `scene`, of which `editing` has the Gaussians, and a few words about it; none where nothing is asked for.
     ///
     /// # Errors
     /// [`crate::Error::Argument`] naming the flag: no such object, one that is removed, a move too far, no Gaussian left.
@@ -51,12 +51,15 @@ impl ObjectEdits {
         for object in &leaving {
             editing.remove(&object.rows);
         }
-        let done = format!(
-            "objects removed: {}, turns and moves: {}",
-            leaving.len(),
-            motions.len()
-        );
-        Ok((editing.finish("--keep, --remove")?, done))
+        let counts = [
+            ("objects removed", leaving.len()),
+            ("turns and moves", motions.len()),
+        ];
+        let counts = counts.iter().filter(|(_, count)| *count > 0);
+        let done: Vec<String> = counts
+            .map(|(what, count)| format!("{what}: {count}"))
+            .collect();
+        Ok((editing.finish("--keep, --remove")?, done.join(", ")))
     }
 
     /// Rows and motions of the objects that stay: first turns, then moves, in their order.

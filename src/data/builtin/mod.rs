@@ -21,7 +21,7 @@ pub use self::corrupt::{Corruption, corrupt};
 pub use self::points::{LabelledPoints, PRETRAINING_SEEDS, labelled_points};
 pub use self::room::{Room, Truth, render_truth};
 
-use super::{Class, Classes, LabelMap, Scene, Split, View};
+use super::{Classes, LabelMap, Scene, Split, View};
 use crate::error::{Result, bail};
 use build::class;
 use glam::DVec3;
@@ -39,28 +39,19 @@ const _: () = assert!(
 
 /// The ten classes. Carpets count as floor, curtains as window, and small things as the piece they stand on.
 pub fn classes() -> Classes {
-    let table: [(u16, &str, [u8; 3]); 10] = [
-        (class::WALL, "wall", [174, 199, 232]),
-        (class::FLOOR, "floor", [152, 223, 138]),
-        (class::CEILING, "ceiling", [120, 185, 128]),
-        (class::WINDOW, "window", [197, 176, 213]),
-        (class::PICTURE, "picture", [196, 156, 148]),
-        (class::TABLE, "table", [255, 152, 150]),
-        (class::CHAIR, "chair", [188, 189, 34]),
-        (class::SOFA, "sofa", [140, 86, 75]),
-        (class::CABINET, "cabinet", [31, 119, 180]),
-        (class::LAMP, "lamp", [96, 207, 209]),
+    let names = [
+        (class::WALL, "wall"),
+        (class::FLOOR, "floor"),
+        (class::CEILING, "ceiling"),
+        (class::WINDOW, "window"),
+        (class::PICTURE, "picture"),
+        (class::TABLE, "table"),
+        (class::CHAIR, "chair"),
+        (class::SOFA, "sofa"),
+        (class::CABINET, "cabinet"),
+        (class::LAMP, "lamp"),
     ];
-    let entry = |(id, name, color): (u16, &str, _)| Class {
-        id,
-        name: name.to_owned(),
-        color,
-        object_of: None,
-    };
-    Classes {
-        entries: table.into_iter().map(entry).collect(),
-        ignore: 0,
-    }
+    Classes::from_names(0, names)
 }
 
 /// What [`scene_with`] makes.
