@@ -48,7 +48,7 @@ pub struct FromPhotosArgs {
     /// Scene folder to write; new, or one that this command began
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Folder of masks, a.png or a.jpg.png for a.jpg: black where COLMAP and training shall leave a photo out
+    /// Folder of masks, a.png or a.jpg.png for a.jpg: black where a photo is to be left out
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
     /// Frames to take from a video: the sharpest of each of N windows
