@@ -404,11 +404,17 @@ class Errors(WithScene):
 
 class Import(unittest.TestCase):
     def test_nothing_slow_happens_on_import(self):
-        start = time.perf_counter()
-        subprocess.run([sys.executable, "-c", "import coseg"], check=True)
-        took = time.perf_counter() - start
+        def seconds() -> float:
+            start = time.perf_counter()
+            subprocess.run([sys.executable, "-c", "import coseg"], check=True)
+            return time.perf_counter() - start
+
+        # The best of several counts, because other programs may keep the machine busy.
+        took = seconds()
+        for _ in range(9):
+            took = took if took < 1 else min(took, seconds())
         print(f"import coseg, with the start of Python: {took:.2f} s", file=sys.stderr)
-        self.assertLess(took, 10, "a busy machine is slow, too")
+        self.assertLess(took, 1)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,15 @@
 //! Photos or a video without poses, made into a scene folder (`coseg from-photos`).
 
+mod masks;
 mod photos;
 mod poses;
 mod program;
 mod video;
 
+use self::masks::Masks;
 use self::poses::{Place, Solver};
 use crate::data::photos::{is_heic, is_photo};
-use crate::error::{Error, Result, ensure};
+use crate::error::{Error, Result, bail, ensure};
 use crate::files::{self, atomic, names, own};
 use crate::progress::Progress;
 use serde::{Deserialize, Serialize};
@@ -25,6 +27,8 @@ const WORK: &str = ".from-photos";
 pub struct Capture<'a> {
     /// A folder of photos, or a video.
     pub source: &'a Path,
+    /// A folder of masks named as the photos: PNG, black where COLMAP and training leave a photo out.
+    pub masks: Option<&'a Path>,
     /// Frames to take from a video.
     pub frames: usize,
     /// The Python whose pycolmap is used; without it `colmap` with CUDA, the pycolmap of `python3`, or another `colmap`.
@@ -36,17 +40,20 @@ pub struct Capture<'a> {
 pub struct Made {
     /// Folder or video.
     pub source: PathBuf,
-    /// SHA-256 of names, sizes and times of the photos or the video, and of the number of frames.
+    /// SHA-256 of names, sizes and times of the photos or the video, and of the masks, and of the number of frames.
     pub input: String,
     /// Photos in `images`; 0 until all are there.
     pub photos: usize,
+    /// Photos with a mask that was given; where there are some, `masks` has a file for each photo.
+    #[serde(default)]
+    pub masks: usize,
     /// What found the poses, once they are there.
     pub poses: Option<String>,
 }
 
 impl Capture<'_> {
-    /// Makes the scene folder `out`: photos without EXIF orientation in `images`, or frames of the video, and COLMAP models in
-    /// `sparse`. A folder that was begun is continued: steps that are done are not done again. `None` where `progress` stopped it.
+    /// Makes the scene folder `out`: photos without EXIF orientation in `images`, or frames of the video, their masks in `masks`, and
+    /// COLMAP models in `sparse`. A folder that was begun is continued: steps that are done are not done again. `None` where `progress` stopped it.
     ///
     /// # Errors
     /// [`Error::Missing`] for the source or a program that is not there; [`Error::Argument`] for a folder with other files, or one
@@ -61,18 +68,19 @@ impl Capture<'_> {
             expected "a folder of photos, or a video"; help "name the folder of the photo");
         let photos = self.source.is_dir().then(|| photos::list(self.source));
         let photos = photos.transpose()?;
-        let input = self.input(photos.as_deref())?;
+        let masks = self.masks(photos.as_deref())?;
+        let input = self.input(photos.as_deref(), masks.as_ref())?;
         // COLMAP and ffmpeg would take names that start with a dash as options.
         let out = files::absolute(out)?;
         let record = out.join(RECORD);
         let mut made = begun(&out, &record)?;
-        let images = out.join("images");
+        let (images, of_masks) = (out.join("images"), out.join("masks"));
         let work = out.join(WORK);
         let has_photos = images.exists();
         ensure!(made.photos == 0 || has_photos, argument "--out"; found "{}, whose images are gone", out.display();
             expected "the folder as this command left it"; help "name another folder");
         ensure!(made.input == input || !has_photos, argument "--out";
-            found "{}, made from {}, other files or other frames", out.display(), made.source.display();
+            found "{}, made from {}, other files, masks or frames", out.display(), made.source.display();
             expected "a new folder, or one made from the same files"; help "name another folder");
         let solver = made.poses.is_none().then(|| Solver::find(self.python));
         let solver = solver.transpose()?;
@@ -91,15 +99,18 @@ impl Capture<'_> {
                     photos::list(&folder)?
                 }
             };
-            if photos::copy(&photos, &images, progress)?.is_break() {
+            let with_masks = masks.as_ref().map(|masks| (masks, &*of_masks));
+            if photos::copy(&photos, with_masks, &images, progress)?.is_break() {
                 return Ok(None);
             }
             made.photos = photos.len();
+            made.masks = masks.map_or(0, |masks| masks.0.len());
             atomic::write_json(&record, &made)?;
         }
         if let Some(solver) = solver {
             let place = Place {
                 images: &images,
+                masks: (made.masks > 0).then_some(&of_masks),
                 work: &work,
                 models: &out.join("sparse"),
             };
@@ -114,12 +125,26 @@ impl Capture<'_> {
         Ok(Some(made))
     }
 
-    /// [`Made::input`] for these photos, or for the video.
-    fn input(&self, photos: Option<&[PathBuf]>) -> Result<String> {
+    /// The masks of the photos, where they are given.
+    fn masks(&self, photos: Option<&[PathBuf]>) -> Result<Option<Masks>> {
+        let Some(dir) = self.masks else {
+            return Ok(None);
+        };
+        let Some(photos) = photos else {
+            bail!(argument "--masks"; found "masks of a video"; expected "masks of photos";
+                help "make photos of the video by `coseg from-photos` without masks, and then give its folder images");
+        };
+        Masks::list(dir, photos).map(Some)
+    }
+
+    /// [`Made::input`] for these photos and masks, or for the video.
+    fn input(&self, photos: Option<&[PathBuf]>, masks: Option<&Masks>) -> Result<String> {
         let video = [self.source.to_owned()];
         let frames = photos.map_or(self.frames, <[PathBuf]>::len);
         let mut digest = Sha256::new();
-        for file in photos.unwrap_or(&video) {
+        let files = photos.unwrap_or(&video);
+        let of_photo = |photo: &PathBuf| masks?.0.get(photo);
+        for file in files.iter().chain(files.iter().filter_map(of_photo)) {
             let failed = |e| Error::io(file, "look at", e);
             let there = fs::metadata(file).map_err(failed)?;
             let (size, time) = (there.len(), there.modified().map_err(failed)?);

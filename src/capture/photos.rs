@@ -1,8 +1,9 @@
 //! Photos as all programs read them alike: of one size and without an EXIF orientation.
 
+use super::masks::Masks;
 use crate::data::Limits;
 use crate::data::photos::image_file::ImageFile;
-use crate::data::photos::{HEIC_HELP, is_heic, is_photo};
+use crate::data::photos::{HEIC_HELP, is_heic, is_photo, is_video};
 use crate::error::{Error, Result, bail, ensure, in_order};
 use crate::files::{atomic, file_name, names};
 use crate::progress::{Progress, Viewing};
@@ -14,7 +15,8 @@ use std::path::{Path, PathBuf};
 /// The photos in `dir`, sorted by name.
 ///
 /// # Errors
-/// [`Error::Input`] for fewer than two, and for two whose names differ in their extension alone; [`Error::Io`]. A warning counts HEIC files.
+/// [`Error::Input`] for fewer than two, and for two whose names differ in their extension alone; [`Error::Io`]. Warnings
+/// count HEIC files and videos.
 pub(super) fn list(dir: &Path) -> Result<Vec<PathBuf>> {
     std::fs::read_dir(dir).map_err(|e| Error::io(dir, "list", e))?;
     let visible = |name: &str| !name.starts_with('.');
@@ -38,16 +40,26 @@ pub(super) fn list(dir: &Path) -> Result<Vec<PathBuf>> {
             dir.display()
         );
     }
+    let videos = names(dir, |name, path| visible(name) && is_video(path));
+    if let [first, ..] = &videos[..] {
+        tracing::warn!(
+            "{}: {} videos are left out, such as {first}; `coseg from-photos VIDEO` makes a scene folder of one",
+            dir.display(),
+            videos.len()
+        );
+    }
     Ok(photos.iter().map(|name| dir.join(name)).collect())
 }
 
 /// Writes the photos into the folder `out`, without EXIF orientation: turned by it where that gives all of them one size, else
-/// with their pixels as they are stored. Photos without orientation are copied.
+/// with their pixels as they are stored. Photos without orientation are copied. Each one's mask goes into the folder that comes with
+/// `masks`.
 ///
 /// # Errors
-/// [`Error::Input`] where the photos differ in size, or one cannot be read; [`Error::Io`].
+/// [`Error::Input`] where the photos differ in size, or one or its mask cannot be read; [`Error::Io`].
 pub(super) fn copy(
     photos: &[PathBuf],
+    masks: Option<(&Masks, &Path)>,
     out: &Path,
     progress: &mut dyn Progress,
 ) -> Result<ControlFlow<()>> {
@@ -60,7 +72,12 @@ pub(super) fn copy(
     let mut viewing = Viewing::begin(progress, "photos", photos.len());
     for some in photos.chunks(rayon::current_num_threads()) {
         in_order(some.par_iter().map(|path| {
-            let photo = ImageFile::open(path, &limits)?.without_orientation(turns)?;
+            let photo = ImageFile::open(path, &limits)?;
+            if let Some((masks, folder)) = masks {
+                let orientation = photo.exif_orientation().filter(|_| turns);
+                masks.write(&photo, orientation, folder)?;
+            }
+            let photo = photo.without_orientation(turns)?;
             let name = file_name(path).unwrap_or_default();
             atomic::write_bytes(out.join(name), &photo)
         }))?;

@@ -38,6 +38,8 @@ impl fmt::Display for Solver {
 /// Where COLMAP works.
 pub(super) struct Place<'a> {
     pub images: &'a Path,
+    /// A mask for each photo, `a.jpg.png` for `a.jpg`.
+    pub masks: Option<&'a Path>,
     /// Its own files, which let it continue.
     pub work: &'a Path,
     /// Gets the models, in folders 0, 1 and so on: one for each group of photos that it could not join to the others.
@@ -81,6 +83,7 @@ impl Solver {
             let mut command = Command::new(python);
             command.args(["-c", include_str!("pycolmap.py"), step.name]);
             command.args([&database, place.images, &sparse]);
+            command.args(place.masks);
             return command;
         }
         let mut command = Command::new("colmap");
@@ -104,6 +107,9 @@ impl Solver {
         if step == FEATURES {
             command.args(["--ImageReader.single_camera", "1"]);
             command.args(["--ImageReader.camera_model", "OPENCV"]);
+            if let Some(masks) = place.masks {
+                command.arg("--ImageReader.mask_path").arg(masks);
+            }
         } else if step == POSES {
             command.arg("--output_path").arg(sparse);
         }

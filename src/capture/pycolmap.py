@@ -3,10 +3,12 @@ import sys
 
 import pycolmap
 
-step, database, images, sparse = sys.argv[1:]
+step, database, images, sparse, *masks = sys.argv[1:]
 if step == "features":
     options = pycolmap.ImageReaderOptions()
     options.camera_model = "OPENCV"
+    if masks:
+        options.mask_path = masks[0]
     mode = pycolmap.CameraMode.SINGLE
     pycolmap.extract_features(database, images, camera_mode=mode, reader_options=options)
 elif step == "matches":

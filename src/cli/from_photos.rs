@@ -25,6 +25,7 @@ COLMAP, taking all photos as those of one lens; checks the result as `coseg data
 the package pycolmap of python3; where both are there, the program if it has CUDA. The photos themselves stay as they are.
 Writes into a new folder
   images/           the photos or frames
+  masks/            with --masks: a mask for each photo, white for a photo without one
   sparse/           COLMAP's models
   labels_segmenter/ with --segmenter: label maps, as `coseg label` writes them
   from-photos.json  what it was made from
@@ -32,6 +33,7 @@ Ctrl-C stops; the same command continues. Steps that are done are not done again
 
 Examples:
   coseg from-photos photos --out scenes/living
+  coseg from-photos photos --out scenes/street --masks people
   coseg from-photos walk.mp4 --frames 200 --out scenes/living
   coseg from-photos photos --out scenes/living --python venv/bin/python --segmenter net.onnx --classes mine.toml
   coseg train --data scenes/living --out runs/living --set spatial.scale=0";
@@ -46,6 +48,9 @@ pub struct FromPhotosArgs {
     /// Scene folder to write; new, or one that this command began
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Folder of masks, a.png or a.jpg.png for a.jpg: black where a photo is to be left out
+    #[arg(long, value_name = "DIR")]
+    masks: Option<PathBuf>,
     /// Frames to take from a video: the sharpest of each of N windows
     #[arg(long, value_name = "N", default_value_t = 120, value_parser = RangedU64ValueParser::<usize>::new().range(2..=1000))]
     frames: usize,
@@ -80,6 +85,7 @@ impl FromPhotosArgs {
     fn make(&self) -> Result<bool> {
         let capture = Capture {
             source: &self.source,
+            masks: self.masks.as_deref(),
             frames: self.frames,
             python: self.python.as_deref(),
         };
@@ -88,8 +94,12 @@ impl FromPhotosArgs {
         };
         let out = &self.out;
         let by = made.poses.unwrap_or_default();
+        let masks = match made.masks {
+            0 => String::new(),
+            some => format!(" ({some} with masks)"),
+        };
         terminal::say(&format!(
-            "{}: {} photos, poses by {by}",
+            "{}: {} photos{masks}, poses by {by}",
             out.display(),
             made.photos
         ));

@@ -133,15 +133,17 @@ pub enum RawFormat {
     Masks,
     /// A JSON file of LabelMe for each labelled photo: shapes with labels.
     Labelme,
-    /// COCO instances: one JSON file with polygons or run lengths for all photos.
+    /// COCO instances: one JSON file with polygons, run lengths or boxes for all photos.
     CocoInstances,
+    /// CVAT for images 1.1: one XML file with shapes for all photos.
+    Cvat,
 }
 
 /// Who made the raw labels, which decides how far they are trusted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LabelsBy {
-    /// A person, where the labels are shapes (LabelMe, COCO instances) or where at most a quarter of the training photos have
+    /// A person, where the labels are shapes (LabelMe, COCO instances, CVAT) or where at most a quarter of the training photos have
     /// labels and none has scores. Else a network.
     #[default]
     Auto,

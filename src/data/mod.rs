@@ -134,7 +134,7 @@ pub struct Scene {
     pub classes: Classes,
     /// Initial cloud, relative to [`Scene::origin`].
     pub points: Points,
-    /// Whether the raw labels are shapes that somebody drew (LabelMe, COCO instances).
+    /// Whether the raw labels are shapes that somebody drew (LabelMe, COCO instances, CVAT).
     pub drawn: bool,
     /// The offset that was subtracted from every world position (f64); exports add it back.
     pub origin: DVec3,

@@ -3,7 +3,7 @@
 use super::frame::{Frame, joined_name};
 use crate::config::RawFormat;
 use crate::data::LoadOptions;
-use crate::data::labels::raw::{coco_instances, labelme};
+use crate::data::labels::raw::{ShapeFile, labelme};
 use std::path::{Path, PathBuf};
 
 /// Where the file of a photo may lie in a folder: its path with `.png` for its extension or behind it, the name of its view, or its
@@ -35,7 +35,7 @@ pub(crate) fn drawn(names: &[PathBuf]) -> Option<PathBuf> {
     files.find(|path| path.is_file())
 }
 
-/// Decides which files hold the raw labels of `frames`: label maps, shapes of LabelMe, or a COCO file for all. Photos without a
+/// Decides which files hold the raw labels of `frames`: label maps, shapes of LabelMe, or a file of COCO or CVAT for all. Photos without a
 /// file in the folder that the options name are unlabelled, unless none has one.
 pub(super) fn choose_raw_files(dir: &Path, options: &LoadOptions, frames: &mut [Frame]) {
     let labelme_fits = matches!(options.raw_format, RawFormat::Auto | RawFormat::Labelme);
@@ -53,15 +53,13 @@ pub(super) fn choose_raw_files(dir: &Path, options: &LoadOptions, frames: &mut [
     frames.iter_mut().for_each(|frame| frame.drawn = None);
     let exists = |frame: &Frame| frame.raw.as_ref().is_some_and(|path| path.exists());
     let has_maps = frames.iter().any(exists);
-    let is_coco = match options.raw_format {
-        RawFormat::Auto => !has_maps,
-        format => format == RawFormat::CocoInstances,
-    };
-    if let Some(file) = coco_instances::find(dir, options).filter(|_| is_coco) {
+    let named = options.raw_format != RawFormat::Auto;
+    let is_used = |file: &ShapeFile| named || file.is_export || !has_maps;
+    if let Some(file) = ShapeFile::find(dir, options).filter(is_used) {
         // Which photos it labels is known once it was read.
         frames
             .iter_mut()
-            .for_each(|frame| frame.raw = Some(file.clone()));
+            .for_each(|frame| frame.raw = Some(file.path.clone()));
     } else if has_maps && options.raw_labels.is_some() {
         let without = frames.iter_mut().filter(|frame| !exists(frame));
         without.for_each(|frame| frame.raw = None);

@@ -31,9 +31,11 @@ pub(super) fn find(dir: &Path, options: &LoadOptions) -> Result<Option<Layout>> 
         return Err(Error::missing("folder", dir, help));
     }
     let help = if is_video(dir) {
-        "`coseg from-photos VIDEO --out DIR` makes one of a video"
+        "`coseg from-photos VIDEO --out DIR` makes one of a video".to_owned()
+    } else if is_heic(dir) {
+        format!("{HEIC_HELP}; then `coseg from-photos PHOTOS --out DIR` finds their poses")
     } else {
-        "give the folder that holds the photos and their cameras, not a file"
+        "give the folder that holds the photos and their cameras, not a file".to_owned()
     };
     ensure!(dir.is_dir(), dir, "scene"; found "a file"; expected "a scene folder"; help "{help}");
     if let Some(block) = Block::in_folder(dir)? {

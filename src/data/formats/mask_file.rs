@@ -103,7 +103,7 @@ impl Frame {
 }
 
 /// A mask of the size of its file: 0 where it is black or wholly transparent, else 1.
-fn decode(path: &Path, file: &ImageFile) -> Result<LabelMap> {
+pub(crate) fn decode(path: &Path, file: &ImageFile) -> Result<LabelMap> {
     if file.png_color().is_none() {
         bail!(path, "pixel format"; found "JPEG"; expected "a PNG, black where the photo is left out";
             help "save the mask as PNG: JPEG compression changes what is black");

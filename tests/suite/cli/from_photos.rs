@@ -1,7 +1,7 @@
 //! `coseg from-photos`, with scripts in the place of colmap, Python and ffmpeg, and with these programs where they are there.
 
 use crate::support::exif_photo::photo;
-use crate::support::program::{fails, listed, read_json, utf8};
+use crate::support::program::{fails, listed, read_json, text, utf8};
 use crate::support::programs::Place;
 use coseg::data::{LoadOptions, check};
 use std::fs;
@@ -178,6 +178,11 @@ fn what_is_missing_is_named_with_its_remedy() {
         let message = fails(&[command, &[utf8(&video)]].concat(), 1);
         assert!(message.contains("from-photos VIDEO"), "{message}");
     }
+    let message = fails(&["data", "info", utf8(&heic.join("a.HEIC"))], 1);
+    assert!(
+        message.contains("mogrify") && message.contains("from-photos"),
+        "{message}"
+    );
     fs::copy(heic.join("a.HEIC"), heic.join("a.jpg")).unwrap();
     fs::copy(heic.join("a.HEIC"), heic.join("b.jpg")).unwrap();
     place.fails(&heic, &[], &["a.jpg", "found HEIC", "mogrify"]);
@@ -186,6 +191,23 @@ fn what_is_missing_is_named_with_its_remedy() {
     fs::write(place.path("room/mine.txt"), "years of work").unwrap();
     place.fails(&photos, &[], &["--out", "mine.txt", "new folder"]);
     assert!(place.log().is_empty());
+}
+
+#[test]
+fn videos_beside_the_photos_are_named() {
+    let place = Place::new();
+    let photos = place.photos();
+    place.colmap();
+    for name in ["IMG_2.MOV", "IMG_3.mp4", "._IMG_1.MOV"] {
+        fs::write(photos.join(name), "film").unwrap();
+    }
+    let output = place.run(&photos, &[]);
+    let warnings = text(&output.stderr);
+    assert!(output.status.success(), "{warnings}");
+    for part in ["2 videos", "IMG_2.MOV", "coseg from-photos VIDEO"] {
+        assert!(warnings.contains(part), "{part}: {warnings}");
+    }
+    assert_eq!(listed(&place.path("room/images")).len(), 6);
 }
 
 #[test]
@@ -307,5 +329,5 @@ fn the_sharpest_frames_of_a_video_are_taken() {
     );
     let record = read_json(&place.path("room/from-photos.json"));
     assert_eq!(record["photos"], 3);
-    place.fails(&video, &["--frames", "4"], &["other frames"]);
+    place.fails(&video, &["--frames", "4"], &["masks or frames"]);
 }

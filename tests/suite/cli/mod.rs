@@ -16,6 +16,7 @@ pub mod film;
 pub mod foreign_files;
 #[cfg(unix)]
 pub mod from_photos;
+pub mod from_photos_masks;
 #[cfg(unix)]
 pub mod from_photos_programs;
 pub mod hostile;

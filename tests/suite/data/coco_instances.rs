@@ -54,9 +54,12 @@ fn coco_instances_lie_over_larger_ones() {
     write(dir, "export/instances_default.json", &coco());
     let loaded = load(dir, &options("export")).expect("scene");
     assert!(loaded.drawn);
-    assert_eq!(labelled(&loaded), ["v1"]);
+    assert_eq!(labelled(&loaded), ["v1", "v3"]);
     let places = [(5, 5), (15, 15), (32, 32), (3, 62), (3, 50), (60, 20)];
     assert_eq!(at(&raw(&loaded, 1), &places), [2, 1, 0, 1, 0, 0]);
+    // A box alone.
+    let places = [(1, 2), (3, 5), (4, 5), (3, 6), (0, 2)];
+    assert_eq!(at(&raw(&loaded, 3), &places), [1, 1, 0, 0, 0]);
     // The file itself.
     let file = load(dir, &options("export/instances_default.json")).expect("scene");
     assert_eq!(file.views[1].raw, loaded.views[1].raw);
@@ -65,13 +68,29 @@ fn coco_instances_lie_over_larger_ones() {
         "2 of the 3 classes",
         "lamp",
         "1 labelled images",
-        "3 of 4 training frames",
+        "2 of 4 training frames",
     ] {
         assert!(
             notices.iter().any(|n| n.contains(part)),
             "{part}: {notices:?}"
         );
     }
+}
+
+#[test]
+fn coco_instances_are_found_in_an_export_beside_copies_of_the_photos() {
+    let folder = folder();
+    let dir = folder.path();
+    write(dir, "zip/annotations/instances_default.json", &coco());
+    fs::create_dir(dir.join("zip/images")).expect("folder");
+    for i in 0..6 {
+        let photo = format!("images/v{i}.png");
+        fs::copy(dir.join(&photo), dir.join("zip").join(&photo)).expect("copy");
+    }
+    let loaded = load(dir, &options("zip")).expect("scene");
+    assert_eq!(labelled(&loaded), ["v1", "v3"]);
+    let places = [(5, 5), (15, 15), (32, 32), (3, 62)];
+    assert_eq!(at(&raw(&loaded, 1), &places), [2, 1, 0, 1]);
 }
 
 #[test]
@@ -119,6 +138,17 @@ fn broken_coco_instances_are_refused() {
         &|v| v["annotations"][0]["segmentation"][0][3] = json!(1e200),
         &["points", "80x64"],
     );
+    for wrong in [json!([1, 2, 3]), json!([1, 2, -3, 4])] {
+        broken(
+            &|v| v["annotations"][4]["bbox"] = wrong.clone(),
+            &["annotations[4].bbox", "left, top, width and height"],
+        );
+    }
+    broken(
+        &|v| v["annotations"][4]["bbox"][2] = json!(900),
+        &["points", "80x64"],
+    );
+    broken(&|v| v["annotations"][4]["bbox"] = json!("box"), &["line 1"]);
     let with_runs = |size: Value, counts: Value, parts: &[&str]| {
         let value = json!({ "size": size, "counts": counts });
         broken(

@@ -15,6 +15,7 @@ pub mod coco_panoptic;
 pub mod colmap;
 pub mod colmap_models;
 pub mod color_maps;
+pub mod cvat;
 pub mod data_check;
 pub mod hostile;
 pub mod labelme;

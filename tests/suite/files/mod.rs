@@ -2,3 +2,4 @@
 
 pub mod bit_flips;
 pub mod mutations;
+pub mod mutations_of_inputs;

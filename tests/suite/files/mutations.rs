@@ -1,18 +1,17 @@
-//! Every reader of files on thousands of damaged ones: a result or an error, no panic, and an end.
+//! Every reader of files on thousands of damaged ones: a result or an error, no panic, and an end. Those of a scene and of a run.
 
 use crate::support::colmap::{self, pinhole};
 use crate::support::damage::Damage;
 use crate::support::onnx::Onnx;
-use crate::support::pictures::{picture, view};
+use crate::support::pictures::picture;
 use crate::support::spz::version_4;
 use crate::support::{plates, small_scene, torch_file};
 use coseg::checkpoint::Checkpoint;
 use coseg::compare::Plan;
-use coseg::config::{Config, FeatureConfig, FeatureSource};
+use coseg::config::Config;
 use coseg::data::{
-    self, Classes, LabelMap, Limits, LoadOptions, Points, ScoreGrid, ScoreMap, Split, read_cameras,
+    self, Classes, LabelMap, Limits, LoadOptions, Points, ScoreGrid, ScoreMap, read_cameras,
 };
-use coseg::features::Extractor;
 use coseg::objects::Identities;
 use coseg::segmenter::{ClassFile, Contract, Network};
 use coseg::splat::formats::{self, Format};
@@ -33,7 +32,7 @@ use std::path::Path;
 const MUTATIONS: usize = 2_000;
 
 /// Reads mutations of the file.
-fn survives<T>(path: &Path, read: impl Fn(&Path) -> T) {
+pub fn survives<T>(path: &Path, read: impl Fn(&Path) -> T) {
     let whole = fs::read(path).expect("a file of the corpus");
     let mut damage = Damage::new(3);
     for number in 0..MUTATIONS {
@@ -97,15 +96,28 @@ fn drawn_labels() {
         "annotations": [
             { "id": 1, "image_id": 11, "category_id": 1, "segmentation": [[2, 2, 9, 2, 9, 8, 2, 8]] },
             { "id": 2, "image_id": 11, "category_id": 1, "segmentation": { "size": [12, 16], "counts": [30, 12, 150] } },
+            { "id": 3, "image_id": 11, "category_id": 1, "segmentation": [], "bbox": [1, 2, 3, 4] },
         ],
     });
+    // The same runs, as pycocotools packs them.
+    let mut packed = coco.clone();
+    packed["annotations"] = json!([
+        { "id": 2, "image_id": 11, "category_id": 1, "segmentation": { "size": [12, 16], "counts": "n0<f4" } },
+    ]);
+    let cvat = "<annotations><image id=\"0\" name=\"v1.png\" width=\"16\" height=\"12\">\
+        <polygon label=\"wall\" points=\"2.00,2.00;9.00,2.00;9.00,8.00\" z_order=\"1\"/>\
+        <box label=\"wall\" xtl=\"1\" ytl=\"1\" xbr=\"5\" ybr=\"4\" rotation=\"30\" group_id=\"2\"/>\
+        <ellipse label=\"wall\" cx=\"8\" cy=\"6\" rx=\"3\" ry=\"2\"/>\
+        <mask label=\"wall\" rle=\"1, 3, 2\" left=\"5\" top=\"5\" width=\"3\" height=\"2\"/></image></annotations>";
     fs::create_dir(dir.path().join("drawn")).expect("folder");
-    for (raw, file, value) in [
-        ("drawn", "drawn/v1.json", drawn),
-        ("coco.json", "coco.json", coco),
+    for (raw, file, content) in [
+        ("drawn", "drawn/v1.json", drawn.to_string()),
+        ("coco.json", "coco.json", coco.to_string()),
+        ("coco.json", "coco.json", packed.to_string()),
+        ("annotations.xml", "annotations.xml", cvat.to_owned()),
     ] {
         let file = dir.path().join(file);
-        fs::write(&file, value.to_string()).expect("write");
+        fs::write(&file, content).expect("write");
         let options = LoadOptions {
             raw_labels: Some(raw.to_owned()),
             ..LoadOptions::default()
@@ -241,34 +253,4 @@ fn networks_and_what_they_write() {
     survives(&at("a.scores"), |file| {
         ScoreMap::read(file, &Limits::default())
     });
-}
-
-#[test]
-fn imported_features() {
-    let dir = tempfile::tempdir().expect("folder");
-    let config = FeatureConfig {
-        source: FeatureSource::Import(dir.path().to_owned()),
-        ..FeatureConfig::default()
-    };
-    let extractor = Extractor::open(&config, &crate::support::device()).expect("a folder");
-    let view = view("v", Split::Train, picture(16, 12, 1), None);
-    let text = "{'descr': '<f4', 'fortran_order': False, 'shape': (2, 2, 3), }";
-    let mut npy = b"\x93NUMPY\x01\0".to_vec();
-    npy.extend((text.len() as u16).to_le_bytes());
-    npy.extend(text.bytes());
-    npy.extend([0.5_f32; 12].iter().flat_map(|v| v.to_le_bytes()));
-    for n in 1..=4 {
-        fs::write(dir.path().join(format!("v.{n}.npy")), &npy).expect("write");
-    }
-    extractor.maps(&view).expect("maps");
-    let file = dir.path().join("v.1.npy");
-    survives(&file, |_| extractor.maps(&view));
-    // 16 nested dictionaries took the parser of such headers for ever.
-    let nested = [&b"\x93NUMPY\x01\0\x10\0"[..], &[b'{'; 16]].concat();
-    fs::write(&file, nested).expect("write");
-    let message = extractor.maps(&view).expect_err("nested").to_string();
-    assert!(
-        message.contains("v.1.npy: header: found nested values"),
-        "{message}"
-    );
 }

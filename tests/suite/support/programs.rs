@@ -82,7 +82,10 @@ impl Place {
     /// A `python3` that does the same.
     pub fn pycolmap(&self) {
         let dir = utf8(self.0.path()).to_owned();
-        let poses = format!("test \"$3\" != poses || cp -r '{dir}/model' \"$6/0\"");
+        let poses = format!(
+            "test \"$3\" != features || echo \"$7\" >'{dir}/arguments'; \
+             test \"$3\" != poses || cp -r '{dir}/model' \"$6/0\""
+        );
         self.script(
             "python3",
             &format!("test \"$2\" != 'import pycolmap' || exit 0; echo $3 >>'{dir}/log'; {poses}"),

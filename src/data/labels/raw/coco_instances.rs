@@ -1,18 +1,17 @@
-//! COCO instances: one JSON file for all photos, with polygons or run lengths. Larger regions lie below smaller ones.
+//! COCO instances: one JSON file for all photos, with polygons, run lengths, or boxes alone. Larger regions lie below smaller ones.
 //!
 //! Format: <https://cocodataset.org/#format-data>, 'Object Detection'; CVAT, Label Studio and Roboflow write it.
 
-use super::drawing::{self, Drawing, Point, Region};
+use super::drawing::{self, Drawing, Point, Region, rectangle};
+use super::runs::Runs;
+use super::shape_file::{Picture, Shape, drawings};
 use super::{RawFile, Vocabulary};
-use crate::data::{Classes, Limits, LoadOptions, MapGeometry};
+use crate::data::{Classes, Limits};
 use crate::error::{Result, bail, ensure, invalid};
-use crate::files::names;
 use serde::Deserialize;
 use std::collections::{BTreeMap, HashMap};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-/// JSON files in a folder of labels that are something else.
-const OTHER_FILES: [&str; 3] = ["classes.json", "label.json", MapGeometry::FILE];
 const DAMAGED_HELP: &str = "export the instances again";
 
 /// The file. Unknown keys are ignored.
@@ -37,27 +36,14 @@ struct Annotation {
     category_id: u64,
     #[serde(default)]
     segmentation: Segmentation,
+    /// Left, top, width and height; read where there is no segmentation.
+    bbox: Option<Vec<f64>>,
 }
 
 #[derive(Deserialize)]
 struct Category {
     id: u64,
     name: String,
-}
-
-/// The file that `data.raw_labels` names; in a folder, the only JSON file that is not one of [`OTHER_FILES`].
-pub(crate) fn find(dir: &Path, options: &LoadOptions) -> Option<PathBuf> {
-    let named = dir.join(options.raw_labels.as_deref()?);
-    if named.is_file() {
-        return Some(named);
-    }
-    let files = names(&named, |name, path| {
-        name.ends_with(".json") && !OTHER_FILES.contains(&name) && path.is_file()
-    });
-    match &files[..] {
-        [only] => Some(named.join(only)),
-        _ => None,
-    }
 }
 
 /// Reads the file at `path` for a scene with the class table `classes`: drawings by the names of those frames that have
@@ -71,20 +57,12 @@ pub(super) fn read(
     let expected = "{\"images\": [{\"id\", \"file_name\", \"width\", \"height\"}, ..], \"annotations\": [{\"image_id\", \
         \"category_id\", \"segmentation\"}, ..], \"categories\": [{\"id\", \"name\"}, ..]}";
     let file: File = drawing::read(path, expected)?;
+    let indices = indices(path, &file.categories)?;
     // Ids of categories may begin at 0, which is unlabelled in a class table.
     let names: Vec<(u16, &str)> = (1..)
         .zip(&file.categories)
         .map(|(id, category)| (id, category.name.as_str()))
         .collect();
-    let mut indices = HashMap::new();
-    for (index, category) in file.categories.iter().enumerate() {
-        if index >= usize::from(u16::MAX) || indices.insert(category.id, index).is_some() {
-            bail!(path, "categories[{index}].id"; found "{}", category.id;
-                expected "each id once, and at most 65534"; help "{DAMAGED_HELP}");
-        }
-    }
-    ensure!(!names.is_empty(),
-        path, "categories"; found "none"; expected "the classes of the regions"; help "{DAMAGED_HELP}");
     let mut vocabulary = Vocabulary::new(path, classes, &names)?;
     let mut images = HashMap::new();
     for (i, image) in file.images.iter().enumerate() {
@@ -102,67 +80,70 @@ pub(super) fn read(
         ensure!(images.contains_key(&annotation.image_id),
             path, "{}", field("image_id"); found "{}", annotation.image_id;
             expected "one of the {} ids of images", images.len(); help "{DAMAGED_HELP}");
+        let segmentation = field("segmentation");
         let region = annotation
             .segmentation
-            .region(path, &field("segmentation"), limits)?;
+            .region(path, &segmentation, limits)?;
+        let region = match (region, annotation.bbox) {
+            (None, Some(bbox)) => box_alone(path, &field("bbox"), &bbox)?,
+            (region, _) => region,
+        };
         if let Some(region) = region {
             let regions = of_images.entry(annotation.image_id).or_default();
             regions.push((area(&region), index, region));
         }
     }
-    let mut drawings = HashMap::new();
-    let mut others = 0;
-    for (id, mut regions) in of_images {
+    let picture = |(id, mut regions): (u64, Vec<(f64, usize, Region)>)| {
         let image = images[&id];
-        let Some(frame) = frame_of(frames, &image.file_name) else {
-            others += 1;
-            continue;
-        };
-        let mut drawing = Drawing::new(path, image.width.zip(image.height));
         regions.sort_by(|a, b| b.0.total_cmp(&a.0));
-        for (_, index, region) in regions {
-            let id = drawing.segment(&vocabulary, index, true)?;
-            drawing.regions.push((id, region));
+        let shape = |(_, class, region)| Shape {
+            class: Some(class),
+            group: None,
+            region,
+        };
+        Picture {
+            name: &image.file_name,
+            size: image.width.zip(image.height),
+            shapes: regions.into_iter().map(shape).collect(),
         }
-        ensure!(drawings.insert(frame.name.to_owned(), drawing).is_none(),
-            path, "images"; found "{} and another image of this photo", image.file_name;
-            expected "one for each photo"; help "{DAMAGED_HELP}");
-    }
-    ensure!(!drawings.is_empty(),
-        path, "annotations"; found "{others} images with regions, none of which is a photo of the scene";
-        expected "polygons or run lengths on photos such as {}", frames.first().map_or("", |frame| frame.name);
-        help "give images the file names of the photos, and draw polygons, not boxes");
-    if others > 0 {
-        let file = path.display();
-        let other = format!("{others} labelled images of {file} are no photos of the scene");
-        let notice = vocabulary.notice.take();
-        vocabulary.notice =
-            Some(notice.map_or(other.clone(), |notice| format!("{notice}; {other}")));
-    }
+    };
+    let pictures = of_images.into_iter().map(picture).collect();
+    let drawings = drawings(path, frames, pictures, &mut vocabulary)?;
     Ok((drawings, vocabulary))
 }
 
-/// The frame of an image: the one whose photo has this path. Photos that lie in one folder are found by their names alone.
-fn frame_of<'a>(frames: &'a [RawFile<'a>], file_name: &str) -> Option<&'a RawFile<'a>> {
-    // Windows' tools write its separators.
-    let path = PathBuf::from(file_name.replace('\\', "/")).with_extension("");
-    let folder = frames.first()?.photo.parent();
-    let is_one_folder = frames.iter().all(|frame| frame.photo.parent() == folder);
-    let wanted = if is_one_folder {
-        Path::new(path.file_name()?)
-    } else {
-        path.as_path()
-    };
-    let mut found = frames
-        .iter()
-        .filter(|frame| frame.photo.with_extension("").ends_with(wanted));
-    found.next().filter(|_| found.next().is_none())
+/// The places of the categories by their ids.
+fn indices(path: &Path, categories: &[Category]) -> Result<HashMap<u64, usize>> {
+    let mut indices = HashMap::new();
+    for (index, category) in categories.iter().enumerate() {
+        if index + 1 >= usize::from(u16::MAX) || indices.insert(category.id, index).is_some() {
+            bail!(path, "categories[{index}].id"; found "{}", category.id;
+                expected "each id once, and at most 65534"; help "{DAMAGED_HELP}");
+        }
+    }
+    ensure!(!indices.is_empty(),
+        path, "categories"; found "none"; expected "the classes of the regions"; help "{DAMAGED_HELP}");
+    Ok(indices)
+}
+
+/// The region of an annotation that has no other than its box; `None` where the list is empty. `field` is named in errors.
+fn box_alone(path: &Path, field: &str, bbox: &[f64]) -> Result<Option<Region>> {
+    match *bbox {
+        [] => Ok(None),
+        [left, top, width, height] if width >= 0.0 && height >= 0.0 => {
+            let corners = rectangle([left, top], [left + width, top + height]);
+            Ok(Some(Region::Polygons(vec![corners])))
+        }
+        _ => {
+            bail!(path, "{field}"; found "{bbox:?}"; expected "left, top, width and height"; help "{DAMAGED_HELP}")
+        }
+    }
 }
 
 /// Pixels that a region covers, where its outlines do not overlap.
 fn area(region: &Region) -> f64 {
     match region {
-        Region::Runs { counts, .. } => counts.iter().skip(1).step_by(2).sum::<u64>() as f64,
+        Region::Runs(runs) => runs.area() as f64,
         Region::Polygons(polygons) => polygons.iter().map(|polygon| area_of(polygon)).sum(),
     }
 }
@@ -183,11 +164,11 @@ fn area_of(polygon: &[Point]) -> f64 {
 )]
 enum Segmentation {
     Polygons(Vec<Vec<f64>>),
-    Runs(Runs),
+    Runs(RunLengths),
 }
 
 #[derive(Deserialize)]
-struct Runs {
+struct RunLengths {
     /// Height and width.
     size: [usize; 2],
     counts: Counts,
@@ -223,25 +204,18 @@ impl Segmentation {
                 let polygons: Vec<Vec<Point>> = lists.into_iter().map(polygon).collect();
                 Ok((!polygons.is_empty()).then_some(Region::Polygons(polygons)))
             }
-            Self::Runs(Runs {
+            Self::Runs(RunLengths {
                 size: [height, width],
                 counts,
             }) => {
                 limits.check_pixels(path, width, height)?;
-                let pixels = width as u64 * height as u64;
                 let counts = match counts {
                     Counts::Numbers(counts) => Some(counts),
                     Counts::Packed(text) => unpacked(&text),
                 };
-                let sum = |counts: &Vec<u64>| {
-                    let add = |sum: u64, count: &u64| sum.checked_add(*count);
-                    counts.iter().try_fold(0, add)
-                };
-                match counts.filter(|counts| pixels > 0 && sum(counts) == Some(pixels)) {
-                    Some(counts) => Ok(Some(Region::Runs {
-                        size: (width, height),
-                        counts,
-                    })),
+                let runs = counts.and_then(|counts| Runs::of_columns((width, height), counts));
+                match runs {
+                    Some(runs) => Ok(Some(Region::Runs(runs))),
                     None => Err(
                         invalid!(path, "{field}.counts"; found "run lengths of another number of pixels";
                         expected "{width}x{height} pixels in all"; help "{DAMAGED_HELP}"),

@@ -1,11 +1,14 @@
 //! Labels that somebody drew on a photo: regions with classes, painted over one another.
 
+use super::runs::Runs;
 use super::{RawMap, Vocabulary};
 use crate::data::photos::image_file::{TURNED_HELP, proportional};
 use crate::data::{LabelMap, Segment};
 use crate::error::{Error, Result, bail};
 use crate::files::{self, check_limit};
 use serde::de::DeserializeOwned;
+use std::collections::HashMap;
+use std::f64::consts::TAU;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -13,6 +16,8 @@ use std::path::{Path, PathBuf};
 const MAX_BYTES: u64 = 1 << 29;
 /// Points of all outlines on one photo.
 const MAX_POINTS: u64 = 1 << 18;
+/// Corners of the polygon that stands for an ellipse: its area is 0.1 % smaller.
+const CORNERS: usize = 80;
 
 /// Pixel coordinates (x, y); the centre of the first pixel is (0.5, 0.5).
 pub(super) type Point = [f64; 2];
@@ -21,11 +26,7 @@ pub(super) type Point = [f64; 2];
 pub(super) enum Region {
     /// The union of closed polygons.
     Polygons(Vec<Vec<Point>>),
-    /// Runs of pixels outside and inside in turn, in the order of columns, of a picture of this size.
-    Runs {
-        size: (usize, usize),
-        counts: Vec<u64>,
-    },
+    Runs(Runs),
 }
 
 /// The labels of a photo, in the order in which they are painted.
@@ -35,15 +36,22 @@ pub(super) struct Drawing {
     /// Size of the picture that it was drawn on, where the file gives it.
     pub size: Option<(usize, usize)>,
     /// The segment of each region, 0 for regions without a label.
-    pub regions: Vec<(u16, Region)>,
-    pub segments: Vec<Segment>,
+    regions: Vec<(u16, Region)>,
+    segments: Vec<Segment>,
+    /// The segments of groups, by class and name.
+    groups: HashMap<(Option<usize>, String), u16>,
 }
 
 /// A JSON file of acceptable size.
 pub(super) fn read<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<T> {
-    let size = std::fs::metadata(path).map_err(|e| Error::io(path, "look at", e))?;
-    check_limit(path, "bytes", size.len(), MAX_BYTES, "divide the file")?;
+    check_size(path)?;
     files::json(path, expected)
+}
+
+/// Refuses files of drawings that are too large.
+pub(super) fn check_size(path: &Path) -> Result<()> {
+    let size = std::fs::metadata(path).map_err(|e| Error::io(path, "look at", e))?;
+    check_limit(path, "bytes", size.len(), MAX_BYTES, "divide the file")
 }
 
 impl Drawing {
@@ -53,11 +61,33 @@ impl Drawing {
             size,
             regions: Vec::new(),
             segments: Vec::new(),
+            groups: HashMap::new(),
         }
     }
 
+    /// Puts a region over the earlier ones: a segment of the class `index` of `vocabulary`, or of no class. Regions of one class and
+    /// group are one segment.
+    pub fn add(
+        &mut self,
+        vocabulary: &Vocabulary,
+        index: Option<usize>,
+        group: Option<String>,
+        region: Region,
+    ) -> Result<()> {
+        let group = group.map(|group| (index, group));
+        let known = group.as_ref().and_then(|group| self.groups.get(group));
+        let id = match (known, index) {
+            (Some(id), _) => *id,
+            (None, Some(index)) => self.segment(vocabulary, index)?,
+            (None, None) => 0,
+        };
+        self.groups.extend(group.map(|group| (group, id)));
+        self.regions.push((id, region));
+        Ok(())
+    }
+
     /// A new segment of class `index` of `vocabulary`: its number, or 0 if the scene does not have the class.
-    pub fn segment(&mut self, vocabulary: &Vocabulary, index: usize, thing: bool) -> Result<u16> {
+    fn segment(&mut self, vocabulary: &Vocabulary, index: usize) -> Result<u16> {
         let Some(class) = vocabulary.ids[index] else {
             return Ok(0);
         };
@@ -68,7 +98,7 @@ impl Drawing {
         self.segments.push(Segment {
             id,
             class: Some(class),
-            thing,
+            thing: true,
         });
         Ok(id)
     }
@@ -88,7 +118,7 @@ impl Drawing {
         }
         let polygons = self.regions.iter().flat_map(|(_, region)| match region {
             Region::Polygons(polygons) => polygons.as_slice(),
-            Region::Runs { .. } => &[],
+            Region::Runs(_) => &[],
         });
         let points = polygons.clone().map(|polygon| polygon.len() as u64).sum();
         let help = "draw with fewer points, or export label maps";
@@ -120,16 +150,7 @@ impl Drawing {
                         });
                     }
                 }
-                Region::Runs { size, counts } => {
-                    let inside = columns(*size, counts);
-                    for (pixel, label) in ids.iter_mut().enumerate() {
-                        let x = (pixel % width * size.0 + size.0 / 2) / width;
-                        let y = (pixel / width * size.1 + size.1 / 2) / height;
-                        if inside[x * size.1 + y] {
-                            *label = *id;
-                        }
-                    }
-                }
+                Region::Runs(runs) => runs.paint(photo, |pixel| ids[pixel] = *id),
             }
         }
         let map = LabelMap { width, height, ids };
@@ -169,13 +190,18 @@ fn fill(
     }
 }
 
-/// Whether each pixel is inside, in the order of columns. The runs fill the picture.
-fn columns((width, height): (usize, usize), counts: &[u64]) -> Vec<bool> {
-    let mut inside = Vec::with_capacity(width * height);
-    for (i, &count) in counts.iter().enumerate() {
-        inside.resize(inside.len() + count as usize, i % 2 == 1);
-    }
-    inside
+/// An ellipse with these radii as a polygon.
+pub(super) fn ellipse(center: Point, [across, down]: [f64; 2]) -> Vec<Point> {
+    let corner = |i: usize| {
+        let (sin, cos) = (TAU * i as f64 / CORNERS as f64).sin_cos();
+        [center[0] + across * cos, center[1] + down * sin]
+    };
+    (0..CORNERS).map(corner).collect()
+}
+
+/// A rectangle between two opposite corners as a polygon.
+pub(super) fn rectangle(a: Point, b: Point) -> Vec<Point> {
+    vec![a, [b[0], a[1]], b, [a[0], b[1]]]
 }
 
 #[cfg(test)]

@@ -3,18 +3,13 @@
 //! Format: <https://github.com/wkentaro/labelme>, version 4 and later. Points and lines have no area and label nothing.
 
 use super::drawing::{self, Drawing, Point, Region};
+use super::shape_labels::ShapeLabels;
 use super::{RawFile, Vocabulary};
 use crate::data::Classes;
-use crate::data::labels::classes::{is_void, plain};
-use crate::error::{Error, Result, ensure, invalid};
+use crate::error::{Error, Result, invalid};
 use serde::Deserialize;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 use std::path::Path;
-
-/// Corners of the polygon that stands for a circle: its area is 0.1 % smaller.
-const CORNERS: usize = 80;
-/// LabelMe's own names for pixels without a label.
-const UNLABELLED_NAMES: [&str; 2] = ["__ignore__", "_background_"];
 
 /// The file. Unknown keys are ignored.
 #[derive(Deserialize)]
@@ -50,54 +45,27 @@ pub(super) fn read(
         .iter()
         .map(|raw| Ok((raw, drawing::read::<File>(raw.path, expected)?)))
         .collect::<Result<Vec<_>>>()?;
-    let shapes = files.iter().flat_map(|(_, file)| &file.shapes);
-    let labels: BTreeMap<String, &str> = shapes
-        .filter(|shape| !is_unlabelled(&shape.label))
-        .map(|shape| (plain(&shape.label), shape.label.trim()))
-        .collect();
     let first = files[0].0.path;
     let folder = first.parent().unwrap_or(first);
-    ensure!(!labels.is_empty(),
-        folder, "shapes"; found "none with a label"; expected "the outlines of objects, with their classes";
-        help "draw polygons in LabelMe and save them");
-    let names: Vec<(u16, &str)> = (1..).zip(labels.values().copied()).collect();
-    let vocabulary = Vocabulary::new(folder, classes, &names)?;
-    let indices: HashMap<&str, usize> = labels.keys().map(String::as_str).zip(0..).collect();
+    let shapes = files.iter().flat_map(|(_, file)| &file.shapes);
+    let labels = ShapeLabels::new(folder, classes, shapes.map(|shape| &*shape.label))?;
     let drawings = files.iter().map(|(raw, file)| {
-        let drawing = file.drawing(raw.path, &vocabulary, &indices)?;
+        let drawing = file.drawing(raw.path, &labels)?;
         Ok((raw.name.to_owned(), drawing))
     });
-    Ok((drawings.collect::<Result<_>>()?, vocabulary))
-}
-
-fn is_unlabelled(label: &str) -> bool {
-    is_void(label) || UNLABELLED_NAMES.contains(&label.trim())
+    Ok((drawings.collect::<Result<_>>()?, labels.vocabulary))
 }
 
 impl File {
-    fn drawing(
-        &self,
-        path: &Path,
-        vocabulary: &Vocabulary,
-        indices: &HashMap<&str, usize>,
-    ) -> Result<Drawing> {
+    fn drawing(&self, path: &Path, labels: &ShapeLabels) -> Result<Drawing> {
         let mut drawing = Drawing::new(path, self.width.zip(self.height));
-        let mut groups = HashMap::new();
         for (i, shape) in self.shapes.iter().enumerate() {
-            let label = plain(&shape.label);
-            let index = indices.get(label.as_str()).copied();
-            let group = shape.group_id.as_ref().map(|id| (index, id.to_string()));
             let Some(region) = shape.region(path, i)? else {
                 continue;
             };
-            let known = group.as_ref().and_then(|group| groups.get(group)).copied();
-            let id = match (known, index) {
-                (Some(id), _) => id,
-                (None, Some(index)) => drawing.segment(vocabulary, index, true)?,
-                (None, None) => 0,
-            };
-            groups.extend(group.map(|group| (group, id)));
-            drawing.regions.push((id, region));
+            let index = labels.place(&shape.label);
+            let group = shape.group_id.as_ref().map(ToString::to_string);
+            drawing.add(&labels.vocabulary, index, group, region)?;
         }
         Ok(drawing)
     }
@@ -114,8 +82,11 @@ impl Shape {
         };
         let polygon = match (kind, &points[..]) {
             ("point" | "points" | "line" | "linestrip", _) => return Ok(None),
-            ("rectangle", [a, b]) => vec![*a, [b[0], a[1]], *b, [a[0], b[1]]],
-            ("circle", [center, rim]) => circle(*center, *rim),
+            ("rectangle", [a, b]) => drawing::rectangle(*a, *b),
+            ("circle", [[x, y], rim]) => {
+                let radius = (rim[0] - x).hypot(rim[1] - y);
+                drawing::ellipse([*x, *y], [radius; 2])
+            }
             ("polygon" | "rectangle" | "oriented_rectangle", [_, _, _, ..]) => points.clone(),
             ("polygon" | "rectangle" | "oriented_rectangle" | "circle", _) => {
                 let found = format!("{} of a {kind}", points.len());
@@ -129,14 +100,4 @@ impl Shape {
         };
         Ok(Some(Region::Polygons(vec![polygon])))
     }
-}
-
-/// A circle as a polygon.
-fn circle([x, y]: Point, rim: Point) -> Vec<Point> {
-    let radius = (rim[0] - x).hypot(rim[1] - y);
-    let corner = |i: usize| {
-        let (sin, cos) = (std::f64::consts::TAU * i as f64 / CORNERS as f64).sin_cos();
-        [x + radius * cos, y + radius * sin]
-    };
-    (0..CORNERS).map(corner).collect()
 }

@@ -1,14 +1,19 @@
 //! Raw labels as segmenters write them: which of the formats a folder has, and what its maps say.
 
 mod ade20k;
-pub(crate) mod coco_instances;
+mod coco_instances;
 mod coco_panoptic;
+mod cvat;
 mod drawing;
 pub(crate) mod labelme;
 mod masks;
 mod own_classes;
+mod runs;
+mod shape_file;
+mod shape_labels;
 
 use self::drawing::Drawing;
+pub(crate) use self::shape_file::ShapeFile;
 use super::label_map::expect_file;
 use crate::config::{Association, RawFormat};
 use crate::data::labels::scores::ScoreIds;
@@ -144,8 +149,8 @@ fn format_of_file(dir: &Path, options: &LoadOptions, file: &RawFile) -> RawForma
     if path.is_dir() {
         return RawFormat::Masks;
     }
-    if coco_instances::find(dir, options).as_deref() == Some(path) {
-        return RawFormat::CocoInstances;
+    if let Some(file) = ShapeFile::find(dir, options).filter(|file| file.path == path) {
+        return file.format;
     }
     // A file that cannot be read is reported where it is read.
     let Ok(image) = ImageFile::open(path, &options.limits) else {
@@ -219,6 +224,10 @@ impl RawLabels {
             RawFormat::CocoInstances => {
                 let (drawings, vocabulary) =
                     coco_instances::read(first, files, classes, &options.limits)?;
+                (Source::Drawn(drawings), Some(vocabulary))
+            }
+            RawFormat::Cvat => {
+                let (drawings, vocabulary) = cvat::read(first, files, classes, &options.limits)?;
                 (Source::Drawn(drawings), Some(vocabulary))
             }
             RawFormat::Masks if are_segments => (Source::Masks, None),

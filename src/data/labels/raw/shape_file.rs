@@ -1,0 +1,150 @@
+//! One file with the shapes of all photos: where it is, and which photos its pictures are.
+
+use super::drawing::{Drawing, Region};
+use super::{RawFile, Vocabulary};
+use crate::config::RawFormat;
+use crate::data::{LoadOptions, MapGeometry};
+use crate::error::{Result, ensure};
+use crate::files::{extension, names};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+/// JSON files in a folder of labels that are something else.
+const OTHER_FILES: [&str; 3] = ["classes.json", "label.json", MapGeometry::FILE];
+/// The file of CVAT's own export.
+const CVAT_FILE: &str = "annotations.xml";
+/// The folder of the file of COCO in exports.
+const COCO_FOLDER: &str = "annotations";
+
+/// A file with the shapes of all photos.
+pub(crate) struct ShapeFile {
+    pub path: PathBuf,
+    /// Of CVAT or COCO.
+    pub format: RawFormat,
+    /// It lies as in exports, whose pictures are copies of the photos and no label maps.
+    pub is_export: bool,
+}
+
+impl ShapeFile {
+    /// The file that `data.raw_labels` names, or the one in the folder that it names: CVAT's `annotations.xml`, or the only JSON file
+    /// in it or in `annotations`.
+    pub fn find(dir: &Path, options: &LoadOptions) -> Option<Self> {
+        let named = dir.join(options.raw_labels.as_deref()?);
+        let found = if named.is_file() {
+            let is_cvat = match options.raw_format {
+                RawFormat::Cvat => true,
+                RawFormat::Auto => extension(&named) == "xml",
+                _ => false,
+            };
+            Self::new(named, is_cvat, false)
+        } else if options.raw_format != RawFormat::CocoInstances && named.join(CVAT_FILE).is_file()
+        {
+            Self::new(named.join(CVAT_FILE), true, true)
+        } else {
+            let inner = named.join(COCO_FOLDER);
+            let in_export = || Some(Self::new(only_json(&inner)?, false, true));
+            let found = only_json(&named).map(|path| Self::new(path, false, false));
+            found.or_else(in_export)?
+        };
+        let fits =
+            matches!(options.raw_format, RawFormat::Auto) || options.raw_format == found.format;
+        fits.then_some(found)
+    }
+
+    fn new(path: PathBuf, is_cvat: bool, is_export: bool) -> Self {
+        let format = if is_cvat {
+            RawFormat::Cvat
+        } else {
+            RawFormat::CocoInstances
+        };
+        Self {
+            path,
+            format,
+            is_export,
+        }
+    }
+}
+
+/// The only JSON file of a folder that is not one of [`OTHER_FILES`].
+fn only_json(folder: &Path) -> Option<PathBuf> {
+    let files = names(folder, |name, path| {
+        name.ends_with(".json") && !OTHER_FILES.contains(&name) && path.is_file()
+    });
+    match &files[..] {
+        [only] => Some(folder.join(only)),
+        _ => None,
+    }
+}
+
+/// A picture with shapes.
+pub(super) struct Picture<'a> {
+    pub name: &'a str,
+    /// Where the file gives it.
+    pub size: Option<(usize, usize)>,
+    /// In the order in which they are painted.
+    pub shapes: Vec<Shape>,
+}
+
+/// A region with the place of its class in the vocabulary.
+pub(super) struct Shape {
+    pub class: Option<usize>,
+    pub group: Option<String>,
+    pub region: Region,
+}
+
+/// The drawings of those `frames` of which the file at `path` has `pictures`, by their names. The notice of `vocabulary` gets a
+/// sentence on other pictures.
+///
+/// # Errors
+/// No picture is a photo of the scene, or two are the same one; a photo has too many shapes.
+pub(super) fn drawings(
+    path: &Path,
+    frames: &[RawFile],
+    pictures: Vec<Picture<'_>>,
+    vocabulary: &mut Vocabulary,
+) -> Result<HashMap<String, Drawing>> {
+    let mut drawings = HashMap::new();
+    let mut others = 0;
+    for picture in pictures {
+        let Some(frame) = frame_of(frames, picture.name) else {
+            others += 1;
+            continue;
+        };
+        let mut drawing = Drawing::new(path, picture.size);
+        for shape in picture.shapes {
+            drawing.add(vocabulary, shape.class, shape.group, shape.region)?;
+        }
+        ensure!(drawings.insert(frame.name.to_owned(), drawing).is_none(),
+            path, "images"; found "{} and another image of this photo", picture.name;
+            expected "one for each photo"; help "export the shapes again");
+    }
+    ensure!(!drawings.is_empty(),
+        path, "annotations"; found "{others} images with regions, none of which is a photo of the scene";
+        expected "regions on photos such as {}", frames.first().map_or("", |frame| frame.name);
+        help "give images the file names of the photos");
+    if others > 0 {
+        let file = path.display();
+        let other = format!("{others} labelled images of {file} are no photos of the scene");
+        let notice = vocabulary.notice.take();
+        vocabulary.notice =
+            Some(notice.map_or(other.clone(), |notice| format!("{notice}; {other}")));
+    }
+    Ok(drawings)
+}
+
+/// The frame of an image: the one whose photo has this path. Photos that lie in one folder are found by their names alone.
+fn frame_of<'a>(frames: &'a [RawFile<'a>], file_name: &str) -> Option<&'a RawFile<'a>> {
+    // Windows' tools write its separators.
+    let path = PathBuf::from(file_name.replace('\\', "/")).with_extension("");
+    let folder = frames.first()?.photo.parent();
+    let is_one_folder = frames.iter().all(|frame| frame.photo.parent() == folder);
+    let wanted = if is_one_folder {
+        Path::new(path.file_name()?)
+    } else {
+        path.as_path()
+    };
+    let mut found = frames
+        .iter()
+        .filter(|frame| frame.photo.with_extension("").ends_with(wanted));
+    found.next().filter(|_| found.next().is_none())
+}

@@ -1,0 +1,61 @@
+//! The labels that somebody gave to shapes.
+
+use super::Vocabulary;
+use crate::data::Classes;
+use crate::data::labels::classes::{is_void, plain};
+use crate::error::{Result, ensure};
+use crate::files::check_limit;
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+
+/// Names of LabelMe and CVAT for pixels without a label.
+const UNLABELLED_NAMES: [&str; 2] = ["__ignore__", "_background_"];
+
+/// Classes of a table.
+const MAX_LABELS: u64 = u16::MAX as u64 - 1;
+
+/// Labels of shapes, as classes.
+pub(super) struct ShapeLabels {
+    pub vocabulary: Vocabulary,
+    /// Places in the vocabulary.
+    places: HashMap<String, usize>,
+}
+
+impl ShapeLabels {
+    /// The `labels` of the shapes in `file`, for a scene with the class table `classes`.
+    ///
+    /// # Errors
+    /// None of them means a class, or none is in the table.
+    pub fn new<'a>(
+        file: &Path,
+        classes: &Classes,
+        labels: impl Iterator<Item = &'a str>,
+    ) -> Result<Self> {
+        let is_unlabelled =
+            |label: &str| is_void(label) || UNLABELLED_NAMES.contains(&label.trim());
+        let labels: BTreeMap<String, &str> = labels
+            .filter(|label| !is_unlabelled(label))
+            .map(|label| (plain(label), label.trim()))
+            .collect();
+        ensure!(!labels.is_empty(),
+            file, "shapes"; found "none with a label"; expected "the outlines of objects, with their classes";
+            help "draw polygons and save them");
+        check_limit(
+            file,
+            "labels",
+            labels.len() as u64,
+            MAX_LABELS,
+            "use fewer labels",
+        )?;
+        let names: Vec<(u16, &str)> = (1..).zip(labels.values().copied()).collect();
+        Ok(Self {
+            vocabulary: Vocabulary::new(file, classes, &names)?,
+            places: labels.into_keys().zip(0..).collect(),
+        })
+    }
+
+    /// The place of a label in the vocabulary; `None` where it means unlabelled.
+    pub fn place(&self, label: &str) -> Option<usize> {
+        self.places.get(&plain(label)).copied()
+    }
+}

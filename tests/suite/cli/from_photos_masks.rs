@@ -1,0 +1,112 @@
+//! `coseg from-photos --masks`, with scripts in the place of colmap and Python.
+
+use crate::support::exif_photo::photo;
+use crate::support::plates::{HEIGHT, WIDTH};
+use crate::support::program::{listed, utf8};
+use crate::support::programs::Place;
+use coseg::data::{LoadOptions, load};
+use image::{GrayImage, Luma};
+use std::fs;
+use std::path::Path;
+
+/// A grey picture that is black where `left_out`, and 7 elsewhere.
+fn mask(path: &Path, (width, height): (u32, u32), left_out: impl Fn(u32, u32) -> bool) {
+    let pixel = |x, y| Luma([if left_out(x, y) { 0 } else { 7 }]);
+    let mask = GrayImage::from_fn(width, height, pixel);
+    mask.save(path).unwrap();
+}
+
+fn pixel(path: &Path, x: u32, y: u32) -> u8 {
+    image::open(path).unwrap().into_luma8().get_pixel(x, y).0[0]
+}
+
+#[test]
+fn masks_go_to_colmap_and_into_the_scene_folder() {
+    for python in [false, true] {
+        let place = Place::new();
+        let (photos, masks, room) = (place.photos(), place.path("people"), place.path("room"));
+        if python {
+            place.pycolmap();
+        } else {
+            place.colmap();
+        }
+        fs::create_dir(&masks).unwrap();
+        // Of half the size.
+        let half = (WIDTH as u32 / 2, HEIGHT as u32 / 2);
+        for name in ["Bild ö 1.png", "Bild ö 3.png.png"] {
+            mask(&masks.join(name), half, |x, _| x < half.0 / 2);
+        }
+        let given = ["--masks", utf8(&masks)];
+        let said = place.succeeds(&photos, &given);
+        assert!(said.contains("6 photos (2 with masks)"), "{said}");
+        let arguments = fs::read_to_string(place.path("arguments")).unwrap();
+        let to_colmap = room.join("masks");
+        assert!(arguments.contains(utf8(&to_colmap)), "{arguments}");
+        assert_eq!(python, !arguments.contains("--ImageReader.mask_path"));
+        // COLMAP leaves photos without a mask out, so that each one has a mask.
+        let names: Vec<String> = (0..6).map(|i| format!("Bild ö {i}.png.png")).collect();
+        assert_eq!(listed(&to_colmap), names);
+        for (i, name) in names.iter().enumerate() {
+            let file = to_colmap.join(name);
+            let left = if [1, 3].contains(&i) { 0 } else { 255 };
+            assert_eq!(pixel(&file, WIDTH as u32 / 2 - 1, 5), left, "{name}");
+            assert_eq!(pixel(&file, WIDTH as u32 / 2, 5), 255, "{name}");
+        }
+        let scene = load(&room, &LoadOptions::default()).unwrap();
+        let masked: Vec<bool> = scene.views.iter().map(|view| view.mask.is_some()).collect();
+        assert_eq!(masked, [false, true, false, true, false, false]);
+        // They are part of what the folder was made from.
+        place.succeeds(&photos, &given);
+        place.fails(&photos, &[], &["--out", "made from", "masks"]);
+    }
+}
+
+#[test]
+fn masks_are_turned_with_their_photos() {
+    let place = Place::new();
+    place.script("colmap", "exit 0");
+    let (photos, masks) = (place.path("photos"), place.path("people"));
+    fs::create_dir(&photos).unwrap();
+    fs::create_dir(&masks).unwrap();
+    for name in ["a.jpg", "b.jpg"] {
+        photo(&photos.join(name), (30, 20), 6);
+    }
+    // The upper half as the photo is stored, which is the right one once it is turned; and the upper half of the turned photo.
+    mask(&masks.join("a.png"), (30, 20), |_, y| y < 10);
+    mask(&masks.join("b.jpg.png"), (20, 30), |_, y| y < 15);
+    let given = ["--masks", utf8(&masks)];
+    place.fails(&photos, &given, &["none of 2 photos"]);
+    let written = place.path("room/masks");
+    let corners = |name: &str| {
+        let places = [(0, 0), (19, 0), (0, 29), (19, 29)];
+        places.map(|(x, y)| pixel(&written.join(name), x, y))
+    };
+    assert_eq!(corners("a.jpg.png"), [255, 0, 255, 0]);
+    assert_eq!(corners("b.jpg.png"), [0, 0, 255, 255]);
+    fs::remove_dir_all(place.path("room")).unwrap();
+    mask(&masks.join("a.png"), (30, 30), |_, y| y < 10);
+    place.fails(&photos, &given, &["a.png", "30x30 pixels", "30x20"]);
+}
+
+#[test]
+fn masks_that_fit_no_photo_are_refused() {
+    let place = Place::new();
+    place.colmap();
+    let (photos, masks) = (place.photos(), place.path("people"));
+    let given = ["--masks", utf8(&masks)];
+    place.fails(&photos, &given, &["no such folder", "people"]);
+    fs::create_dir(&masks).unwrap();
+    mask(&masks.join("Bild 1.png"), (80, 64), |x, _| x < 9);
+    place.fails(
+        &photos,
+        &given,
+        &["--masks", "no mask of any photo", "a.jpg.png"],
+    );
+    // The photos themselves are no masks.
+    let of_photos = ["--masks", utf8(&photos)];
+    place.fails(&photos, &of_photos, &["--masks", "no mask of any photo"]);
+    let video = place.path("walk.mp4");
+    fs::write(&video, "film").unwrap();
+    place.fails(&video, &given, &["--masks", "masks of a video"]);
+    assert!(place.log().is_empty());
+}
