@@ -43,8 +43,8 @@ For each frame, with STEM its file name without extension, the output folder get
                  segmentation.min_coverage, or 0.5
   --normals      STEM.normal.png  8 bits a channel, 127.5 (n + 1) of the world direction n; npy: [H, W, 3] float32. The
                  shortest axes of the Gaussians that a pixel shows, turned towards the camera; 0 where alpha is too low
-  --annotations coco   instances.json: COCO instances with run lengths, one a label and frame, whose key `label` is its id
-                       It has the file names of the photos, or else STEM.png. An object has the category of its class.
+  --annotations coco   instances.json: COCO instances with run lengths, one a label and frame, whose key `label` is its id.
+                       Images are called as the photos, or else STEM.png. An object has the category of its class
                 yolo   data.yaml, train.txt, val.txt, labels/STEM.txt, images/: a data set for YOLO segmentation, a line a
                        connected region. images/ has copies of the photos, or else the rendered pictures
                 index  STEM.index.png: 8-bit PNG with the colours of the classes as its palette
@@ -71,7 +71,7 @@ Paths: frames path_0000, path_0001, ... and their cameras as cameras.json.
 Examples:
   coseg render --scene runs/room --out pictures --split test --labels
   coseg render --scene runs/room --out walk --path interpolate --split train --frames 300 --size 1280,960
-  coseg render --scene runs/room --out dataset --split train --labels --annotations coco,yolo
+  coseg render --scene runs/room --out dataset --labels --annotations coco,yolo
   coseg render --scene runs/room --out film --path --film
   coseg render --scene runs/room --out features --split test --features pca
   coseg render --scene runs/room --out sofa --path orbit --object sofa

@@ -24,7 +24,8 @@ const LABEL: usize = 4;
 const ROUNDING: f64 = 1e-5;
 
 /// The bytes `glb` of the file `path` with one of the `labels` for each vertex of the first primitive. The vertices must be the
-/// `gaussians` with `origin` added, in their order; signs of coordinates may differ, as axes are turned. `names` of labels become `extras.labels` of the mesh.
+/// `gaussians` with `origin` added, in their order; signs of coordinates may differ, as axes are turned. `names` of labels become
+/// `extras.labels` of the mesh.
 ///
 /// # Errors
 /// [`crate::Error::Input`] for bytes that are not such a file, and for vertices in another order.
