@@ -1,20 +1,18 @@
 //! `coseg export`: a scene, or each of its objects, in formats of other programs.
 
 use super::object_scene::ObjectSceneArgs;
-use super::{program, terminal};
+use super::splat_transform::SplatTransform;
+use super::terminal;
 use clap::{Args, ValueEnum};
 use coseg::data::Classes;
-use coseg::error::{Error, Result, bail, ensure};
-use coseg::files::{atomic, extension, names, own, sha256};
+use coseg::error::{Result, bail, ensure};
+use coseg::files::{extension, names, own, sha256};
 use coseg::runs::{
     CAMERAS, CLASSES, ObjectScene, check_output, copy_cameras, has_table, read_scene, scene_path,
     write_classes,
 };
 use coseg::splat::formats::{self, Format, label_path};
-use coseg::splat::{Gaussians, ply};
-use glam::DVec3;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 const HELP: &str = "\
 With a file name the scene becomes that file; with a folder each object becomes a file in it, called ID_NAME: 04_chair_1.ply.
@@ -24,7 +22,7 @@ With a file name the scene becomes that file; with a folder each object becomes 
   .spz             SPZ of Niantic, version 3
   .points.ply      a point cloud: the centres with colour, opacity and label
   .las .laz        the same for surveying software; labels are point source ids, and up to 191 classification = 64 + label
-  .sog .glb        through splat-transform, where it is on the PATH; labels are lost
+  .glb .sog        through splat-transform, where it is on the PATH; .glb with labels, .sog without
 
 A .spz or .compressed.ply gets its labels in a file beside it, NAME.labels.json. --scene of all commands reads both formats
 with these labels, and .splat. classes.json and cameras.json are copied beside the new files. docs/export.md says how exact
@@ -36,9 +34,6 @@ Examples:
   coseg export --scene objects --out chairs --only chair --format spz
   coseg export --scene runs/room --out room.laz                        labelled points for CloudCompare or QGIS
   coseg export --scene cloud.splat --out cloud.ply                     converts scenes without labels too";
-
-/// Program that writes the formats which this one does not.
-const CONVERTER: &str = "splat-transform";
 
 /// Arguments of `coseg export`.
 #[derive(Args, Debug)]
@@ -93,19 +88,6 @@ impl FileFormat {
         let name = path.to_string_lossy().to_lowercase();
         let mut all = Self::value_variants().iter().copied();
         all.find(|format| name.ends_with(format.parts().0))
-    }
-
-    fn write(
-        self,
-        path: &Path,
-        gaussians: &Gaussians,
-        origin: DVec3,
-        labels: Option<&[u16]>,
-    ) -> Result<()> {
-        match self.parts() {
-            (_, Some(format)) => formats::write(path, format, gaussians, origin, labels),
-            (suffix, None) => convert(path, suffix, gaussians, origin),
-        }
     }
 }
 
@@ -189,6 +171,7 @@ impl ExportArgs {
         }
         let keeps = self.keeps_side_files(scene, &parts)?;
         let all = scene.ply.gaussians.len();
+        let mut splat_transform = SplatTransform::default();
         for (out, rows) in &parts {
             let gaussians = scene.ply.gaussians.select(rows);
             let labels = (!scene.labels.is_empty()).then(|| {
@@ -196,7 +179,14 @@ impl ExportArgs {
                     .map(|&row| scene.labels[row as usize])
                     .collect::<Vec<_>>()
             });
-            format.write(out, &gaussians, scene.ply.origin, labels.as_deref())?;
+            let (origin, labels) = (scene.ply.origin, labels.as_deref());
+            match format.parts() {
+                (_, Some(format)) => formats::write(out, format, &gaussians, origin, labels)?,
+                (suffix, None) => {
+                    let scene_of = (&gaussians, origin);
+                    splat_transform.write(out, suffix, scene_of, labels, &scene.classes)?;
+                }
+            }
             terminal::say(&format!(
                 "{}: {} of {all} Gaussians",
                 out.display(),
@@ -251,22 +241,4 @@ pub fn safe(name: &str) -> String {
         }
     };
     name.chars().take(50).map(stays).collect()
-}
-
-/// Writes `gaussians` through splat-transform.
-fn convert(path: &Path, suffix: &str, gaussians: &Gaussians, origin: DVec3) -> Result<()> {
-    let failed = |e| Error::io(path, "convert", e);
-    let folder = tempfile::tempdir().map_err(failed)?;
-    let [from, to] =
-        ["scene.ply".to_owned(), format!("scene{suffix}")].map(|name| folder.path().join(name));
-    ply::write(&from, gaussians, origin, None)?;
-    let missing = format!(
-        "it writes {suffix} files: npm install -g @playcanvas/splat-transform, or name a .ply, .compressed.ply or .spz file"
-    );
-    let help = format!(
-        "write a .ply file and convert that; without a GPU: {CONVERTER} --gpu cpu FILE.ply FILE{suffix}"
-    );
-    let mut command = Command::new(CONVERTER);
-    program::run(command.arg("--quiet").args([&from, &to]), &missing, &help)?;
-    atomic::write_bytes(path, &std::fs::read(&to).map_err(failed)?)
 }

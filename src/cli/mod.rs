@@ -30,6 +30,7 @@ mod render;
 mod render_path;
 mod select;
 mod separate;
+mod splat_transform;
 mod split;
 pub mod terminal;
 mod train;

@@ -11,15 +11,18 @@ use clap::{Args, ValueEnum};
 use coseg::config::Config;
 use coseg::data::formats::transforms;
 use coseg::data::labels::annotations::Categories;
-use coseg::data::{Limits, LoadOptions, NamedCamera, Split, check_outputs, read_cameras};
+use coseg::data::{
+    Limits, LoadOptions, NamedCamera, Split, ViewPhoto, check_outputs, read_cameras,
+};
 use coseg::error::{Result, ensure};
 use coseg::features::FeatureColors;
 use coseg::objects::{RenderOptions, Renderer};
 use coseg::runs::{
-    CAMERAS, FEATURE_COLORS, cameras_path, classes_beside, read_scene, rendering_beside,
+    CAMERAS, FEATURE_COLORS, cameras_path, classes_beside, photos_of, read_scene, rendering_beside,
     scene_path, without_labels,
 };
 use coseg::splat::Gaussians;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -40,10 +43,10 @@ For each frame, with STEM its file name without extension, the output folder get
                  segmentation.min_coverage, or 0.5
   --normals      STEM.normal.png  8 bits a channel, 127.5 (n + 1) of the world direction n; npy: [H, W, 3] float32. The
                  shortest axes of the Gaussians that a pixel shows, turned towards the camera; 0 where alpha is too low
-  --annotations coco   instances.json: COCO instances with run lengths, one a label and frame, whose key `label` is its id
-                yolo   STEM.txt, data.yaml: YOLO segmentation, a line a connected region
-                       instances.json calls a frame STEM.png, also where its photo is STEM.jpg. An object has the
-                       category of its class.
+  --annotations coco   instances.json: COCO instances with run lengths, one a label and frame, whose key `label` is its id.
+                       Images are called as the photos, or else STEM.png. An object has the category of its class
+                yolo   data.yaml, train.txt, val.txt, labels/STEM.txt, images/: a data set for YOLO segmentation, a line a
+                       connected region. images/ has copies of the photos, or else the rendered pictures
                 index  STEM.index.png: 8-bit PNG with the colours of the classes as its palette
 
 Cameras
@@ -68,7 +71,7 @@ Paths: frames path_0000, path_0001, ... and their cameras as cameras.json.
 Examples:
   coseg render --scene runs/room --out pictures --split test --labels
   coseg render --scene runs/room --out walk --path interpolate --split train --frames 300 --size 1280,960
-  coseg render --scene runs/room --out dataset --split train --labels --annotations coco,yolo
+  coseg render --scene runs/room --out dataset --labels --annotations coco,yolo
   coseg render --scene runs/room --out film --path --film
   coseg render --scene runs/room --out features --split test --features pca
   coseg render --scene runs/room --out sofa --path orbit --object sofa
@@ -164,10 +167,10 @@ impl RenderArgs {
     /// Renders every frame.
     pub fn run(self) -> Result<()> {
         let path = scene_path(&self.scene)?;
-        let keys = cameras_path(self.cameras.as_deref(), &path)?;
+        let key_file = cameras_path(self.cameras.as_deref(), &path)?;
         let config = self.config(&path);
-        self.check(&keys, &config)?;
-        let keys = self.keys(&keys)?;
+        self.check(&key_file, &config)?;
+        let keys = self.keys(&key_file)?;
         let scene = read_scene(&path)?;
         if self.labels && scene.labels.is_none() {
             return Err(without_labels(&path));
@@ -178,7 +181,9 @@ impl RenderArgs {
         let cameras = along.unwrap_or(keys);
         let labels = scene.labels.filter(|_| self.labels);
         let categories = Categories::new(&classes, labels.iter().flatten().copied());
-        let mut annotations = Annotations::new(&self.annotations, &categories, &classes, &self.out);
+        let photos = self.photos(&key_file, is_path);
+        let mut annotations =
+            Annotations::new(&self.annotations, &categories, &classes, &self.out, photos);
         let options = RenderOptions::from(&config);
         let device = self.backend.open()?;
         let features = self.feature_renderer(&path, &scene.gaussians, options, &device)?;
@@ -188,12 +193,12 @@ impl RenderArgs {
         }
         let bar = terminal::bar("render", cameras.len() as u64);
         let mut times = Vec::with_capacity(cameras.len());
-        for NamedCamera { name, camera, .. } in &cameras {
-            let camera = camera.moved(-scene.origin);
+        for named in &cameras {
+            let camera = named.camera.moved(-scene.origin);
             let start = Instant::now();
             let frame = renderer.frame(&camera)?;
             times.push(start.elapsed().as_secs_f64());
-            let files = self.files(name);
+            let files = self.files(&named.name);
             files.write(&frame, &classes)?;
             let size = [frame.width, frame.height];
             if self.depth {
@@ -202,9 +207,7 @@ impl RenderArgs {
             if self.normals {
                 files.write_normals(size, &renderer.normals(&camera)?)?;
             }
-            if let Some(labels) = &frame.labels {
-                annotations.add(name, labels)?;
-            }
+            annotations.add(named, &frame)?;
             if let Some(features) = &features {
                 files.write_color("features", size, &features.frame(&camera)?.rgb)?;
             }
@@ -252,6 +255,19 @@ impl RenderArgs {
             }
         }
         Ok(cameras)
+    }
+
+    /// The photos of the views of `keys`, where annotations need them. The frames of a path have none.
+    fn photos(&self, keys: &Path, is_path: bool) -> BTreeMap<String, ViewPhoto> {
+        let of_photos = [AnnotationFormat::Coco, AnnotationFormat::Yolo];
+        let are_asked_for = self
+            .annotations
+            .iter()
+            .any(|format| of_photos.contains(format));
+        if is_path || !are_asked_for {
+            return BTreeMap::new();
+        }
+        photos_of(keys)
     }
 
     fn files<'a>(&'a self, name: &'a str) -> FrameFiles<'a> {

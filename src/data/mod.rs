@@ -12,6 +12,7 @@ mod options;
 mod outputs;
 pub mod photos;
 mod view_cache;
+mod view_photos;
 
 pub use self::diagnostics::check::{Checked, check};
 pub use self::diagnostics::info::{CameraBox, ClassShare, Info, Thumbnail, info, thumbnails};
@@ -27,6 +28,7 @@ pub use self::outputs::{check_output_file, check_outputs};
 pub use self::photos::photo::Photo;
 pub use self::photos::photo_cache::PhotoCache;
 pub(crate) use self::view_cache::ViewCache;
+pub use self::view_photos::{ViewPhoto, view_photos};
 
 pub use crate::files::Limits;
 

@@ -5,6 +5,7 @@ use crate::data::{Classes, LoadOptions, check_output_file, locate};
 use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files::{atomic, extension, own, sha256};
 use crate::objects::{Edited, Editing, Edits, Object, color_apart, inventory};
+use crate::splat::formats::{has_labels_beside, label_path};
 use crate::splat::ply::PlyScene;
 use crate::splat::{Gaussians, ply};
 use glam::DVec3;
@@ -322,6 +323,14 @@ impl ObjectScene {
 
 /// The error of a scene that needs a label column.
 pub fn without_labels(path: &Path) -> Error {
-    invalid!(path, "column label"; found "nothing"; expected "one label for each Gaussian";
-        help "give the scene labels with `coseg vote` or `coseg train`")
+    const HELP: &str = "give the scene labels with `coseg vote` or `coseg train`";
+    let (field, help) = if has_labels_beside(path) {
+        let beside = label_path(path);
+        let name = beside.file_name().unwrap_or_default().display();
+        let help = format!("put {name}, which `coseg export` wrote, beside the file, or {HELP}");
+        ("labels", help)
+    } else {
+        ("column label", HELP.to_owned())
+    };
+    invalid!(path, "{field}"; found "nothing"; expected "one label for each Gaussian"; help "{help}")
 }

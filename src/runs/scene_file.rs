@@ -1,11 +1,12 @@
 //! The files of a scene: given by name, or in the folder that `coseg train` wrote.
 
 use crate::config::Config;
-use crate::data::{Classes, Limits, NamedCamera};
+use crate::data::{Classes, Limits, LoadOptions, NamedCamera, ViewPhoto, view_photos};
 use crate::error::{Error, Result, ensure, invalid};
 use crate::files::{self, atomic, extension, own};
 use crate::splat::formats;
 use crate::splat::ply::PlyScene;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// The settings of a run folder.
@@ -110,6 +111,28 @@ pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
             invalid!(argument "--cameras"; found "nothing"; expected "cameras: {} does not exist", beside.display();
                 help "give a file of cameras, a scene folder or a run folder")
         })
+}
+
+/// The photos of the views whose cameras are in the file or folder `cameras`, by the names of these: the photos of the scene folder
+/// that this is or lies in, or else of the one that the run of this folder was trained on. Empty where neither is there.
+pub fn photos_of(cameras: &Path) -> BTreeMap<String, ViewPhoto> {
+    let parent = cameras.parent().filter(|dir| *dir != Path::new(""));
+    let folder = if cameras.is_dir() {
+        cameras
+    } else {
+        parent.unwrap_or(Path::new("."))
+    };
+    let photos = view_photos(folder, &LoadOptions::default());
+    if !photos.is_empty() {
+        return photos;
+    }
+    let of_run = |config: Config| {
+        let dir = config.data.dir.as_deref()?;
+        Some(view_photos(dir, &LoadOptions::from(&config)))
+    };
+    // Other programs have files of that name too.
+    let config = Config::load(Some(&folder.join(CONFIG)), &[]).ok();
+    config.and_then(of_run).unwrap_or_default()
 }
 
 /// The camera of the frame `frame`, a name with or without extension.

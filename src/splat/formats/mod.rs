@@ -5,6 +5,7 @@
 
 mod antimatter15;
 pub(super) mod compressed_ply;
+pub mod glb;
 mod point_cloud;
 mod spz;
 
@@ -18,6 +19,9 @@ use std::path::{Path, PathBuf};
 
 /// Opacities are kept this far from 0 and 1, whose logits are infinite.
 const OPACITY_MARGIN: f64 = 1e-6;
+
+/// Formats that `coseg export` writes and nothing here reads.
+const WRITTEN_ONLY: [&str; 4] = ["glb", "sog", "las", "laz"];
 
 /// Mean distance that rounding to float may move positions, in mean standard deviations.
 const POSITION_LOSS: f64 = 0.01;
@@ -57,9 +61,12 @@ pub fn label_path(path: &Path) -> PathBuf {
 /// labels of the file or those beside it.
 ///
 /// # Errors
-/// As [`ply::read`]; [`crate::Error::Input`] for labels beside it that belong to another file.
+/// As [`ply::read`]; [`crate::Error::Input`] for labels beside it that belong to another file, and for formats that are not read.
 pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
-    let mut scene = match &*extension(path) {
+    let format = extension(path);
+    ensure!(!WRITTEN_ONLY.contains(&&*format), path, "format"; found ".{format}, which is written but not read";
+        expected "a .ply, .spz or .splat file"; help "give the scene that it was made from");
+    let mut scene = match &*format {
         "spz" => spz::read(path, limits)?,
         "splat" => antimatter15::read(path, limits)?,
         _ => ply::read(path, limits)?,
@@ -68,6 +75,14 @@ pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
         scene.labels = labels_beside(path, scene.gaussians.len())?;
     }
     Ok(scene)
+}
+
+/// Whether the scene `path` has its labels, if any, in the file [`label_path`].
+pub fn has_labels_beside(path: &Path) -> bool {
+    let name = path.to_string_lossy().to_lowercase();
+    [".spz", ".splat", ".compressed.ply"]
+        .iter()
+        .any(|end| name.ends_with(end))
 }
 
 /// Writes `gaussians` to `path` in `format`, adding `origin` to the positions, and `labels` where the format has a place for them,

@@ -151,6 +151,43 @@ fn scenes_without_labels_are_converted() {
         1,
     );
     assert!(message.contains("one label for each Gaussian"), "{message}");
+    assert!(message.contains("a.splat.labels.json"), "{message}");
+}
+
+#[test]
+fn formats_that_are_only_written_are_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    for format in ["glb", "sog", "las", "laz"] {
+        let path = folder.path().join(format!("room.{format}"));
+        fs::write(&path, "some bytes").unwrap();
+        let message = fails(&["objects", "--scene", utf8(&path)], 1);
+        let found = format!(
+            "found .{format}, which is written but not read, expected a .ply, .spz or .splat file"
+        );
+        assert!(message.contains(&found), "{message}");
+    }
+}
+
+#[test]
+fn a_scene_without_its_file_of_labels_names_it() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    for name in ["s.spz", "s.compressed.ply"] {
+        let path = folder.path().join("out").join(name);
+        succeeds(&[
+            "export",
+            "--scene",
+            utf8(folder.path()),
+            "--out",
+            utf8(&path),
+        ]);
+        fs::remove_file(path.with_file_name(format!("{name}.labels.json"))).unwrap();
+        let message = fails(&["objects", "--scene", utf8(&path)], 1);
+        assert!(
+            message.contains(&format!("put {name}.labels.json")),
+            "{message}"
+        );
+    }
 }
 
 #[test]

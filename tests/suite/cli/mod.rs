@@ -27,6 +27,8 @@ pub mod render_path;
 pub mod render_settings;
 pub mod select;
 pub mod separate;
+#[cfg(unix)]
+pub mod splat_transform;
 pub mod split;
 pub mod train;
 pub mod view;

@@ -5,7 +5,7 @@ use crate::support::program::read_json;
 use crate::support::raw_labels::{folder, options, raw};
 use coseg::data::labels::annotations::{Categories, CocoInstances, Yolo};
 use coseg::data::load;
-use coseg::data::{Class, Classes, LabelMap, ObjectOf};
+use coseg::data::{Class, Classes, LabelMap, ObjectOf, Split};
 use std::collections::BTreeMap;
 use std::fs;
 
@@ -148,9 +148,34 @@ fn outlines_of_yolo_enclose_the_pixels() {
     let at = |name: &str| dir.path().join(name);
     let categories = Categories::new(&classes(), [1, 2, 3]);
     let yolo = Yolo::new(&categories);
-    yolo.write_names(&at("data.yaml")).expect("written");
-    let names = fs::read_to_string(at("data.yaml")).expect("read");
-    assert_eq!(names, "names:\n  0: \"wall\"\n  1: \"chair\"\n");
+    let text = |name: &str| fs::read_to_string(at(name)).expect("read");
+    let images = [
+        (Split::Train, "a.jpg"),
+        (Split::Test, "b.png"),
+        (Split::Train, "c.png"),
+    ];
+    let images = images.map(|(split, name)| (split, name.to_owned()));
+    yolo.write_lists(dir.path(), &images).expect("written");
+    assert_eq!(text("train.txt"), "./images/a.jpg\n./images/c.png\n");
+    assert_eq!(text("val.txt"), "./images/b.png\n");
+    let names = "names:\n  0: \"wall\"\n  1: \"chair\"\n";
+    assert_eq!(
+        text("data.yaml"),
+        format!("train: train.txt\nval: val.txt\n{names}")
+    );
+    // One split stands for both.
+    yolo.write_lists(dir.path(), &images[..1]).expect("written");
+    assert_eq!(
+        text("data.yaml"),
+        format!("train: train.txt\nval: train.txt\n{names}")
+    );
+    assert!(!at("val.txt").exists());
+    yolo.write_lists(dir.path(), &images[1..2])
+        .expect("written");
+    assert_eq!(
+        text("data.yaml"),
+        format!("train: val.txt\nval: val.txt\n{names}")
+    );
     let map = map();
     yolo.write(&at("a.txt"), &map).expect("written");
     let text = fs::read_to_string(at("a.txt")).expect("read");

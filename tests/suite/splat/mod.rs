@@ -3,6 +3,7 @@
 pub mod camera;
 pub mod camera_paths;
 pub mod formats;
+pub mod glb;
 pub mod level;
 pub mod orbits;
 pub mod ply;

@@ -19,6 +19,7 @@ pub mod dino_weights;
 pub mod exif_photo;
 pub mod feature_maps;
 pub mod finite_differences;
+pub mod glb;
 pub mod hall;
 pub mod hard_labels;
 pub mod label_losses;

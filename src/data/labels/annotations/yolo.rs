@@ -1,11 +1,11 @@
 //! YOLO segmentation: a text file for each image, a line for each region: the number of its class, then the corners of its outline,
-//! `x y` from 0 to 1. `data.yaml` names the classes.
+//! `x y` from 0 to 1. `data.yaml` names the classes and the lists of images.
 //!
-//! Format: <https://docs.ultralytics.com/datasets/segment>. A region is what is connected by sides of pixels. Its outline runs along
+//! Format: <https://docs.ultralytics.com/datasets/segment>. The labels of `images/NAME.jpg` are in `labels/NAME.txt`. A region is what is connected by sides of pixels. Its outline runs along
 //! the sides of its pixels. A hole is joined to it by a cut of no width, so that the areas are exact.
 
 use super::Categories;
-use crate::data::LabelMap;
+use crate::data::{LabelMap, Split};
 use crate::error::Result;
 use crate::files::atomic;
 use std::collections::BTreeMap;
@@ -34,20 +34,33 @@ impl<'a> Yolo<'a> {
         }
     }
 
-    /// Writes `data.yaml` with the names.
+    /// Writes `data.yaml`, and `train.txt` and `val.txt` with the names of the `images`, which are in the folder `images` beside it. Test
+    /// images are those of `val.txt`. Where a split has no image, the list of the other stands for it, as trainers want both.
     ///
     /// # Errors
     /// [`crate::Error::Io`].
-    pub fn write_names(&self, path: &Path) -> Result<()> {
-        atomic::write(path, |out| {
-            writeln!(out, "names:")?;
+    pub fn write_lists(&self, folder: &Path, images: &[(Split, String)]) -> Result<()> {
+        let mut named = Vec::new();
+        for (split, list) in [(Split::Train, "train.txt"), (Split::Test, "val.txt")] {
+            let of_split = images.iter().filter(|(of, _)| *of == split);
+            let lines: String = of_split
+                .map(|(_, name)| format!("./images/{name}\n"))
+                .collect();
+            if lines.is_empty() {
+                atomic::remove(folder.join(list))?;
+            } else {
+                atomic::write_bytes(folder.join(list), lines.as_bytes())?;
+                named.push(list);
+            }
+        }
+        let [train, val] = [named.first(), named.last()].map(|list| list.unwrap_or(&"train.txt"));
+        atomic::write(folder.join("data.yaml"), |out| {
+            // Without the key `path`, the lists are looked for beside the file, wherever it is moved.
+            writeln!(out, "train: {train}\nval: {val}\nnames:")?;
             for (number, name) in self.categories.names.values().enumerate() {
                 // A string of JSON is one of YAML.
-                writeln!(
-                    out,
-                    "  {number}: {}",
-                    serde_json::Value::from(name.as_str())
-                )?;
+                let name = serde_json::Value::from(name.as_str());
+                writeln!(out, "  {number}: {name}")?;
             }
             Ok(())
         })

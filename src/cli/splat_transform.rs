@@ -1,0 +1,98 @@
+//! Formats that the program splat-transform writes.
+
+use super::program;
+use coseg::data::Classes;
+use coseg::error::{Error, Result};
+use coseg::files::atomic;
+use coseg::splat::formats::glb;
+use coseg::splat::{Gaussians, ply};
+use glam::DVec3;
+use serde_json::{Map, Value};
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::process::Command;
+
+const PROGRAM: &str = "splat-transform";
+
+/// Its calls by one command.
+#[derive(Default)]
+pub struct SplatTransform {
+    /// It found no GPU.
+    without_gpu: bool,
+    /// The user knows that labels are lost.
+    warned: bool,
+}
+
+impl SplatTransform {
+    /// Writes `gaussians` to `path`, whose name ends in `suffix`. A .glb gets the `labels`, with their names in `classes`.
+    pub fn write(
+        &mut self,
+        path: &Path,
+        suffix: &str,
+        (gaussians, origin): (&Gaussians, DVec3),
+        labels: Option<&[u16]>,
+        classes: &Classes,
+    ) -> Result<()> {
+        let failed = |e| Error::io(path, "convert", e);
+        let folder = tempfile::tempdir().map_err(failed)?;
+        let [from, to] =
+            ["scene.ply".to_owned(), format!("scene{suffix}")].map(|name| folder.path().join(name));
+        ply::write(&from, gaussians, origin, None)?;
+        self.convert(&from, &to, suffix)?;
+        let mut bytes = std::fs::read(&to).map_err(failed)?;
+        if let Some(labels) = labels {
+            if suffix == ".glb" {
+                let names = names(labels, classes);
+                match glb::with_labels(path, &bytes, (gaussians, origin), labels, names) {
+                    Ok(labelled) => bytes = labelled,
+                    Err(error) => self.warn(&format!("labels are not in the file: {error}")),
+                }
+            } else {
+                self.warn(&format!(
+                    "labels are not in {}: {PROGRAM} orders the rows anew; a .glb file keeps them, and a .spz file with the one beside it",
+                    path.display()
+                ));
+            }
+        }
+        atomic::write_bytes(path, &bytes)
+    }
+
+    /// Calls the program, without a GPU where it finds none.
+    fn convert(&mut self, from: &Path, to: &Path, suffix: &str) -> Result<()> {
+        let missing = format!(
+            "it writes {suffix} files: npm install -g @playcanvas/splat-transform, or name a .ply, .compressed.ply or .spz file"
+        );
+        loop {
+            let mut command = Command::new(PROGRAM);
+            command.args(["--quiet", "--overwrite"]);
+            if self.without_gpu {
+                command.args(["--gpu", "cpu"]);
+            }
+            let done = program::output(command.args([from, to]), &missing)?;
+            let said = String::from_utf8_lossy(&done.stderr).to_lowercase();
+            if done.status.success() || self.without_gpu || !said.contains("gpu") {
+                return program::expect_success(
+                    &command,
+                    &done,
+                    "write a .ply file and convert that",
+                );
+            }
+            tracing::warn!("{PROGRAM} finds no GPU; it goes on with --gpu cpu, which is slow");
+            self.without_gpu = true;
+        }
+    }
+
+    /// Warns, once a command.
+    fn warn(&mut self, warning: &str) {
+        if !std::mem::replace(&mut self.warned, true) {
+            tracing::warn!("{warning}");
+        }
+    }
+}
+
+/// The names of the classes in `labels`, by their ids as text.
+fn names(labels: &[u16], classes: &Classes) -> Map<String, Value> {
+    let ids: BTreeSet<u16> = labels.iter().copied().collect();
+    let name = |id: u16| Some((id.to_string(), classes.known_name(id)?.into()));
+    ids.into_iter().filter_map(name).collect()
+}
