@@ -1,7 +1,7 @@
-//! A server of pages for browsers on this machine, on a thread of its own. It listens on 127.0.0.1 alone. Its address has a random token,
-//! without which it answers nothing.
+//! A server of pages for browsers, on a thread of its own. It listens on one address alone, 127.0.0.1 unless another is asked for. The
+//! address of a page has a random token, without which it answers nothing.
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, ensure};
 use axum::Router;
 use axum::body::Body;
 use axum::extract::{Request, State};
@@ -10,7 +10,7 @@ use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use rand::TryRngCore;
 use rand::rngs::OsRng;
-use std::net::{Ipv4Addr, TcpListener};
+use std::net::{IpAddr, TcpListener};
 use std::thread::JoinHandle;
 use tokio::sync::oneshot;
 
@@ -34,11 +34,17 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    /// Serves `routes`, which all begin with `/TOKEN/`, on a free port of 127.0.0.1.
-    pub fn start(routes: impl FnOnce(&str) -> Router) -> Result<Self> {
-        let failed = |action| move |e| Error::io("127.0.0.1", action, e);
+    /// Serves `routes`, which all begin with `/TOKEN/`, on a free port of `listen`.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for an address that means all interfaces; [`Error::Io`] when no port can be opened.
+    pub fn start(listen: IpAddr, routes: impl FnOnce(&str) -> Router) -> Result<Self> {
+        // Other pages are told by the address that a browser asks for, so there must be one.
+        ensure!(!listen.is_unspecified(), argument "--listen"; found "{listen}, all interfaces";
+            expected "the address of one interface of this machine"; help "`ip address` lists them; 127.0.0.1 is this machine alone");
+        let failed = |action| move |e| Error::io(listen.to_string(), action, e);
         let open = || {
-            let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
+            let listener = TcpListener::bind((listen, 0))?;
             listener.set_nonblocking(true)?;
             Ok((listener.local_addr()?.to_string(), listener))
         };

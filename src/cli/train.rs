@@ -18,6 +18,8 @@ use coseg::runs::{
 use coseg::viewer::MAX_PAGE_BYTES;
 #[cfg(feature = "serve")]
 use coseg::watch::Watched;
+#[cfg(feature = "serve")]
+use std::net::IpAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -89,6 +91,15 @@ pub struct TrainArgs {
     #[cfg(feature = "serve")]
     #[arg(long)]
     view: bool,
+    /// The address of this machine that the page is served on
+    #[cfg(feature = "serve")]
+    #[arg(
+        long,
+        value_name = "IP",
+        requires = "view",
+        default_value = "127.0.0.1"
+    )]
+    listen: IpAddr,
     /// Seed of every random choice [default: 0]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
@@ -148,7 +159,7 @@ impl TrainArgs {
             return Ok(Box::new(Bars::default()));
         }
         let alpha_max = config.raster.alpha_max;
-        let watch = Watched::start(&scene_name(config), alpha_max, Bars::default())?;
+        let watch = Watched::start(self.listen, &scene_name(config), alpha_max, Bars::default())?;
         terminal::note(&format!("watch: {}", watch.address()));
         Ok(Box::new(watch))
     }

@@ -12,6 +12,8 @@ use coseg::splat::formats;
 use coseg::viewer::Served;
 use coseg::viewer::Viewer;
 use glam::DVec3;
+#[cfg(feature = "serve")]
+use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
 const HELP: &str = "\
@@ -60,6 +62,15 @@ pub struct ViewArgs {
     #[cfg(feature = "serve")]
     #[arg(long, value_name = "FILE.json", requires = "serve")]
     edits: Option<PathBuf>,
+    /// The address of this machine that the page is served on
+    #[cfg(feature = "serve")]
+    #[arg(
+        long,
+        value_name = "IP",
+        requires = "serve",
+        default_value = "127.0.0.1"
+    )]
+    listen: IpAddr,
     /// Cap of a splat's opacity at a pixel, in (0, 1]; graphdeco has 0.99 [default: the run's, or 0.999]
     #[arg(long, value_name = "X", value_parser = alpha_max)]
     alpha_max: Option<f64>,
@@ -99,6 +110,7 @@ impl ViewArgs {
                 viewer,
                 edits,
                 block: Served::BLOCK,
+                listen: self.listen,
             };
             let started = |address: &str| {
                 terminal::say(&format!("open {address} in a browser; Ctrl-C ends it"));

@@ -17,6 +17,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use rayon::prelude::*;
 use serde::Serialize;
+use std::net::IpAddr;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -36,6 +37,8 @@ pub struct Served<'a> {
     pub edits: PathBuf,
     /// Gaussians of a block at most.
     pub block: usize,
+    /// The address that the server listens on.
+    pub listen: IpAddr,
 }
 
 /// What the server answers with.
@@ -71,12 +74,12 @@ impl Served<'_> {
     /// Gaussians of a block, where nothing speaks for another number: 8 MB at SH degree 3.
     pub const BLOCK: usize = 100_000;
 
-    /// Serves the page on a free port of 127.0.0.1 until `is_over`. `started` gets its address: whoever has it may see the scene
+    /// Serves the page on a free port until `is_over`. `started` gets its address: whoever has it may see the scene
     /// and save edits.
     ///
     /// # Errors
     /// As [`Viewer::page`]; as [`Edits::read`] and [`Edits::apply`] of the file of edits; [`crate::Error::Io`] when no port can be
-    /// opened.
+    /// opened; [`crate::Error::Argument`] for an address that means all interfaces.
     pub fn run(&self, started: impl FnOnce(&str), is_over: impl Fn() -> bool) -> Result<()> {
         let listed = self.viewer.listed()?;
         let gaussians = self.viewer.gaussians;
@@ -99,7 +102,7 @@ impl Served<'_> {
             edits: self.edits.clone(),
             saved: Mutex::new(saved),
         });
-        let server = Server::start(|token| routes(token, content))?;
+        let server = Server::start(self.listen, |token| routes(token, content))?;
         started(server.address());
         thread::scope(|scope| {
             scope.spawn(move || match Regions::new(gaussians) {

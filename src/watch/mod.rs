@@ -1,8 +1,8 @@
-//! A run that browsers on this machine can watch: its figures, its curves, and its Gaussians as they are.
+//! A run that browsers can watch: its figures, its curves, and its Gaussians as they are.
 //!
 //! [`Watched`] listens to a run in place of another [`Progress`], which it keeps informed. A server thread answers browsers from a
-//! copy of what `Watched` has heard, so no browser can hold the run up. It listens on 127.0.0.1 alone. Its address has a random
-//! token, without which it answers nothing.
+//! copy of what `Watched` has heard, so no browser can hold the run up. Its address has a random token, without which it answers
+//! nothing.
 
 mod routes;
 mod run_state;
@@ -14,6 +14,7 @@ use crate::error::Result;
 use crate::progress::{Event, Progress};
 use crate::server::Server;
 use crate::splat::Gaussians;
+use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
@@ -31,14 +32,14 @@ pub struct Watched<P> {
 }
 
 impl<P: Progress> Watched<P> {
-    /// Starts the server of a run called `title`, on a free port. `alpha_max` is the run's cap of a splat's opacity. All events
+    /// Starts the server of a run called `title`, on a free port of `listen`. `alpha_max` is the run's cap of a splat's opacity. All events
     /// reach `listener` too.
     ///
     /// # Errors
-    /// [`crate::Error::Io`] when no port can be opened.
-    pub fn start(title: &str, alpha_max: f64, listener: P) -> Result<Self> {
+    /// [`crate::Error::Io`] when no port can be opened; [`crate::Error::Argument`] for an address that means all interfaces.
+    pub fn start(listen: IpAddr, title: &str, alpha_max: f64, listener: P) -> Result<Self> {
         let shared = Arc::new(Mutex::new(RunState::new(title, alpha_max)));
-        let server = Server::start(|token| routes(token, shared.clone()))?;
+        let server = Server::start(listen, |token| routes(token, shared.clone()))?;
         Ok(Self {
             listener,
             shared,
@@ -46,7 +47,7 @@ impl<P: Progress> Watched<P> {
         })
     }
 
-    /// The page for a browser on this machine. Whoever has this address may watch and stop the run.
+    /// The page for a browser. Whoever has this address may watch and stop the run.
     pub fn address(&self) -> &str {
         self.server.address()
     }

@@ -14,6 +14,7 @@ use coseg::splat::Gaussians;
 use coseg::viewer::{Served, Viewer};
 use glam::DVec3;
 use serde_json::json;
+use std::net::Ipv4Addr;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
@@ -56,6 +57,7 @@ impl Plates {
             viewer: self.viewer(),
             edits: edits.to_owned(),
             block: 20,
+            listen: Ipv4Addr::LOCALHOST.into(),
         };
         let is_over = AtomicBool::new(false);
         let (sender, address) = mpsc::channel();
@@ -233,6 +235,7 @@ fn only_edits_of_the_scene_are_saved() {
             viewer: plates.viewer(),
             edits: edits.clone(),
             block: 20,
+            listen: Ipv4Addr::LOCALHOST.into(),
         };
         let refused = served
             .run(|_| panic!("it has started"), || true)

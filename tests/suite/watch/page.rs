@@ -6,6 +6,7 @@ use crate::support::plates::loaded;
 use coseg::progress::{CurvePoint, Event, Progress, Silent};
 use coseg::watch::Watched;
 use serde_json::json;
+use std::net::Ipv4Addr;
 
 /// The picture that the page shows.
 const PICTURE: &str = "document.querySelector('iframe:not(.next)').contentWindow.page";
@@ -14,7 +15,7 @@ const PICTURE: &str = "document.querySelector('iframe:not(.next)').contentWindow
 fn the_page_follows_the_run_from_its_first_copy_to_its_end() {
     let Some(browser) = browser() else { return };
     let (scene, gaussians, labels, _folder) = loaded();
-    let mut watch = Watched::start("plates", 0.999, Silent).unwrap();
+    let mut watch = Watched::start(Ipv4Addr::LOCALHOST.into(), "plates", 0.999, Silent).unwrap();
     let mut tab = Tab::visit(&browser, watch.address(), [900, 700]);
     tab.until("document.getElementById('stage').textContent === 'The photos are being read.'");
     watch.scene(&scene);

@@ -7,7 +7,7 @@ use coseg::watch::Watched;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
-use std::net::TcpStream;
+use std::net::{Ipv4Addr, TcpStream};
 
 fn figures(client: &Client) -> Value {
     let (status, body) = client.get("status");
@@ -16,9 +16,25 @@ fn figures(client: &Client) -> Value {
 }
 
 fn watch() -> (Watched<Silent>, Client) {
-    let watch = Watched::start("plates", 0.999, Silent).unwrap();
+    let watch = Watched::start(Ipv4Addr::LOCALHOST.into(), "plates", 0.999, Silent).unwrap();
     let client = Client::at(watch.address());
     (watch, client)
+}
+
+#[test]
+fn a_run_is_served_on_the_address_that_is_asked_for_alone() {
+    let error = Watched::start(Ipv4Addr::UNSPECIFIED.into(), "plates", 0.999, Silent);
+    let message = error.err().expect("refused").to_string();
+    assert!(message.contains("all interfaces"), "{message}");
+    if cfg!(target_os = "linux") {
+        let other = Ipv4Addr::new(127, 0, 0, 2);
+        let watch = Watched::start(other.into(), "plates", 0.999, Silent).unwrap();
+        assert!(watch.address().starts_with("http://127.0.0.2:"));
+        figures(&Client::at(watch.address()));
+        let port = watch.address().split([':', '/']).nth(4).unwrap();
+        let port = port.parse().unwrap();
+        assert!(TcpStream::connect((Ipv4Addr::LOCALHOST, port)).is_err());
+    }
 }
 
 #[test]
