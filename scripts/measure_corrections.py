@@ -76,6 +76,8 @@ def main():
     parser.add_argument("--coseg", default="coseg")
     options = parser.parse_args()
     run, out = options.run, options.out
+    if out.exists():
+        parser.error(f"{out} exists; OUT is a new folder")
 
     def coseg(*words):
         return subprocess.run([options.coseg, *map(str, words)], check=True, capture_output=True, text=True).stdout

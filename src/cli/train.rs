@@ -132,8 +132,8 @@ impl TrainArgs {
             return Ok(interrupt::stopped("the same command continues"));
         }
         if let Some(edits) = &self.corrections {
-            let count = correct(run, edits)?;
-            terminal::note(&format!("corrected labels: {count} Gaussians"));
+            let count = correct(run, edits, &config)?;
+            terminal::note(&format!("Gaussians with corrected labels: {count}"));
         }
         let command = Command {
             line: command_line(),

@@ -2,7 +2,7 @@
 
 use super::{Editing, LabelMaps};
 use crate::checkpoint::Checkpoint;
-use crate::data::{Class, Classes, LabelRuns, View};
+use crate::data::{Classes, LabelRuns, View};
 use crate::error::{Result, ensure};
 use crate::raster::{Settings, SplatTensors};
 use crate::splat::{Gaussians, bounds};
@@ -22,16 +22,19 @@ pub struct Corrections {
     labels: Vec<Option<u16>>,
     /// Where the Gaussians are, relative to the origin of the scene.
     means: Vec<[f32; 3]>,
+    /// The class table before the first correction; empty for a scene without labels.
+    original: Classes,
     classes: Classes,
 }
 
 impl Corrections {
-    /// No corrections of the scene `gaussians`.
-    pub fn none(gaussians: &Gaussians) -> Self {
+    /// No corrections of the scene `gaussians` with labels of `classes`.
+    pub fn none(gaussians: &Gaussians, classes: &Classes) -> Self {
         Self {
             labels: vec![None; gaussians.len()],
             means: gaussians.means.clone(),
-            classes: Classes::default(),
+            original: classes.clone(),
+            classes: classes.clone(),
         }
     }
 
@@ -59,17 +62,46 @@ impl Corrections {
         &self.classes
     }
 
-    /// The classes that a person gave to Gaussians.
-    pub fn used(&self) -> Vec<&Class> {
-        let is_used = |class: &&Class| self.labels.contains(&Some(class.id));
-        self.classes.entries.iter().filter(is_used).collect()
+    /// Refuses corrections of one class alone where nothing else is labelled: everything would become that class. `file` holds the
+    /// edits that they come from.
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`].
+    pub fn check_classes(&self, file: &Path) -> Result<()> {
+        let mut ids = self.labels.iter().flatten();
+        let first = ids.next();
+        let is_enough =
+            first.is_none() || !self.original.is_empty() || ids.any(|id| Some(id) != first);
+        ensure!(is_enough, file, "operations"; found "one thing alone, {}", self.classes.name(*first.unwrap_or(&0));
+            expected "two or more, where photos have no labels";
+            help "label something else too, such as what is around it: otherwise everything becomes that thing");
+        Ok(())
+    }
+
+    /// Refuses Gaussians other than those that were corrected, and a scene with other `classes`. `file` holds the corrections.
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`].
+    pub fn check(&self, gaussians: &Gaussians, classes: &Classes, file: &Path) -> Result<()> {
+        self.check_gaussians(gaussians, file)?;
+        let named = |classes: &Classes| -> Vec<(u16, String)> {
+            let entries = classes.entries.iter();
+            entries
+                .map(|class| (class.id, class.name.clone()))
+                .collect()
+        };
+        ensure!(named(classes) == named(&self.original), file, "classes";
+            found "corrections of {} classes", self.original.len();
+            expected "the {} classes of this scene, with the same names", classes.len();
+            help "resume with the data and settings of the run, or train into another folder");
+        Ok(())
     }
 
     /// Refuses Gaussians other than those that were corrected. `file` holds the corrections.
     ///
     /// # Errors
     /// [`crate::Error::Input`].
-    pub fn check(&self, gaussians: &Gaussians, file: &Path) -> Result<()> {
+    pub fn check_gaussians(&self, gaussians: &Gaussians, file: &Path) -> Result<()> {
         const HELP: &str = "resume with the settings of the run, or train into another folder with --scene RUN/scene.ply";
         let (then, now) = (self.means.len(), gaussians.len());
         ensure!(then == now, file, "labels"; found "{then} Gaussians"; expected "the {now} of this run"; help "{HELP}");
@@ -87,8 +119,7 @@ impl Corrections {
         Ok(())
     }
 
-    /// What the corrected Gaussians show in views, over Gaussians that hide them or not. `classes` is the table of
-    /// [`Self::classes`].
+    /// The maps of corrected labels. Pixels of which other Gaussians have the larger part show nothing.
     pub fn maps(&self, min_coverage: f32) -> LabelMaps<'_> {
         let index = |id: &Option<u16>| self.classes.index((*id)?).map(|index| index as u16);
         let labels = self.labels.iter().map(index).collect();
@@ -155,6 +186,7 @@ impl Corrections {
             &[self.means.len(), 3],
             self.means.as_flattened().to_vec(),
         )?;
+        file.set("original", &self.original)?;
         file.set("classes", &self.classes)?;
         file.save(path)
     }
@@ -168,6 +200,7 @@ impl Corrections {
             return Ok(None);
         }
         let mut file = Checkpoint::load(path, KIND)?;
+        let original = file.get("original")?;
         let classes: Classes = file.get("classes")?;
         let count = file.shape("labels")?.iter().product();
         let stored: Vec<u32> = file.take("labels", &[count])?;
@@ -185,6 +218,7 @@ impl Corrections {
         Ok(Some(Self {
             labels,
             means: means.as_chunks().0.to_vec(),
+            original,
             classes,
         }))
     }

@@ -3,7 +3,8 @@
 use super::reconstruct::RunFiles;
 use crate::config::Config;
 use crate::data::{Scene, Split};
-use crate::error::{Result, ensure, invalid};
+use crate::error::Result;
+use crate::files::atomic;
 use crate::objects::Corrections;
 use crate::progress::{Progress, Viewing};
 use crate::raster::{Settings, SplatTensors};
@@ -11,38 +12,20 @@ use crate::splat::Gaussians;
 use burn::tensor::Device;
 use std::path::Path;
 
-/// Puts `corrections` of `gaussians`, read from `file`, into the raw labels of the training views of `scene` and into its class table.
-/// False where `progress` stopped it.
+/// Gives the training views of `scene` the labels of `corrections`, which belong to it and to `gaussians`, and the scene their class
+/// table. False where `progress` stopped it.
 ///
 /// # Errors
-/// [`crate::Error::Input`] for corrections of other Gaussians or classes, and for those of one class where nothing else is labelled;
-/// as [`Corrections::correct`].
+/// As [`Corrections::correct`].
 pub(super) fn apply(
     corrections: &Corrections,
-    file: &Path,
     scene: &mut Scene,
     gaussians: &Gaussians,
     config: &Config,
     device: &Device,
     progress: &mut dyn Progress,
 ) -> Result<bool> {
-    corrections.check(gaussians, file)?;
-    let classes = corrections.classes();
-    let missing = scene.classes.entries.iter();
-    let mut missing = missing.filter(|class| classes.index(class.id).is_none());
-    if let Some(class) = missing.next() {
-        return Err(
-            invalid!(file, "classes"; found "no class {} ({})", class.id, class.name;
-            expected "all {} classes of the scene", scene.classes.len();
-            help "resume with the data and settings of the run"),
-        );
-    }
-    let used = corrections.used();
-    ensure!(used.len() > 1 || scene.labelled().next().is_some(), file, "labels";
-        found "one thing alone, {}", used.first().map_or("nothing", |class| class.name.as_str());
-        expected "two or more, where photos have no labels";
-        help "label something else too, such as what is around it: otherwise all becomes that thing");
-    scene.classes = classes.clone();
+    scene.classes = corrections.classes().clone();
     let maps = corrections.maps(config.segmentation.min_coverage as f32);
     let splats = SplatTensors::new(gaussians, device);
     let settings = Settings::from(&config.raster);
@@ -59,13 +42,22 @@ pub(super) fn apply(
     Ok(true)
 }
 
-/// Stores `corrections` in the run folder `out`, in which stage two then begins anew.
+/// Stores `corrections` in the run folder `out`, in which stage two then begins anew. None are withdrawn. The same ones again change
+/// nothing.
 ///
 /// # Errors
 /// [`crate::Error::Io`].
 pub fn store_corrections(corrections: &Corrections, out: &Path) -> Result<()> {
     let files = RunFiles::new(out);
-    corrections.write(&files.corrections())?;
+    let file = files.corrections();
+    if Corrections::read(&file)?.as_ref() == Some(corrections) {
+        return Ok(());
+    }
+    if corrections.count() == 0 {
+        atomic::remove(&file)?;
+    } else {
+        corrections.write(&file)?;
+    }
     files.forget_stage_two()
 }
 

@@ -6,7 +6,8 @@
 //!
 //! [`run`] calls the steps in order; each has a file of its name. `variants` trains and scores the lines of the label table,
 //! `rivals` has the methods of other papers among them, `evaluate` holds the scores, `initial_scene` reads Gaussians of another trainer,
-//! `requirements` checks what stage two needs before stage one starts.
+//! `requirements` checks what stage two needs before stage one starts, `resolve` decides what the scene decides, `corrections` has labels
+//! that a person corrected.
 
 pub mod train_decoder;
 
@@ -22,6 +23,7 @@ mod prune;
 mod query;
 mod reconstruct;
 mod requirements;
+mod resolve;
 mod rivals;
 mod run;
 mod suggest;

@@ -9,15 +9,16 @@ use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
 use super::requirements::{
     check_networks, check_scores, has_raw_labels, least_count, score_tables,
 };
+use super::resolve::resolved;
 use super::variant_outcome::VariantOutcome;
 use super::variants::train_variants;
-use crate::config::{Association, Config, LabelLoss, LabelsBy, Prior, Variant};
-use crate::data::{self, LoadOptions, Scene, Split, View, builtin};
+use crate::config::{Association, Config, Variant};
+use crate::data::{self, LoadOptions, Scene, builtin};
 use crate::error::Result;
 use crate::features::FeatureColors;
 use crate::memory;
 use crate::metrics::ImageScores;
-use crate::objects::{Corrections, Identities, Semantics, has_truth};
+use crate::objects::{Corrections, Identities, Semantics};
 use crate::progress::{CurvePoint, Progress, Review};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
@@ -60,7 +61,7 @@ pub struct Outcome {
     pub association: Option<AssociationCounts>,
     /// What the classes of objects are scored against, where association found objects with classes.
     pub semantics: Option<Semantics>,
-    /// Labels that a person corrected, where the run folder has some and stage two was reached.
+    /// Labels that a person corrected, where the run folder has some.
     pub corrections: Option<Corrections>,
     /// Variants of the label table, in the order of the settings; empty without labels.
     pub rows: Vec<VariantOutcome>,
@@ -226,6 +227,32 @@ impl Outcome {
         Ok(true)
     }
 
+    /// Puts the corrections of the run folder into the scene. False where `progress` stopped it.
+    fn correct(
+        &mut self,
+        files: &RunFiles,
+        device: &Device,
+        progress: &mut dyn Progress,
+    ) -> Result<bool> {
+        let Some(corrections) = &self.corrections else {
+            return Ok(true);
+        };
+        let (scene, gaussians) = (&mut self.scene, &self.gaussians);
+        corrections.check(gaussians, &scene.classes, &files.corrections())?;
+        let done = corrections::apply(
+            corrections,
+            scene,
+            gaussians,
+            &self.config,
+            device,
+            progress,
+        )?;
+        if done {
+            progress.scene(&self.scene);
+        }
+        Ok(done)
+    }
+
     /// Stage two: lifts features, trains the variants and scores them. False where `progress` stopped it.
     fn segment(
         &mut self,
@@ -242,8 +269,9 @@ impl Outcome {
         if progress.stop() {
             return Ok(false);
         }
-        let tables = score_tables(config);
-        memory::check_scores(self.gaussians.len(), self.scene.classes.len(), tables)?;
+        let classes = self.corrections.as_ref().map(Corrections::classes);
+        let classes = classes.unwrap_or(&self.scene.classes).len();
+        memory::check_scores(self.gaussians.len(), classes, score_tables(config))?;
         let lifted = lift(
             &self.gaussians,
             &self.scene,
@@ -263,21 +291,10 @@ impl Outcome {
         if let Some(features) = &lifted.features {
             self.features.clone_from(&features.name);
         }
-        if let Some(corrections) = &self.corrections {
-            let (file, gaussians) = (files.corrections(), &self.gaussians);
-            if !corrections::apply(
-                corrections,
-                &file,
-                &mut self.scene,
-                gaussians,
-                config,
-                device,
-                progress,
-            )? {
-                return Ok(false);
-            }
-            progress.scene(&self.scene);
+        if !self.correct(files, device, progress)? {
+            return Ok(false);
         }
+        let config = &self.config;
         let clock = Instant::now();
         let inputs = Inputs {
             lifted: lifted.features,
@@ -301,125 +318,7 @@ impl Outcome {
     }
 }
 
-/// `config` with everything that follows from the scene: who made the labels, the loss for such labels, and the variants to train
-/// where it names none. `has_corrections` says whether a person corrected labels.
-fn resolved(config: &Config, scene: &Scene, has_corrections: bool) -> Config {
-    let mut config = config.clone();
-    if has_raw_labels(scene) {
-        trust_labels(&mut config, scene);
-    } else if has_corrections {
-        trust(&mut config);
-    }
-    if config.segmentation.rows.is_none() {
-        // The semantics of stage two: association has yet to come.
-        let semantics = Semantics::of(scene);
-        let scored = |view: &View| has_truth(view, config.data.association, semantics.as_ref());
-        let variants = if scene.split(Split::Test).any(scored) {
-            Variant::COMPARED.to_vec()
-        } else {
-            Variant::UNSCORED.to_vec()
-        };
-        config.segmentation.rows = Some(variants);
-    }
-    config
-}
-
-/// If at most this share of the training photos has labels, they count as made by hand: a network labels all photos.
-const MAX_HAND_LABELLED: f64 = 0.25;
-
-/// Decides who made the labels. Where a person did, cross-entropy and the votes of each Gaussian take the place of the default loss
-/// and of the pooled votes, which withstand and correct errors that such labels do not have.
-fn trust_labels(config: &mut Config, scene: &Scene) {
-    if config.data.labels_by == LabelsBy::Auto {
-        let views = || scene.split(Split::Train);
-        let labelled = scene.labelled().count() as f64;
-        let has_scores = views().any(|view| view.scores.is_some());
-        let is_few = labelled <= MAX_HAND_LABELLED * views().count() as f64;
-        config.data.labels_by = if scene.drawn || (is_few && !has_scores) {
-            LabelsBy::Hand
-        } else {
-            LabelsBy::Network
-        };
-    }
-    if config.data.labels_by == LabelsBy::Hand {
-        trust(config);
-    }
-}
-
-/// Trains on labels that a person made.
-fn trust(config: &mut Config) {
-    if config.segmentation.loss == LabelLoss::GCE {
-        config.segmentation.loss = LabelLoss::Ce;
-    }
-    if config.segmentation.prior == Prior::Pooled {
-        config.segmentation.prior = Prior::Votes;
-    }
-    tracing::info!(
-        "labels made by hand are trusted: `ours` is trained under {:?} from the prior {:?} (data.labels_by)",
-        config.segmentation.loss,
-        config.segmentation.prior
-    );
-}
-
 /// Whether there are segments of single views that the settings make objects of.
 fn has_segments(scene: &Scene, config: &Config) -> bool {
     config.data.association != Association::None && scene.labelled().next().is_some()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::data::builtin::{BuiltinOptions, scene_with};
-
-    /// A scene in which `labelled` of eight training photos have raw labels.
-    fn scene(labelled: usize) -> Scene {
-        let options = BuiltinOptions {
-            width: 32,
-            height: 24,
-            train_views: 8,
-            test_views: 1,
-            points: 100,
-            ..BuiltinOptions::default()
-        };
-        let mut scene = scene_with(&options).expect("scene");
-        let train = scene.views.iter_mut().filter(|v| v.split == Split::Train);
-        train.skip(labelled).for_each(|view| view.raw = None);
-        scene
-    }
-
-    fn decided(scene: &Scene, change: impl Fn(&mut Config)) -> (LabelsBy, LabelLoss, Prior) {
-        let mut config = Config::default();
-        change(&mut config);
-        let resolved = resolved(&config, scene, false);
-        (
-            resolved.data.labels_by,
-            resolved.segmentation.loss,
-            resolved.segmentation.prior,
-        )
-    }
-
-    #[test]
-    fn labels_by_hand_are_trusted() {
-        let hand = (LabelsBy::Hand, LabelLoss::Ce, Prior::Votes);
-        let network = (LabelsBy::Network, LabelLoss::GCE, Prior::Pooled);
-        assert_eq!(decided(&scene(2), |_| ()), hand);
-        assert_eq!(decided(&scene(3), |_| ()), network);
-        let mut drawn = scene(8);
-        assert_eq!(decided(&drawn, |_| ()), network);
-        assert_eq!(decided(&drawn, |c| c.data.labels_by = LabelsBy::Hand), hand);
-        drawn.drawn = true;
-        assert_eq!(decided(&drawn, |_| ()), hand);
-        assert_eq!(
-            decided(&drawn, |c| c.data.labels_by = LabelsBy::Network),
-            network
-        );
-        // What the user chose stays.
-        let chosen = decided(&drawn, |c| {
-            c.segmentation.loss = LabelLoss::Mae;
-            c.segmentation.prior = Prior::None;
-        });
-        assert_eq!(chosen, (LabelsBy::Hand, LabelLoss::Mae, Prior::None));
-        // Nothing is decided without labels.
-        assert_eq!(decided(&scene(0), |_| ()).0, LabelsBy::Auto);
-    }
 }

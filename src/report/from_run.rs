@@ -184,10 +184,12 @@ impl Report<'_> {
                 a.segments, a.objects, a.dropped, a.divided
             ));
         }
-        if let Some(corrections) = &outcome.corrections {
+        if let Some(corrections) = &outcome.corrections
+            && !outcome.rows.is_empty()
+        {
             let count = corrections.count();
             note(format!(
-                "A person set the labels of {count} Gaussians. Their pixels in training photos, and they themselves, have these labels."
+                "Gaussians whose label a person set: {count}. They keep it, and their pixels in training photos have it too."
             ));
         }
         if let Some(pruned) = &outcome.pruned {

@@ -102,7 +102,7 @@ fn corrected_labels_stay_through_training_and_add_up() {
     let file = edits(&run, &operations);
     let said = warnings(&corrects(&run, &file));
     for part in [
-        "corrected labels: 13 Gaussians",
+        "Gaussians with corrected labels: 13",
         "deletions and moves are left out",
     ] {
         assert!(said.contains(part), "{part}: {said}");
@@ -115,7 +115,7 @@ fn corrected_labels_stay_through_training_and_add_up() {
     let classes = Classes::read(&run.join("classes.json")).unwrap();
     assert_eq!((classes.name(9), classes.color(9)), ("poster", [1, 2, 3]));
     let report = std::fs::read_to_string(run.join("report.html")).unwrap();
-    assert!(report.contains("A person set the labels of 13 Gaussians"));
+    assert!(report.contains("Gaussians whose label a person set: 13"));
     succeeds(&["eval", utf8(&run)]);
 
     // They stay when the run is resumed, and others come to them. The old edits are of an earlier scene.
@@ -125,7 +125,10 @@ fn corrected_labels_stay_through_training_and_add_up() {
     assert!(message.contains("SHA-256"), "{message}");
     let file = edits(&run, &json!([{"op": "merge", "objects": [9], "into": 4}]));
     let said = warnings(&corrects(&run, &file));
-    assert!(said.contains("corrected labels: 13 Gaussians"), "{said}");
+    assert!(
+        said.contains("Gaussians with corrected labels: 13"),
+        "{said}"
+    );
     let labels = labelled(&run).1.unwrap();
     assert!(wall[..3].iter().all(|&row| labels[row] == 4));
     assert!(red[..10].iter().all(|&row| labels[row] == RED));
@@ -153,11 +156,27 @@ fn corrections_alone_label_a_scene_without_labels() {
     let file = edits(&run, &json!([plate]));
     let message = fails(&corrects(&run, &file), 1);
     assert!(message.contains("one thing alone, plate"), "{message}");
+    // What was refused leaves nothing behind.
+    succeeds(&["train", "--resume", utf8(&run)]);
+    assert_eq!(labelled(&run).1, None);
     let file = edits(&run, &json!([plate, back]));
     succeeds(&corrects(&run, &file));
     let labels = labelled(&run).1.unwrap();
     assert!(red.iter().all(|&row| labels[row] == 1));
     assert!(wall.iter().all(|&row| labels[row] == 2));
+
+    // They can be withdrawn.
+    let all: Vec<_> = red.iter().chain(&wall).collect();
+    let file = edits(
+        &run,
+        &json!([{"op": "assign", "gaussians": all, "object": 0}]),
+    );
+    let said = warnings(&corrects(&run, &file));
+    assert!(
+        said.contains("Gaussians with corrected labels: 0"),
+        "{said}"
+    );
+    assert_eq!(labelled(&run).1, None);
 }
 
 #[test]
@@ -179,6 +198,13 @@ fn what_corrects_nothing_is_refused_and_the_run_stays() {
     let assign = json!([{"op": "assign", "gaussians": [0], "object": RED}]);
     let file = edits(&run, &assign);
     fails(&["train", "--corrections", utf8(&file)], 2);
+    let none = [
+        &corrects(&run, &file)[..],
+        &["--set", "segmentation.rows=[]"],
+    ]
+    .concat();
+    let message = fails(&none, 1);
+    assert!(message.contains("learns the corrected labels"), "{message}");
     assert_eq!(labelled(&run), before);
     succeeds(&corrects(&run, &file));
 }

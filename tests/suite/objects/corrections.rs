@@ -21,7 +21,7 @@ fn corrected(scene: &Scene, gaussians: &Gaussians, labels: &[u16]) -> Correction
     editing.remove(&red[..5]);
     // Unlabelled is no correction.
     editing.assign(&[60], scene.classes.ignore);
-    let mut corrections = Corrections::none(gaussians);
+    let mut corrections = Corrections::none(gaussians, &scene.classes);
     corrections.add(&editing);
     corrections
 }
@@ -40,14 +40,22 @@ fn a_file_keeps_them_and_other_gaussians_are_refused() {
     std::fs::write(&file, damaged).unwrap();
     assert!(Corrections::read(&file).is_err());
 
-    corrections.check(&gaussians, &file).unwrap();
+    corrections
+        .check(&gaussians, &scene.classes, &file)
+        .unwrap();
     let mut moved = gaussians.clone();
     moved.means[17][1] += 0.1;
     let fewer = gaussians.select(&[0, 1, 2]);
     for (other, part) in [(moved, "row 17"), (fewer, "111 Gaussians")] {
-        let message = corrections.check(&other, &file).unwrap_err().to_string();
+        let error = corrections.check(&other, &scene.classes, &file);
+        let message = error.unwrap_err().to_string();
         assert!(message.contains(part), "{message}");
     }
+    let mut renamed = scene.classes.clone();
+    renamed.entries[2].name = "lamp".to_owned();
+    let error = corrections.check(&gaussians, &renamed, &file);
+    let message = error.unwrap_err().to_string();
+    assert!(message.contains("the same names"), "{message}");
 }
 
 #[test]
