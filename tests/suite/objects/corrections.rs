@@ -1,16 +1,17 @@
 //! Labels that a person corrected: kept in a file, tied to their Gaussians, put into scores and into the labels of views.
 
-use crate::support::plates::loaded;
+use crate::support::plates::{HEIGHT, WIDTH, loaded};
 use coseg::config::SegmentationConfig;
-use coseg::data::{Scene, Split};
+use coseg::data::{Limits, LoadOptions, Scene, ScoreGrid, ScoreMap, Split, View, load};
 use coseg::objects::{Corrections, Editing, Identities};
-use coseg::pipeline::train_decoder::TrainingViews;
+use coseg::pipeline::train_decoder::{TrainingViews, ViewSample};
 use coseg::raster::{Settings, SplatTensors};
 use coseg::splat::Gaussians;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 const RED: u16 = 1;
+const GREEN: u16 = 2;
 const WALL: u16 = 4;
 
 /// Corrections of the plates that call the red one, whose rows come first, a wall.
@@ -59,12 +60,11 @@ fn a_file_keeps_them_and_other_gaussians_are_refused() {
 }
 
 #[test]
-fn scores_and_pixels_of_corrected_gaussians_have_their_labels() {
-    let (mut scene, gaussians, labels, _folder) = loaded();
+fn scores_of_corrected_gaussians_are_for_their_labels() {
+    let (scene, gaussians, labels, _folder) = loaded();
     let corrections = corrected(&scene, &gaussians, &labels);
-    let device = crate::support::device();
     let classes = scene.classes.len();
-    let wall = scene.classes.index(WALL).unwrap();
+    let wall = scene.classes.index(WALL).unwrap() as u16;
     let scores: Vec<f32> = (0..classes * labels.len())
         .map(|i| -1.0 - (i % 3) as f32)
         .collect();
@@ -74,62 +74,122 @@ fn scores_and_pixels_of_corrected_gaussians_have_their_labels() {
     };
     corrections.fix(&mut fixed.scores, &scene.classes);
     let found = fixed.labels();
-    assert!(found[5..25].iter().all(|class| *class == Some(wall as u16)));
+    assert!(found[5..25].iter().all(|class| *class == Some(wall)));
     assert_eq!(fixed.scores[..5 * classes], scores[..5 * classes]);
     assert_eq!(fixed.scores[25 * classes..], scores[25 * classes..]);
+}
 
-    let settings = Settings::default();
-    let splats = SplatTensors::new(&gaussians, &device);
+/// Corrects all views of `scene`.
+fn correct(corrections: &Corrections, scene: &mut Scene, gaussians: &Gaussians) {
+    let splats = SplatTensors::new(gaussians, &crate::support::device());
     let maps = corrections.maps(0.5);
-    let before = scene.clone();
-    // The second training view had no labels at all.
-    let second = scene
-        .views
-        .iter()
-        .position(|view| view.name == "v1")
-        .unwrap();
-    scene.views[second].raw = None;
     for view in &mut scene.views {
-        corrections
-            .correct(view, &maps, &splats, &settings)
-            .unwrap();
+        let done = corrections.correct(view, &maps, &splats, &Settings::default());
+        done.unwrap();
     }
-    let config = SegmentationConfig::default();
-    let views = |scene: &Scene| {
-        let train = scene.split(Split::Train);
-        train.cloned().collect::<Vec<_>>()
-    };
-    let (old, new) = (views(&before), views(&scene));
-    let training = |views: &[coseg::data::View]| -> Vec<Vec<u16>> {
-        let mut training = TrainingViews::new(
-            &gaussians,
-            views.iter(),
-            &scene.classes,
-            settings,
-            &config,
-            &device,
-        );
-        let all = (0..views.len()).map(|i| {
-            training
-                .sample(i, 1.0, &mut ChaCha8Rng::seed_from_u64(0))
-                .unwrap()
-        });
-        all.map(|sample| sample.pixels.labels.to_vec()).collect()
-    };
-    let (old, new) = (training(&old), training(&new));
-    assert_eq!(old.len(), new.len());
+}
+
+/// The training views of `scene`.
+fn training<'a>(scene: &'a Scene, gaussians: &'a Gaussians) -> TrainingViews<'a> {
+    TrainingViews::new(
+        gaussians,
+        scene.split(Split::Train),
+        &scene.classes,
+        Settings::default(),
+        &SegmentationConfig::default(),
+        &crate::support::device(),
+    )
+}
+
+/// All labelled pixels of training view `index`.
+fn pixels(views: &mut TrainingViews, index: usize) -> ViewSample {
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    views.sample(index, 1.0, &mut rng).unwrap()
+}
+
+fn count(labels: &[u16], class: u16) -> usize {
+    labels.iter().filter(|label| **label == class).count()
+}
+
+#[test]
+fn pixels_that_show_corrected_gaussians_have_their_labels() {
+    let (mut scene, gaussians, labels, _folder) = loaded();
+    let corrections = corrected(&scene, &gaussians, &labels);
+    let [red, green, wall] = [RED, GREEN, WALL].map(|id| scene.classes.index(id).unwrap() as u16);
+    let old = pixels(&mut training(&scene, &gaussians), 0).pixels.labels;
+    // The second training view has no labels at all.
+    let second: &mut View = scene.views.iter_mut().find(|v| v.name == "v1").unwrap();
+    second.raw = None;
+    correct(&corrections, &mut scene, &gaussians);
+    let mut views = training(&scene, &gaussians);
+    let new = pixels(&mut views, 0).pixels.labels;
     // The first view keeps all labels but those of the plate, of which most pixels show corrected Gaussians.
-    let red = scene.classes.index(RED).unwrap() as u16;
-    let count = |labels: &[u16], class: u16| labels.iter().filter(|label| **label == class).count();
-    let (was, is) = (count(&old[0], red), count(&new[0], red));
+    let (was, is) = (count(&old, red), count(&new, red));
     assert!(
         was > 100 && 4 * is < was,
         "{was} pixels of the plate were red, {is} are"
     );
-    assert_eq!(
-        count(&new[0], wall as u16),
-        count(&old[0], wall as u16) + was - is
-    );
+    assert_eq!(count(&new, wall), count(&old, wall) + was - is);
     // The view without labels has those of the corrected Gaussians alone.
-    assert!(!new[1].is_empty() && new[1].iter().all(|label| *label == wall as u16));
+    let new = pixels(&mut views, 1).pixels.labels;
+    assert!(!new.is_empty() && count(&new, wall) == new.len());
+    // They go before the labels that identities give.
+    let classes = scene.classes.len();
+    let mut all_green = vec![0.0; classes * gaussians.len()];
+    all_green
+        .chunks_exact_mut(classes)
+        .for_each(|row| row[usize::from(green)] = 1.0);
+    let identities = Identities {
+        scores: all_green,
+        classes,
+    };
+    views.use_labels_of(&identities, &crate::support::device());
+    let new = pixels(&mut views, 0).pixels.labels;
+    assert_eq!(count(&new, wall), was - is);
+    assert_eq!(count(&new, green), new.len() - (was - is));
+}
+
+#[test]
+fn corrected_pixels_are_certain_beside_scores() {
+    let (_, gaussians, labels, folder) = loaded();
+    // A segmenter that is sure of green everywhere.
+    let cells = [WIDTH / 8, HEIGHT / 8];
+    let count = cells[0] * cells[1];
+    let scores = ScoreMap {
+        grid: ScoreGrid {
+            photo: [WIDTH, HEIGHT],
+            scale: [0.125; 2],
+            offset: [-0.5; 2],
+        },
+        width: cells[0],
+        height: cells[1],
+        classes: 1,
+        id_limit: 5,
+        ids: vec![GREEN; count],
+        probabilities: vec![255; count],
+    };
+    let path = folder.path().join("raw/scores/v0.scores");
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    scores.write(&path, &Limits::default()).unwrap();
+    let options = LoadOptions {
+        raw_labels: Some("raw".into()),
+        ..LoadOptions::default()
+    };
+    let mut scene = load(folder.path(), &options).unwrap();
+    let corrections = corrected(&scene, &gaussians, &labels);
+    correct(&corrections, &mut scene, &gaussians);
+    let sample = pixels(&mut training(&scene, &gaussians), 0);
+    let rows = sample.pixels.distributions.expect("scores");
+    let rows = rows.into_data().to_vec::<f32>().unwrap();
+    let classes = scene.classes.len();
+    let [green, wall] = [GREEN, WALL].map(|id| scene.classes.index(id).unwrap());
+    let map = scene.views[0].corrected.as_ref().expect("corrected").map();
+    let mut certain = 0;
+    for (row, &number) in rows.chunks_exact(classes).zip(sample.numbers.iter()) {
+        let is_corrected = map.ids[number as usize] == WALL;
+        certain += usize::from(is_corrected);
+        let class = if is_corrected { wall } else { green };
+        assert_eq!(row[class], 1.0, "pixel {number}");
+    }
+    assert!(certain > 100 && certain < sample.numbers.len());
 }
