@@ -3,6 +3,7 @@
 use super::scene_file::{CAMERAS, CLASSES, CONFIG, FEATURE_COLORS, SCENE, VIEWER, classes_beside};
 use crate::config::Config;
 use crate::data::Classes;
+use crate::data::blocks::BLOCK;
 use crate::error::{Result, ensure};
 use crate::files::lock::Lock;
 use crate::files::{self, atomic, own};
@@ -21,7 +22,8 @@ pub const REPORT: &str = "report.html";
 /// The folder of held-out views.
 pub const RENDERS: &str = "renders";
 /// The files of a run folder, those in its folders aside.
-const FILES: [&str; 10] = [
+const FILES: [&str; 11] = [
+    BLOCK,
     CAMERAS,
     CLASSES,
     COMMANDS,
@@ -112,12 +114,20 @@ impl RunFolder {
             commands,
         };
         if started.is_new {
-            let config = config.to_toml()?;
-            let written = atomic::write_bytes(self.file(CONFIG), config.as_bytes())
-                .and_then(|()| started.write_commands());
+            let written = self.write_start(config);
+            let written = written.and_then(|()| started.write_commands());
             written.inspect_err(|_| started.remove_new())?;
         }
         Ok(started)
+    }
+
+    /// Writes the settings, and the block of a larger scene that they name: that scene may be split anew.
+    fn write_start(&self, config: &Config) -> Result<()> {
+        let block = config.data.dir.as_ref().map(|dir| dir.join(BLOCK));
+        if let Some(block) = block.filter(|file| file.is_file()) {
+            atomic::write_bytes(self.file(BLOCK), &files::read(&block)?)?;
+        }
+        atomic::write_bytes(self.file(CONFIG), config.to_toml()?.as_bytes())
     }
 
     /// Peak memory of the earlier part of the run, where there is one.
@@ -182,8 +192,8 @@ impl StartedRun {
             return;
         }
         // The first error is the one to report; files that cannot be removed do no harm.
-        for path in [self.run.file(CONFIG), self.run.file(COMMANDS)] {
-            let _ = atomic::remove(path);
+        for name in [CONFIG, COMMANDS, BLOCK] {
+            let _ = atomic::remove(self.run.file(name));
         }
         own::remove_empty(&checkpoints);
         own::remove_empty(&self.run.0);

@@ -174,19 +174,13 @@ impl Part {
             bail!(argument "RUN"; found "{}, a run on the built-in room", dir.display();
                 expected "a run on a block of `coseg split`"; help "{help}");
         };
-        let Some(block) = Block::in_folder(folder)? else {
-            bail!(argument "RUN"; found "{}, trained on {}, where no {BLOCK} is", dir.display(), folder.display();
+        let Some(block) = Block::in_folder(run.path())? else {
+            bail!(argument "RUN"; found "{}, where no {BLOCK} is", dir.display();
                 expected "a run on a block of `coseg split`"; help "{help}");
         };
         let scene = run.file(SCENE);
         let ply = ply::read(&scene, &Limits::default())?;
         let classes = run.classes()?;
-        let cameras = read_cameras(&run.file(CAMERAS), None)?;
-        let names: HashSet<&String> = block.train.iter().chain(&block.test).collect();
-        if let Some(camera) = cameras.iter().find(|camera| !names.contains(&camera.name)) {
-            bail!(argument "RUN"; found "{}, trained on {}, which {} does not have", dir.display(), camera.name, folder.join(BLOCK).display();
-                expected "a run on the block as it is"; help "the scene was split anew since: train the block again");
-        }
         Ok(Self {
             run: dir.to_owned(),
             scene: block.scene_folder(folder)?,
@@ -195,7 +189,7 @@ impl Part {
             places: ply.gaussians.positions(ply.origin),
             origin: ply.origin,
             identities: identities_beside(&scene, ply.gaussians.len(), classes.len())?,
-            cameras,
+            cameras: read_cameras(&run.file(CAMERAS), None)?,
             gaussians: ply.gaussians,
             labels: ply.labels,
             classes,

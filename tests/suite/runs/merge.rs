@@ -102,6 +102,10 @@ fn write_run(
     (labels, classes, association): (&[u16], &Classes, Association),
 ) {
     fs::create_dir_all(run).unwrap();
+    // As a run that is started does.
+    if data.join("block.json").exists() {
+        fs::copy(data.join("block.json"), run.join("block.json")).unwrap();
+    }
     let mut config = Config::default();
     config.data.dir = Some(data.to_owned());
     config.data.association = association;
@@ -250,6 +254,22 @@ fn all_blocks_of_one_split_are_asked_for_once() {
     );
     fs::remove_file(runs[0].join("scene.ply")).unwrap();
     assert_names(&merge(&runs).unwrap_err(), &["scene.ply"]);
+}
+
+#[test]
+fn a_run_belongs_to_the_split_that_it_was_trained_on() {
+    let Runs { runs, folder } = Runs::semantic();
+    let before = merge(&runs).unwrap();
+    // The scene is split anew into the same folders.
+    let hall = folder.path().join("hall");
+    let [planned, ..] = &split(&hall, &LoadOptions::default(), [2, 1]).unwrap()[..] else {
+        panic!("two blocks");
+    };
+    let again = folder.path().join("blocks").join(planned.block.name());
+    planned.block.write(&again).unwrap();
+    assert_eq!(merge(&runs).unwrap().gaussians, before.gaussians);
+    fs::copy(again.join("block.json"), runs[0].join("block.json")).unwrap();
+    assert_names(&merge(&runs).unwrap_err(), &["another split"]);
 }
 
 #[test]
