@@ -207,12 +207,6 @@ pub fn clipped(mut text: String) -> String {
     text
 }
 
-/// Whether a line that another program said is one of a stack trace of JavaScript, which tells a user nothing.
-#[doc(hidden)]
-pub fn is_stack_line(line: &str) -> bool {
-    line.trim_start().starts_with("at ")
-}
-
 /// What to do about an error of the system, where its kind says so.
 fn what_to_do(error: &std::io::Error) -> &'static str {
     use std::io::ErrorKind as Kind;

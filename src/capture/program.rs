@@ -1,6 +1,6 @@
 //! Other programs, run to their end or until they are stopped.
 
-use crate::error::{Error, Result, clipped, is_stack_line};
+use crate::error::{Error, Result, clipped};
 use crate::progress::Viewing;
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
@@ -49,9 +49,7 @@ pub(super) fn run(
         let more = match lines.recv_timeout(PATIENCE) {
             Ok(line) => {
                 let more = done(&line);
-                if !is_stack_line(&line) {
-                    last.push_back(clipped(line));
-                }
+                last.push_back(clipped(line));
                 if last.len() > QUOTED {
                     last.pop_front();
                 }

@@ -4,8 +4,8 @@ use super::terminal;
 use clap::ValueEnum;
 use coseg::data::labels::annotations::{Categories, CocoInstances, Yolo};
 use coseg::data::{Classes, NamedCamera, Split, ViewPhoto};
-use coseg::error::{Error, Result};
-use coseg::files::{atomic, extension};
+use coseg::error::Result;
+use coseg::files::{atomic, extension, own};
 use coseg::objects::Frame;
 use coseg::report::pictures;
 use std::collections::BTreeMap;
@@ -19,6 +19,9 @@ pub enum AnnotationFormat {
     Index,
 }
 
+/// The COCO file of all frames.
+const INSTANCES: &str = "instances.json";
+
 /// Annotations in all formats that are asked for. Those of single frames are written at once, the others by [`Annotations::finish`].
 pub struct Annotations<'a> {
     formats: &'a [AnnotationFormat],
@@ -26,8 +29,9 @@ pub struct Annotations<'a> {
     yolo: Yolo<'a>,
     /// Pictures of the YOLO data set.
     images: Vec<(Split, String)>,
-    /// How many of them are rendered.
-    rendered: usize,
+    frames: usize,
+    /// How many of them have no photo that their map fits.
+    without_photo: usize,
     photos: BTreeMap<String, ViewPhoto>,
     classes: &'a Classes,
     folder: &'a Path,
@@ -47,11 +51,24 @@ impl<'a> Annotations<'a> {
             coco: CocoInstances::new(categories),
             yolo: Yolo::new(categories),
             images: Vec::new(),
-            rendered: 0,
+            frames: 0,
+            without_photo: 0,
             photos,
             classes,
             folder,
         }
+    }
+
+    /// Refuses files that [`Annotations::finish`] could not write after the frames of `cameras`.
+    pub fn check(&self, cameras: &[NamedCamera]) -> Result<()> {
+        if self.formats.contains(&AnnotationFormat::Coco) {
+            own::check(self.folder.join(INSTANCES))?;
+        }
+        if self.formats.contains(&AnnotationFormat::Yolo) {
+            let splits: Vec<Split> = cameras.iter().map(|named| named.split).collect();
+            self.yolo.check_lists(self.folder, &splits)?;
+        }
+        Ok(())
     }
 
     /// Adds the label map of a frame.
@@ -60,17 +77,21 @@ impl<'a> Annotations<'a> {
             return Ok(());
         };
         let name = &named.name;
+        let fits = |photo: &&ViewPhoto| photo.fits((frame.width, frame.height));
+        let photo = self.photos.get(name).filter(fits);
+        self.frames += 1;
+        self.without_photo += usize::from(photo.is_none());
         for format in self.formats {
             match format {
                 AnnotationFormat::Coco => {
-                    let photo = self.photos.get(name).map(|photo| photo.name.clone());
+                    let photo = photo.map(|photo| photo.name.clone());
                     let file = photo.unwrap_or_else(|| format!("{name}.png"));
                     self.coco.add(file, labels);
                 }
                 AnnotationFormat::Yolo => {
                     let path = self.folder.join(format!("labels/{name}.txt"));
                     self.yolo.write(&path, labels)?;
-                    let image = self.write_image(name, frame)?;
+                    let image = write_image(&self.folder.join("images"), name, photo, frame)?;
                     self.images.push((named.split, image));
                 }
                 AnnotationFormat::Index => {
@@ -82,42 +103,48 @@ impl<'a> Annotations<'a> {
         Ok(())
     }
 
-    /// Copies the photo of a frame into the folder `images`, where one is known that has the pixels of the map; else writes the
-    /// rendered picture. Returns the file name.
-    fn write_image(&mut self, name: &str, frame: &Frame) -> Result<String> {
-        let folder = self.folder.join("images");
-        let fits = |photo: &&ViewPhoto| photo.fits((frame.width, frame.height));
-        if let Some(photo) = self.photos.get(name).filter(fits) {
-            let image = format!("{name}.{}", extension(&photo.file));
-            let bytes =
-                std::fs::read(&photo.file).map_err(|e| Error::io(&photo.file, "read", e))?;
-            atomic::write_bytes(folder.join(&image), &bytes)?;
-            return Ok(image);
-        }
-        let image = format!("{name}.png");
-        let picture = pictures::from_floats(&frame.rgb, frame.width, frame.height)?;
-        pictures::write(&folder.join(&image), &picture)?;
-        self.rendered += 1;
-        Ok(image)
-    }
-
     /// Writes the files of all frames together.
     pub fn finish(self) -> Result<()> {
         if self.formats.contains(&AnnotationFormat::Coco) {
-            self.coco.write(&self.folder.join("instances.json"))?;
+            let path = self.folder.join(INSTANCES);
+            self.coco.write(&path)?;
+            self.say(&path, "names STEM.png");
         }
         if self.formats.contains(&AnnotationFormat::Yolo) {
             self.yolo.write_lists(self.folder, &self.images)?;
-            let photos = self.images.len() - self.rendered;
-            let mut said = format!("{}: {photos} photos", self.folder.join("images").display());
-            if self.rendered > 0 {
-                said += &format!(
-                    ", and {} rendered pictures of frames whose photo is not known, has lens distortion or other proportions",
-                    self.rendered
-                );
-            }
-            terminal::say(&said);
+            self.say(&self.folder.join("images"), "rendered pictures");
         }
         Ok(())
     }
+
+    /// Says of how many frames `path` has the photo, and of how many it has `others` instead.
+    fn say(&self, path: &Path, others: &str) {
+        let photos = self.frames - self.without_photo;
+        let mut said = format!("{}: {photos} photos", path.display());
+        if self.without_photo > 0 {
+            said += &format!(
+                ", and {} {others} of frames whose photo is not known, has lens distortion or other proportions",
+                self.without_photo
+            );
+        }
+        terminal::say(&said);
+    }
+}
+
+/// Copies the `photo` of a frame into `folder` where there is one, else writes the rendered picture. Returns the file name.
+fn write_image(
+    folder: &Path,
+    name: &str,
+    photo: Option<&ViewPhoto>,
+    frame: &Frame,
+) -> Result<String> {
+    if let Some(photo) = photo {
+        let image = format!("{name}.{}", extension(&photo.file));
+        atomic::write_bytes(folder.join(&image), &photo.without_orientation()?)?;
+        return Ok(image);
+    }
+    let image = format!("{name}.png");
+    let picture = pictures::from_floats(&frame.rgb, frame.width, frame.height)?;
+    pictures::write(&folder.join(&image), &picture)?;
+    Ok(image)
 }

@@ -1,6 +1,6 @@
 //! Other programs that a command calls.
 
-use coseg::error::{Error, Result, clipped, is_stack_line};
+use coseg::error::{Error, Result, clipped};
 use std::io;
 use std::process::{Command, Output};
 
@@ -22,17 +22,14 @@ pub fn output(command: &mut Command, missing: &str) -> Result<Output> {
     })
 }
 
-/// The error of `command` where it was `done` without success, with the last lines that it said; stack lines are left out. `failed`:
-/// what to do about it.
+/// The error of `command` where it was `done` without success, with the last lines that it said. `failed`: what to do about it.
 pub fn expect_success(command: &Command, done: &Output, failed: &str) -> Result<()> {
     if done.status.success() {
         return Ok(());
     }
     let said = String::from_utf8_lossy(&done.stderr);
     let lines = said.lines().map(str::trim);
-    let lines: Vec<&str> = lines
-        .filter(|line| !line.is_empty() && !is_stack_line(line))
-        .collect();
+    let lines: Vec<&str> = lines.filter(|line| !line.is_empty()).collect();
     let last = &lines[lines.len().saturating_sub(QUOTED)..];
     Err(Error::Program {
         program: command.get_program().to_string_lossy().into_owned(),

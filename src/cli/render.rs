@@ -44,9 +44,11 @@ For each frame, with STEM its file name without extension, the output folder get
   --normals      STEM.normal.png  8 bits a channel, 127.5 (n + 1) of the world direction n; npy: [H, W, 3] float32. The
                  shortest axes of the Gaussians that a pixel shows, turned towards the camera; 0 where alpha is too low
   --annotations coco   instances.json: COCO instances with run lengths, one a label and frame, whose key `label` is its id.
-                       Images are called as the photos, or else STEM.png. An object has the category of its class
+                       An image has the file name of the photo, or STEM.png where no photo fits the map. An object has the
+                       category of its class
                 yolo   data.yaml, train.txt, val.txt, labels/STEM.txt, images/: a data set for YOLO segmentation, a line a
-                       connected region. images/ has copies of the photos, or else the rendered pictures
+                       connected region. images/ has copies of the photos, or the rendered pictures where no photo fits. The
+                       list of a split that is not rendered stays
                 index  STEM.index.png: 8-bit PNG with the colours of the classes as its palette
 
 Cameras
@@ -184,6 +186,7 @@ impl RenderArgs {
         let photos = self.photos(&key_file, is_path);
         let mut annotations =
             Annotations::new(&self.annotations, &categories, &classes, &self.out, photos);
+        annotations.check(&cameras)?;
         let options = RenderOptions::from(&config);
         let device = self.backend.open()?;
         let features = self.feature_renderer(&path, &scene.gaussians, options, &device)?;

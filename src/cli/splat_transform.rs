@@ -13,6 +13,8 @@ use std::path::Path;
 use std::process::Command;
 
 const PROGRAM: &str = "splat-transform";
+/// What it says where it finds no GPU, in lower case: an adapter is missing, or making a device of none fails.
+const WITHOUT_GPU: [&str; 2] = ["adapter", "webgpugraphicsdevice"];
 
 /// Its calls by one command.
 #[derive(Default)]
@@ -68,9 +70,13 @@ impl SplatTransform {
             if self.without_gpu {
                 command.args(["--gpu", "cpu"]);
             }
-            let done = program::output(command.args([from, to]), &missing)?;
-            let said = String::from_utf8_lossy(&done.stderr).to_lowercase();
-            if done.status.success() || self.without_gpu || !said.contains("gpu") {
+            let mut done = program::output(command.args([from, to]), &missing)?;
+            let said = String::from_utf8_lossy(&done.stderr).into_owned();
+            let lower = said.to_lowercase();
+            let lacks_gpu = WITHOUT_GPU.iter().any(|part| lower.contains(part));
+            if done.status.success() || self.without_gpu || !lacks_gpu {
+                let lines = said.lines().filter(|line| !is_stack_line(line));
+                done.stderr = lines.collect::<Vec<_>>().join("\n").into_bytes();
                 return program::expect_success(
                     &command,
                     &done,
@@ -88,6 +94,18 @@ impl SplatTransform {
             tracing::warn!("{warning}");
         }
     }
+}
+
+/// Whether a line is one of a stack trace of Node, which tells a user nothing: `at write (cli.mjs:12:34)`, `at new Promise
+/// (<anonymous>)`.
+fn is_stack_line(line: &str) -> bool {
+    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|c| c.is_ascii_digit());
+    let place = line.trim().strip_prefix("at ");
+    place.is_some_and(|place| {
+        let mut ends = place.trim_end_matches(')').rsplit(':');
+        let has_column = ends.next().is_some_and(is_number) && ends.next().is_some_and(is_number);
+        has_column || place.ends_with("(<anonymous>)")
+    })
 }
 
 /// The names of the classes in `labels`, by their ids as text.

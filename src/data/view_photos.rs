@@ -1,10 +1,11 @@
 //! The photos that the views of a scene folder are of.
 
-use super::LoadOptions;
 use super::formats::folder::Problems;
 use super::formats::frame::Frame;
 use super::formats::layout;
-use super::photos::image_file::proportional;
+use super::photos::image_file::{ImageFile, proportional};
+use super::{Limits, LoadOptions};
+use crate::error::Result;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -25,6 +26,14 @@ impl ViewPhoto {
     /// proportions.
     pub fn fits(&self, size: (usize, usize)) -> bool {
         self.is_pinhole && proportional(self.size, size)
+    }
+
+    /// The file without its EXIF orientation: label maps are of the pixels as they are stored, and some programs turn photos by it.
+    ///
+    /// # Errors
+    /// [`crate::Error::Io`]; [`crate::Error::Input`] where the file is no complete PNG or JPEG; [`crate::Error::Limit`].
+    pub fn without_orientation(&self) -> Result<Vec<u8>> {
+        ImageFile::open(&self.file, &Limits::default())?.without_orientation(false)
     }
 }
 

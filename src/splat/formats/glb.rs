@@ -4,7 +4,7 @@
 //! with an underscore belong to applications. Each value begins at a multiple of four bytes.
 
 use crate::error::{Result, ensure, invalid};
-use crate::splat::Gaussians;
+use crate::splat::{Gaussians, median};
 use glam::DVec3;
 use serde_json::{Map, Value, json};
 use std::path::Path;
@@ -20,15 +20,16 @@ const FLOAT: u64 = 5_126;
 /// Bytes of a position, and of a label with its padding.
 const POSITION: usize = 12;
 const LABEL: usize = 4;
-/// Difference of positions, as a share of the larger one or of 1, that rounding explains.
-const ROUNDING: f64 = 1e-5;
+/// Difference of coordinates, as a share of them, that rounding to float explains. One rounding makes an eighth of it.
+const ROUNDING: f64 = 4.0 * f32::EPSILON as f64;
 
 /// The bytes `glb` of the file `path` with one of the `labels` for each vertex of the first primitive. The vertices must be the
 /// `gaussians` with `origin` added, in their order; signs of coordinates may differ, as axes are turned. `names` of labels become
 /// `extras.labels` of the mesh.
 ///
 /// # Errors
-/// [`crate::Error::Input`] for bytes that are not such a file, and for vertices in another order.
+/// [`crate::Error::Input`] for bytes that are not such a file, for vertices in another order, and for a scene so far from zero that
+/// rounding hides their order.
 pub fn with_labels(
     path: &Path,
     glb: &[u8],
@@ -42,12 +43,9 @@ pub fn with_labels(
     };
     let (mut gltf, binary) = chunks(glb).ok_or_else(damaged)?;
     let found = vertices(&gltf, binary).ok_or_else(damaged)?;
-    let positions = gaussians.positions(origin);
-    let near = |a: f64, b: f64| (a.abs() - b.abs()).abs() <= ROUNDING * b.abs().max(1.0);
-    let is_same = |(a, b): (&[f32; 3], &DVec3)| (0..3).all(|i| near(a[i].into(), b[i]));
-    let is_ordered = found.len() == positions.len() && found.iter().zip(&positions).all(is_same);
-    ensure!(is_ordered && labels.len() == found.len(), path, "POSITION"; found "{} vertices, in another order", found.len();
-        expected "the {} Gaussians of the scene, in its order", positions.len(); help "write a .ply or .spz file");
+    ensure!(labels.len() == gaussians.len(), argument "labels"; found "{}", labels.len();
+        expected "{}, one for each Gaussian", gaussians.len(); help "give the labels of this scene");
+    check_order(path, &found, gaussians, origin)?;
     let mut binary = binary.to_vec();
     binary.resize(binary.len().next_multiple_of(LABEL), 0);
     let offset = binary.len();
@@ -58,6 +56,39 @@ pub fn with_labels(
     joined(&gltf, &binary).ok_or_else(|| {
         invalid!(path, "length"; found "4 GiB or more"; expected "less"; help "write a .ply or .spz file")
     })
+}
+
+/// Refuses `vertices` that are not the `gaussians` with `origin` added, in their order, and those that do not tell it.
+fn check_order(
+    path: &Path,
+    vertices: &[[f32; 3]],
+    gaussians: &Gaussians,
+    origin: DVec3,
+) -> Result<()> {
+    let positions = gaussians.positions(origin);
+    let rounding = |p: &DVec3| ROUNDING * p.abs().max_element();
+    let near = |a: f64, b: f64| (a.abs() - b.abs()).abs() <= ROUNDING * b.abs();
+    let (moved, apart) = (median(positions.iter().map(rounding)), spacing(gaussians));
+    ensure!(moved <= apart || positions.len() < 2, path, "POSITION";
+        found "Gaussians {apart:.2e} apart, so far from zero that float may round them by {moved:.2e}";
+        expected "neighbours that rounding leaves apart"; help "write a .ply file, which has such positions as double");
+    let is_same = |(a, b): (&[f32; 3], &DVec3)| (0..3).all(|i| near(a[i].into(), b[i]));
+    let is_ordered =
+        vertices.len() == positions.len() && vertices.iter().zip(&positions).all(is_same);
+    ensure!(is_ordered, path, "POSITION"; found "{} vertices, in another order", vertices.len();
+        expected "the {} Gaussians of the scene, in its order", positions.len(); help "write a .ply or .spz file");
+    Ok(())
+}
+
+/// Median distance of Gaussians that follow each other in [`Gaussians::spatial_order`].
+fn spacing(gaussians: &Gaussians) -> f64 {
+    let center = |row: u32| DVec3::from(gaussians.means[row as usize].map(f64::from));
+    let order = gaussians.spatial_order();
+    median(
+        order
+            .windows(2)
+            .map(|pair| center(pair[0]).distance(center(pair[1]))),
+    )
 }
 
 /// The JSON and the binary data of a file.

@@ -133,7 +133,8 @@ fn check_positions(gaussians: &Gaussians, positions: &[DVec3]) -> Result<()> {
         moved.sum::<f64>(),
         sizes.map(|&v| f64::from(v).exp()).sum::<f64>() / 3.0,
     ];
-    ensure!(moved <= POSITION_LOSS * size, argument "positions"; found "Gaussians so far from zero that float moves them by {:.3} of their size", moved / size;
+    ensure!(moved <= POSITION_LOSS * size, argument "positions";
+        found "Gaussians so far from zero that float moves them by {:.3} of their size", moved / size;
         expected "at most {POSITION_LOSS}"; help "write a .ply file, which has such positions as double");
     Ok(())
 }

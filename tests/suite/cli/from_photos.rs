@@ -216,7 +216,8 @@ fn a_program_that_fails_is_quoted_and_continued() {
     let photos = place.photos();
     place.script(
         "colmap",
-        "test $1 != help || exit 0; for i in 1 2 3 4 5 6 7 8; do echo \"line $i\"; done; echo 'no room' >&2; exit 3",
+        "test $1 != help || exit 0; for i in 1 2 3 4 5 6 7 8; do echo \"line $i\"; done; \
+         echo 'no room' >&2; echo 'at least two images are needed' >&2; exit 3",
     );
     place.fails(
         &photos,
@@ -225,6 +226,7 @@ fn a_program_that_fails_is_quoted_and_continued() {
             "colmap failed (exit status: 3)",
             "line 8",
             "no room",
+            "at least two images are needed",
             "continues",
         ],
     );

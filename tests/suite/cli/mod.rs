@@ -23,6 +23,7 @@ pub mod hostile;
 pub mod prune;
 pub mod query;
 pub mod render;
+pub mod render_annotations;
 pub mod render_path;
 pub mod render_settings;
 pub mod select;

@@ -2,14 +2,11 @@
 
 use crate::support::plates::{HEIGHT, WIDTH, camera, plates, scene};
 use crate::support::program::{cpu_backend, listed, read_json, read_npy, succeeds, utf8};
-use coseg::data::formats::transforms::write_cameras;
-use coseg::data::{Classes, Limits, read_cameras};
+use coseg::data::{Classes, Limits};
 use coseg::raster::{Projected, Settings, render};
 use coseg::splat::camera::Camera;
 use coseg::splat::ply;
 use glam::DVec3;
-use std::fs;
-use std::path::Path;
 
 #[test]
 fn render_writes_arrays_labels_and_pictures() {
@@ -258,133 +255,4 @@ fn annotations_and_depth_are_those_of_the_views() {
             "pixel {i}"
         );
     }
-}
-
-/// The scene of the plates whose photo v5 is a JPEG.
-fn scene_with_jpeg(folder: &Path) {
-    scene(folder);
-    let photo = |name: &str| folder.join("images").join(name);
-    let picture = image::open(photo("v5.png")).unwrap();
-    picture.save(photo("v5.jpg")).unwrap();
-    fs::remove_file(photo("v5.png")).unwrap();
-    let cameras = folder.join("transforms.json");
-    let text = fs::read_to_string(&cameras).unwrap();
-    assert!(text.contains("images/v5.png"));
-    fs::write(&cameras, text.replace("images/v5.png", "images/v5.jpg")).unwrap();
-}
-
-/// Renders the scene with annotations, and returns what the command says.
-fn annotate(scene: &Path, out: &Path, more: &[&str]) -> String {
-    let arguments = [
-        "render",
-        "--scene",
-        utf8(scene),
-        "--out",
-        utf8(out),
-        "--labels",
-    ];
-    let cpu = cpu_backend();
-    let all = ["--annotations", "coco,yolo", "--backend", &cpu];
-    succeeds(&[&arguments[..], &all, more].concat())
-}
-
-fn coco_names(out: &Path) -> Vec<String> {
-    let file = read_json(&out.join("instances.json"));
-    let images = file["images"].as_array().unwrap().iter();
-    images
-        .map(|image| image["file_name"].as_str().unwrap().to_owned())
-        .collect()
-}
-
-#[test]
-fn annotations_have_the_photos_of_a_scene_folder() {
-    let folder = tempfile::tempdir().unwrap();
-    let (room, out) = (folder.path().join("room"), folder.path().join("out"));
-    fs::create_dir(&room).unwrap();
-    scene_with_jpeg(&room);
-    let said = annotate(&room.join("plates.ply"), &out, &["--cameras", utf8(&room)]);
-    assert!(
-        said.contains("images: 6 photos") && !said.contains("rendered"),
-        "{said}"
-    );
-    let photos = ["v0.png", "v1.png", "v2.png", "v3.png", "v4.png", "v5.jpg"];
-    assert_eq!(coco_names(&out), photos);
-    assert_eq!(listed(&out.join("images")), photos);
-    for photo in photos {
-        let [copy, original] =
-            [&out, &room].map(|dir| fs::read(dir.join("images").join(photo)).unwrap());
-        assert_eq!(copy, original, "{photo}");
-    }
-    let labels = listed(&out.join("labels"));
-    assert_eq!(
-        labels,
-        ["v0.txt", "v1.txt", "v2.txt", "v3.txt", "v4.txt", "v5.txt"]
-    );
-    let text = |name: &str| fs::read_to_string(out.join(name)).unwrap();
-    assert_eq!(text("val.txt"), "./images/v2.png\n./images/v5.jpg\n");
-    assert_eq!(text("train.txt").lines().count(), 4);
-    assert!(
-        text("data.yaml").starts_with("train: train.txt\nval: val.txt\nnames:\n  0: \"red\"\n")
-    );
-    // The photos do not fit maps of other proportions.
-    let square = folder.path().join("square");
-    let more = [
-        "--cameras",
-        utf8(&room),
-        "--size",
-        "64,64",
-        "--split",
-        "test",
-    ];
-    let said = annotate(&room.join("plates.ply"), &square, &more);
-    assert!(
-        said.contains("images: 0 photos, and 2 rendered pictures"),
-        "{said}"
-    );
-    assert_eq!(coco_names(&square), ["v2.png", "v5.jpg"]);
-    let picture = image::open(square.join("images/v5.png")).unwrap();
-    assert_eq!((picture.width(), picture.height()), (64, 64));
-    let lists = fs::read_to_string(square.join("data.yaml")).unwrap();
-    assert!(
-        lists.starts_with("train: val.txt\nval: val.txt\n"),
-        "{lists}"
-    );
-}
-
-#[test]
-fn annotations_have_the_photos_that_a_run_was_trained_on() {
-    let folder = tempfile::tempdir().unwrap();
-    let at = |name: &str| folder.path().join(name);
-    for name in ["room", "run"] {
-        fs::create_dir(at(name)).unwrap();
-    }
-    scene_with_jpeg(&at("room"));
-    fs::copy(at("room/plates.ply"), at("run/scene.ply")).unwrap();
-    let cameras = read_cameras(&at("room"), None).unwrap();
-    write_cameras(&at("run/cameras.json"), &cameras).unwrap();
-    let test = ["--split", "test"];
-    // Without settings, nothing says where the photos are.
-    let said = annotate(&at("run"), &at("unknown"), &test);
-    assert!(
-        said.contains("images: 0 photos, and 2 rendered pictures"),
-        "{said}"
-    );
-    assert_eq!(coco_names(&at("unknown")), ["v2.png", "v5.png"]);
-    let rendered = [at("unknown/images/v5.png"), at("unknown/v5.rgb.png")];
-    let [image, rgb] = rendered.map(|path| image::open(path).unwrap().into_rgb8());
-    assert_eq!(image, rgb);
-
-    let room = serde_json::Value::from(utf8(&at("room")));
-    fs::write(at("run/config.toml"), format!("[data]\ndir = {room}\n")).unwrap();
-    let said = annotate(&at("run"), &at("known"), &test);
-    assert!(said.contains("images: 2 photos"), "{said}");
-    assert_eq!(coco_names(&at("known")), ["v2.png", "v5.jpg"]);
-    // Frames of a path are of no photos.
-    let path = ["--path", "interpolate", "--frames", "2"];
-    let said = annotate(&at("run"), &at("path"), &path);
-    assert!(
-        said.contains("images: 0 photos, and 2 rendered pictures"),
-        "{said}"
-    );
-    assert_eq!(coco_names(&at("path")), ["path_0000.png", "path_0001.png"]);
 }

@@ -104,15 +104,20 @@ fn other_failures_are_told_without_stack_lines() {
     let bin = place.path("bin");
     program(
         &place,
-        "echo 'Error: no space left' >&2; echo '    at write (cli.mjs:1:2)' >&2; exit 3",
+        "echo 'Error: /mnt/gpu: no space left' >&2; echo 'at least two rows: write less' >&2; \
+         echo '    at write (cli.mjs:1:2)' >&2; echo '    at new Promise (<anonymous>)' >&2; \
+         echo '    at async file:///bin/cli.mjs:5:1' >&2; exit 3",
     );
     let output = export(&place, utf8(&bin), "room.sog", &[]);
     let message = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{message}");
     assert!(
-        message.contains("its last lines: Error: no space left;"),
+        message.contains(
+            "its last lines: Error: /mnt/gpu: no space left | at least two rows: write less;"
+        ),
         "{message}"
     );
+    // A name with `gpu` in it is no missing GPU.
     assert_eq!(place.log().len(), 1);
     assert!(!place.path("room.sog").exists());
 }

@@ -6,6 +6,7 @@ use crate::support::raw_labels::{folder, options, raw};
 use coseg::data::labels::annotations::{Categories, CocoInstances, Yolo};
 use coseg::data::load;
 use coseg::data::{Class, Classes, LabelMap, ObjectOf, Split};
+use coseg::files::own;
 use std::collections::BTreeMap;
 use std::fs;
 
@@ -143,7 +144,7 @@ fn coco_files_are_read_back_as_raw_labels() {
 }
 
 #[test]
-fn outlines_of_yolo_enclose_the_pixels() {
+fn lists_of_yolo_name_the_images_of_both_splits() {
     let dir = tempfile::tempdir().expect("folder");
     let at = |name: &str| dir.path().join(name);
     let categories = Categories::new(&classes(), [1, 2, 3]);
@@ -155,27 +156,65 @@ fn outlines_of_yolo_enclose_the_pixels() {
         (Split::Train, "c.png"),
     ];
     let images = images.map(|(split, name)| (split, name.to_owned()));
-    yolo.write_lists(dir.path(), &images).expect("written");
-    assert_eq!(text("train.txt"), "./images/a.jpg\n./images/c.png\n");
-    assert_eq!(text("val.txt"), "./images/b.png\n");
     let names = "names:\n  0: \"wall\"\n  1: \"chair\"\n";
-    assert_eq!(
-        text("data.yaml"),
-        format!("train: train.txt\nval: val.txt\n{names}")
-    );
     // One split stands for both.
-    yolo.write_lists(dir.path(), &images[..1]).expect("written");
-    assert_eq!(
-        text("data.yaml"),
-        format!("train: train.txt\nval: train.txt\n{names}")
-    );
-    assert!(!at("val.txt").exists());
-    yolo.write_lists(dir.path(), &images[1..2])
-        .expect("written");
-    assert_eq!(
-        text("data.yaml"),
-        format!("train: val.txt\nval: val.txt\n{names}")
-    );
+    for (one, list) in [(&images[..1], "train.txt"), (&images[1..2], "val.txt")] {
+        let dir = tempfile::tempdir().expect("folder");
+        yolo.check_lists(dir.path(), &[one[0].0]).expect("empty");
+        yolo.write_lists(dir.path(), one).expect("written");
+        assert_eq!(
+            fs::read_to_string(dir.path().join("data.yaml")).expect("read"),
+            format!("train: {list}\nval: {list}\n{names}")
+        );
+    }
+    // Together, and one after the other.
+    let both = [&images[..]];
+    let each = [&images[1..2], &[images[0].clone(), images[2].clone()]];
+    for parts in [&both[..], &each] {
+        for part in parts {
+            yolo.write_lists(dir.path(), part).expect("written");
+        }
+        assert_eq!(text("train.txt"), "./images/a.jpg\n./images/c.png\n");
+        assert_eq!(text("val.txt"), "./images/b.png\n");
+        assert_eq!(
+            text("data.yaml"),
+            format!("train: train.txt\nval: val.txt\n{names}")
+        );
+        for list in ["train.txt", "val.txt", "data.yaml"] {
+            fs::remove_file(at(list)).expect("removed");
+        }
+    }
+}
+
+#[test]
+fn a_list_of_yolo_does_not_stay_with_other_classes() {
+    let dir = tempfile::tempdir().expect("folder");
+    let all = Categories::new(&classes(), [1, 2, 3]);
+    let chairs = Categories::new(&classes(), [1, 2]);
+    let train = [(Split::Train, "a.jpg".to_owned())];
+    let of_all = Yolo::new(&all);
+    of_all.write_lists(dir.path(), &train).expect("written");
+    let of_chairs = Yolo::new(&chairs);
+    let check = |yolo: &Yolo<'_>, splits: &[Split]| yolo.check_lists(dir.path(), splits);
+    check(&of_all, &[Split::Test]).expect("the same classes");
+    check(&of_chairs, &[Split::Test, Split::Train]).expect("both anew");
+    let message = check(&of_chairs, &[Split::Test])
+        .expect_err("others")
+        .to_string();
+    for part in ["data.yaml: names", "train.txt", "--split all"] {
+        assert!(message.contains(part), "{message}");
+    }
+    let check = |splits: &[Split]| own::guarded(&["render"], || check(&of_all, splits));
+    let message = check(&[Split::Train]).expect_err("not its own").to_string();
+    assert!(message.contains("data.yaml"), "{message}");
+}
+
+#[test]
+fn outlines_of_yolo_enclose_the_pixels() {
+    let dir = tempfile::tempdir().expect("folder");
+    let at = |name: &str| dir.path().join(name);
+    let categories = Categories::new(&classes(), [1, 2, 3]);
+    let yolo = Yolo::new(&categories);
     let map = map();
     yolo.write(&at("a.txt"), &map).expect("written");
     let text = fs::read_to_string(at("a.txt")).expect("read");

@@ -87,6 +87,46 @@ fn vertices_in_another_order_get_no_labels() {
 }
 
 #[test]
+fn far_from_zero_neighbours_that_change_places_are_noticed() {
+    let (gaussians, labels) = plates();
+    // Float has steps of 0.004 there, and the plates have a Gaussian every 0.15.
+    let far = DVec3::splat(50_000.0);
+    let mut rows: Vec<u32> = (0..gaussians.len() as u32).collect();
+    let label = |rows: &[u32], origin| {
+        let given = glb(&gaussians.select(rows), origin);
+        let scene = (&gaussians, origin);
+        with_labels(Path::new("a.glb"), &given, scene, &labels, names())
+    };
+    assert_eq!(
+        parsed(&label(&rows, far).expect("labelled")).labels(),
+        labels
+    );
+    rows.swap(0, 1);
+    let message = label(&rows, far).expect_err("another order").to_string();
+    assert!(message.contains("another order"), "{message}");
+}
+
+#[test]
+fn where_float_hides_the_order_there_are_no_labels() {
+    let (gaussians, labels) = plates();
+    // Float has steps of half a unit there.
+    let origin = DVec3::new(500_000.0, 5_000_000.0, 100.0);
+    let given = glb(&gaussians, origin);
+    let scene = (&gaussians, origin);
+    let error = with_labels(Path::new("a.glb"), &given, scene, &labels, names());
+    let message = error.expect_err("too far").to_string();
+    assert!(
+        message.contains("a.glb: POSITION: found Gaussians") && message.contains("far from zero"),
+        "{message}"
+    );
+    // One alone has no order.
+    let one = gaussians.select(&[3]);
+    let scene = (&one, origin);
+    let made = with_labels(Path::new("a.glb"), &glb(&one, origin), scene, &[7], names());
+    assert_eq!(parsed(&made.expect("labelled")).labels(), [7]);
+}
+
+#[test]
 fn damaged_files_are_errors() {
     let (gaussians, labels) = plates();
     let given = glb(&gaussians, ORIGIN);

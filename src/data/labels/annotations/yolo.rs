@@ -1,17 +1,22 @@
 //! YOLO segmentation: a text file for each image, a line for each region: the number of its class, then the corners of its outline,
 //! `x y` from 0 to 1. `data.yaml` names the classes and the lists of images.
 //!
-//! Format: <https://docs.ultralytics.com/datasets/segment>. The labels of `images/NAME.jpg` are in `labels/NAME.txt`. A region is what is connected by sides of pixels. Its outline runs along
-//! the sides of its pixels. A hole is joined to it by a cut of no width, so that the areas are exact.
+//! Format: <https://docs.ultralytics.com/datasets/segment>. The labels of `images/NAME.jpg` are in `labels/NAME.txt`. A region is what
+//! is connected by sides of pixels. Its outline runs along the sides of its pixels. A hole is joined to it by a cut of no width, so
+//! that the areas are exact.
 
 use super::Categories;
 use crate::data::{LabelMap, Split};
-use crate::error::Result;
-use crate::files::atomic;
+use crate::error::{Result, ensure};
+use crate::files::{self, atomic, own};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::io::Write as _;
 use std::path::Path;
+
+/// The lists of images.
+const LISTS: [(Split, &str); 2] = [(Split::Train, "train.txt"), (Split::Test, "val.txt")];
+/// The file that names classes and lists.
+const DATA: &str = "data.yaml";
 
 /// A corner of pixels: columns and rows to its left and above.
 type Corner = [usize; 2];
@@ -34,36 +39,59 @@ impl<'a> Yolo<'a> {
         }
     }
 
+    /// Refuses what [`Yolo::write_lists`] could not write in `folder` after frames of the splits `rendered`: over files that this
+    /// program did not write, and beside the list of another split, which stays, if its labels have other classes.
+    ///
+    /// # Errors
+    /// [`crate::Error::Argument`]; [`crate::Error::Input`]; [`crate::Error::Io`].
+    pub fn check_lists(&self, folder: &Path, rendered: &[Split]) -> Result<()> {
+        let data = folder.join(DATA);
+        own::check(&data)?;
+        for (split, list) in LISTS {
+            let path = folder.join(list);
+            own::check(&path)?;
+            let stays = !rendered.contains(&split) && path.is_file();
+            let has_names = || files::text(&data).is_ok_and(|text| text.ends_with(&self.names()));
+            ensure!(!stays || has_names(), &data, "names"; found "other classes, which the labels of {list} have";
+                expected "the classes of the scene"; help "render both splits again (--split all), or name another folder");
+        }
+        Ok(())
+    }
+
     /// Writes `data.yaml`, and `train.txt` and `val.txt` with the names of the `images`, which are in the folder `images` beside it. Test
-    /// images are those of `val.txt`. Where a split has no image, the list of the other stands for it, as trainers want both.
+    /// images are those of `val.txt`. Where a split has no image, its list stays as it is. If it has none, the list of the other
+    /// stands for it, as trainers want both.
     ///
     /// # Errors
     /// [`crate::Error::Io`].
     pub fn write_lists(&self, folder: &Path, images: &[(Split, String)]) -> Result<()> {
         let mut named = Vec::new();
-        for (split, list) in [(Split::Train, "train.txt"), (Split::Test, "val.txt")] {
+        for (split, list) in LISTS {
+            let path = folder.join(list);
             let of_split = images.iter().filter(|(of, _)| *of == split);
             let lines: String = of_split
                 .map(|(_, name)| format!("./images/{name}\n"))
                 .collect();
-            if lines.is_empty() {
-                atomic::remove(folder.join(list))?;
-            } else {
-                atomic::write_bytes(folder.join(list), lines.as_bytes())?;
+            if !lines.is_empty() {
+                atomic::write_bytes(&path, lines.as_bytes())?;
+            }
+            if path.is_file() {
                 named.push(list);
             }
         }
         let [train, val] = [named.first(), named.last()].map(|list| list.unwrap_or(&"train.txt"));
-        atomic::write(folder.join("data.yaml"), |out| {
-            // Without the key `path`, the lists are looked for beside the file, wherever it is moved.
-            writeln!(out, "train: {train}\nval: {val}\nnames:")?;
-            for (number, name) in self.categories.names.values().enumerate() {
-                // A string of JSON is one of YAML.
-                let name = serde_json::Value::from(name.as_str());
-                writeln!(out, "  {number}: {name}")?;
-            }
-            Ok(())
-        })
+        // Without the key `path`, the lists are looked for beside the file, wherever it is moved.
+        let text = format!("train: {train}\nval: {val}\n{}", self.names());
+        atomic::write_bytes(folder.join(DATA), text.as_bytes())
+    }
+
+    /// The last lines of `data.yaml`.
+    fn names(&self) -> String {
+        // A string of JSON is one of YAML.
+        let quoted = |name: &String| serde_json::Value::from(name.as_str());
+        let names = self.categories.names.values().map(quoted).enumerate();
+        let lines = names.map(|(number, name)| format!("  {number}: {name}\n"));
+        format!("names:\n{}", lines.collect::<String>())
     }
 
     /// Writes the regions of a map. Labels without a category are left out.
