@@ -109,7 +109,7 @@ impl Viewer<'_> {
         packing::bytes(gaussians, has_labels).div_ceil(3) * 4
     }
 
-    /// The page: 116 bytes for each Gaussian of SH degree 3 (111 without labels), and about 125 kB. A scene with labels has the tree of
+    /// The page: 116 bytes for each Gaussian of SH degree 3 (111 without labels), and about 135 kB. A scene with labels has the tree of
     /// its [`Regions`] too, 16 bytes for each.
     ///
     /// # Errors

@@ -3,6 +3,8 @@
 const hexOf = (color) => `#${color.map((v) => v.toString(16).padStart(2, "0")).join("")}`;
 const colorOf = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
 
+const NOTHING = "nothing chosen";
+
 class Details {
   constructor(page) {
     this.page = page;
@@ -17,7 +19,7 @@ class Details {
     this.title = element("b");
     this.facts = element("p");
     this.hide = button("Hide", "key H", () => page.toggle());
-    this.only = button("Only this", "hide all others", () => page.showOnly(page.chosen));
+    this.only = button("Only", "hide all others", () => page.showOnly(page.chosen));
     this.move = button("Move", "move by dragging it or its arrows (key M)", () => page.setMoving(!page.moving));
     this.split = button("Split off", "make the selected Gaussians an object of their own (key N)", () => page.split());
     this.grow = button("Grow", "take the whole superpoints that are touched (key G)", () => page.grow());
@@ -34,9 +36,11 @@ class Details {
     this.shift = [0, 1, 2].map((k) => field(`shift along ${"xyz"[k]}, world units`, "any", along(k)));
     const { name } = scene.upright;
     this.turn = field(`turn about ${name}, degrees`, 15, (degrees) => page.turnTo(this.one, degrees));
+    const lifts = [["Raise", 1], ["Lower", -1]].map(([text, by]) => button(text, "by a hundredth of the scene", () => page.raise(this.one, by)));
     this.places = element("div", { className: "places" },
-      element("label", {}, "shift", element("span", { className: "fields" }, ...this.shift)),
-      element("label", {}, `turn about ${name}`, element("span", { className: "fields" }, this.turn, "°")));
+      element("div", { className: "shift" }, "shift", ...this.shift.map((input, k) => element("label", {}, "xyz"[k], input))),
+      element("label", {}, `turn about ${name}`, element("span", { className: "fields" }, this.turn, "°")),
+      element("div", { className: "buttons touch" }, ...lifts));
     this.heading = element("div", { className: "heading" }, this.color, this.name);
     this.box.append(
       this.heading, this.title, this.facts,
@@ -44,6 +48,13 @@ class Details {
       element("div", { className: "buttons put" }, this.put, this.target),
       this.places,
     );
+  }
+
+  /** What is chosen or selected, in a few words. */
+  get words() {
+    if (this.box.hidden) return NOTHING;
+    if (this.one !== null) return `${this.name.value} chosen`;
+    return `${this.title.textContent} ${this.facts.textContent}`;
   }
 
   update() {
@@ -84,7 +95,7 @@ class Details {
     const ids = selection.count ? selection.objects(state) : [...chosen];
     const names = ids.slice(0, 3).map((id) => called(state.object(id)));
     if (ids.length > 3) names.push(`${ids.length - 3} more`);
-    this.title.textContent = selection.count ? `${grouped(selection.count)} Gaussian${selection.count === 1 ? "" : "s"} selected` : `${chosen.size} objects`;
+    this.title.textContent = selection.count ? `${grouped(selection.count)} Gaussian${selection.count === 1 ? "" : "s"} selected` : `${chosen.size} objects chosen`;
     this.facts.textContent = `${selection.count ? "of " : ""}${names.join(", ")}`;
     this.facts.title = "";
     this.hide.textContent = ids.some((id) => state.object(id).shown) ? "Hide" : "Show";

@@ -8,6 +8,8 @@ class Editor {
     /** Ids of chosen objects, in the order in which they were chosen. */
     this.chosen = new Set();
     this.selection = new Selection(scene.gaussians);
+    /** Whether a click or a tap chooses one more object, as with Shift. */
+    this.several = false;
     /** Whether the chosen object moves with the pointer. */
     this.moving = false;
   }
@@ -109,7 +111,7 @@ class Editor {
     this.push({ op: "assign", gaussians: this.selection.rows(), object, new: made });
     this.tools.choose("objects");
     this.choose(object);
-    this.details.name.select();
+    this.panel.lead(this.details.name);
   }
 
   /** Deletes the selected Gaussians, or else the chosen objects; the last Gaussian stays. */
@@ -163,6 +165,13 @@ class Editor {
   moveTo(object, offset) {
     const shift = minus(offset, this.state.object(object).offset);
     if (shift.some((v) => v !== 0)) this.push({ op: "move", object, shift });
+  }
+
+  /** Raises an object by hundredths of the scene, or lowers it. */
+  raise(object, hundredths) {
+    const { extent, upright } = this.scene;
+    const step = (hundredths / 100) * Math.hypot(...minus(extent.high, extent.low));
+    this.moveTo(object, add(this.state.object(object).offset, times(step, upright.direction)));
   }
 
   /** Turns an object to an angle from how it was at first. */

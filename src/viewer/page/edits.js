@@ -2,6 +2,31 @@
 
 const VERSION = 1; // of edits.json, as in src/objects/edits
 
+/** Numbers as runs of successive ones: how many to skip, how many to take, and so on. */
+function runsOf(rows) {
+  const runs = [];
+  for (let i = 0, next = 0; i < rows.length; ) {
+    const first = rows[i];
+    runs.push(first - next);
+    for (next = first; rows[i] === next; i++) next++;
+    runs.push(next - first);
+  }
+  return runs;
+}
+
+function rowsOf(runs) {
+  const rows = [];
+  for (let i = 0, next = 0; i < runs.length; i += 2) {
+    next += runs[i];
+    for (const end = next + runs[i + 1]; next < end; next++) rows.push(next);
+  }
+  return rows;
+}
+
+/** Operations as the browser keeps them: it has little room, and a selection may have a million Gaussians. */
+const packed = (operations) => operations.map((o) => (o.gaussians ? { ...o, gaussians: { runs: runsOf(o.gaussians) } } : o));
+const unpacked = (operations) => operations.map((o) => (o.gaussians?.runs ? { ...o, gaussians: rowsOf(o.gaussians.runs) } : o));
+
 class Edits {
   /** `changed` is called after each change. With `kept`, the browser keeps the edits across a reload. */
   constructor(scene, kept, changed) {
@@ -120,7 +145,7 @@ class Edits {
       const isKept = this.done.length || (this.scene.blocks && !saved);
       // An older entry must not stay where there is no room for this one.
       localStorage.removeItem(this.key);
-      if (isKept) localStorage.setItem(this.key, JSON.stringify({ done: this.done, saved }));
+      if (isKept) localStorage.setItem(this.key, JSON.stringify({ done: packed(this.done), saved }));
       this.trouble = "";
     } catch {
       // Private windows keep nothing, and a page keeps 5 MB at most.
@@ -134,6 +159,7 @@ class Edits {
     const servers = { done: this.scene.saved ?? [], saved: true };
     try {
       const kept = JSON.parse(localStorage.getItem(this.key)) ?? { done: [], saved: true };
+      kept.done = unpacked(kept.done);
       // What is hidden is in no file.
       const hidden = kept.done.filter(({ op }) => op === "view");
       if (kept.saved && this.scene.blocks) this.startFrom({ done: [...servers.done, ...hidden], saved: true });

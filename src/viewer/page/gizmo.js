@@ -30,20 +30,56 @@ class Gizmo {
     this.drawing.append(...this.arrows.map(({ arrow }) => arrow));
   }
 
-  /** The middle of the object that is moved; null where none is, or where it is not before the camera. */
-  middle() {
+  /** Where the arrows of the object that is moved meet: in its middle, or else where it is seen; null where it is not. */
+  place() {
     const { page } = this;
     if (!page.moving) return null;
-    const middle = page.state.middle([...page.chosen][0]);
-    return page.fitted.depth(middle) > NEAR ? middle : null;
+    const id = [...page.chosen][0];
+    const middle = page.state.middle(id);
+    return this.isInside(middle, GAP) ? middle : this.seen(id);
+  }
+
+  /** Whether a point is in the picture, so many pixels from its edges. */
+  isInside(point, margin) {
+    const { fitted } = this.page;
+    if (!(fitted.depth(point) > NEAR)) return false;
+    const [x, y] = fitted.project(point);
+    return x >= margin && y >= margin && x <= fitted.width - margin && y <= fitted.height - margin;
+  }
+
+  /** The middle of what the picture shows of an object, with room for arrows around it. */
+  seen(id) {
+    const { state, order, fitted, scene } = this.page;
+    const projection = new Projection(scene, state, fitted);
+    const sum = [0, 0, 0];
+    let count = 0;
+    for (let k = 0; k < order.length; k++) {
+      if (state.objectOf(order.drawn[k]) !== id) continue;
+      projection.place(order.drawn[k]);
+      const { x, y, depth } = projection;
+      if (x < 0 || y < 0 || x > fitted.width || y > fitted.height || depth <= NEAR) continue;
+      [x, y, depth].forEach((v, i) => (sum[i] += v));
+      count++;
+    }
+    if (!count) return null;
+    const [x, y] = [fitted.width, fitted.height].map((most, i) => {
+      const margin = Math.min(1.5 * ARROW, most / 3);
+      return Math.max(margin, Math.min(most - margin, sum[i] / count));
+    });
+    return add(fitted.center, times(sum[2] / count, fitted.ray(x, y)));
   }
 
   /** Shows the arrows where the object is. */
   update() {
-    const camera = this.page.fitted;
-    const middle = this.middle();
-    this.drawing.toggleAttribute("hidden", !middle);
-    if (!middle) return;
+    const { fitted: camera, moving, panel } = this.page;
+    const middle = this.held ? this.held.at : this.place();
+    /** Whether nothing of the object that is to be moved is in the picture. */
+    this.isLost = moving && !middle;
+    panel?.note();
+    const isShown = middle && camera.depth(middle) > NEAR;
+    this.at = isShown ? middle : null;
+    this.drawing.toggleAttribute("hidden", !isShown);
+    if (!isShown) return;
     const from = camera.project(middle);
     const length = (ARROW * camera.depth(middle)) / camera.fx;
     for (const { axis, arrow, lines, tip, label } of this.arrows) {
@@ -58,27 +94,31 @@ class Gizmo {
     }
   }
 
-  /** How far along the axis that is dragged the pointer is. */
-  along(e, axis) {
+  /** How far along an axis from `point` the pointer is. */
+  along(e, axis, point) {
     const { fitted, navigation } = this.page;
-    return nearestAlong(axis, this.middle(), fitted.center, fitted.ray(...navigation.place(e)));
+    return nearestAlong(axis, point, fitted.center, fitted.ray(...navigation.place(e)));
   }
 
   press(e, axis) {
-    if (e.button > 0) return;
+    if (e.button > 0 || !this.at) return;
     e.currentTarget.setPointerCapture(e.pointerId);
-    this.held = { object: [...this.page.chosen][0], axis, grip: this.along(e, axis) };
+    this.held = { object: [...this.page.chosen][0], axis, at: this.at, grip: this.along(e, axis, this.at) };
   }
 
   drag(e) {
-    if (!this.held || !this.middle()) return;
-    const { axis, grip } = this.held;
-    const way = this.along(e, axis) - grip;
-    if (Number.isFinite(way) && way !== 0) this.page.moveHeld(this.held, times(way, axis));
+    if (!this.held) return;
+    const { axis, grip, at } = this.held;
+    const way = this.along(e, axis, at) - grip;
+    if (!Number.isFinite(way) || way === 0) return;
+    this.held.at = add(at, times(way, axis));
+    this.page.moveHeld(this.held, times(way, axis));
   }
 
   release() {
     this.page.released(this.held);
     this.held = null;
+    // Where it is seen now.
+    this.page.ask();
   }
 }

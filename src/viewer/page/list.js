@@ -13,6 +13,11 @@ class ObjectList {
     this.list = document.getElementById("objects");
     this.search = document.getElementById("search");
     this.search.oninput = () => this.update();
+    this.several = document.getElementById("several");
+    this.several.onclick = () => {
+      page.several = !page.several;
+      page.refresh();
+    };
     this.rows = new Map();
     // What appears below takes room from the list.
     new ResizeObserver(() => this.reveal()).observe(this.list);
@@ -24,13 +29,14 @@ class ObjectList {
     const mark = element("i");
     const text = element("span");
     const name = element("button", { className: "name", type: "button" }, mark, text);
-    name.onclick = (e) => this.page.choose(id, e.shiftKey || e.ctrlKey || e.metaKey ? "add" : "new");
+    name.onclick = (e) => this.page.choose(id, e.shiftKey || e.ctrlKey || e.metaKey || this.page.several ? "add" : "new");
     const count = element("small");
     return { line: element("li", {}, element("label", {}, box), name, count), box, mark, text, name, count };
   }
 
   update() {
     const { state, chosen } = this.page;
+    this.several.setAttribute("aria-pressed", String(this.page.several));
     const words = this.search.value.trim().toLowerCase();
     const isFound = (object) => called(object).toLowerCase().includes(words) || String(object.id) === words;
     const objects = state.present.filter(isFound).sort(byName);

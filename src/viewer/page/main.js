@@ -32,8 +32,9 @@ class Page extends Editor {
     this.mode = "colour";
     this.background = BACKGROUNDS[0];
     this.coarse = 1;
-    /** Whether the order belongs to another picture. */
+    /** Whether the order belongs to another picture, and until when such an order will do while the view moves. */
     this.stale = true;
+    this.rested = 0;
     /** Whether the renderer has yet to see what is edited, chosen or selected. */
     this.partsStale = true;
     this.up = this.scene.up;
@@ -70,11 +71,12 @@ class Page extends Editor {
     const { blocks, gaussians, labelled } = this.scene;
     for (let block = 0, drawn = 0; block < blocks; block++) {
       this.scene.setLooks(await fetched(`looks/${block}`), block, blocks);
+      this.renderer?.upload(block);
       const received = block + 1;
+      this.panel.setReceived(Math.min(gaussians, received * Math.ceil(gaussians / blocks)));
       if (received < blocks && received < 2 * drawn) continue;
       drawn = received;
-      this.renderer?.upload();
-      this.panel.setReceived(Math.min(gaussians, drawn * Math.ceil(gaussians / blocks)));
+      this.stale = true;
       if (this.bare) this.draw();
       else this.ask();
     }
@@ -92,7 +94,7 @@ class Page extends Editor {
     });
     this.canvas.addEventListener("webglcontextrestored", () => {
       this.renderer = new Renderer(this.canvas, this.scene, this.shaders);
-      this.partsStale = true;
+      this.partsStale = this.stale = true;
       this.draw();
     });
   }
@@ -138,18 +140,19 @@ class Page extends Editor {
   /** The camera has moved, or what it looks at has. */
   changed() {
     this.panel.setView(null);
+    this.stale = true;
     this.ask();
   }
 
   /** Draws in the next frame. */
   ask() {
-    this.stale = true;
     if (this.asked || this.bare || !this.navigation) return;
     this.asked = true;
     requestAnimationFrame((now) => {
       this.asked = false;
       const walking = this.navigation.step(Math.min(this.last === undefined ? FRAME : now - this.last, 100) / 1000);
       if (walking) this.panel.setView(null);
+      this.stale ||= walking;
       const moving = walking || this.navigation.isMoving(now);
       this.adapt(moving && this.last !== undefined ? now - this.last : null);
       this.last = moving ? now : undefined;
@@ -172,8 +175,7 @@ class Page extends Editor {
     const camera = this.fitted;
     const [width, height] = [camera.width, camera.height].map((v) => Math.max(1, Math.round(v * ratio)));
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
-    this.sort();
-    this.renderer.setOrder(this.order);
+    if (this.stale && !(moving && performance.now() < this.rested)) this.sort();
     if (this.partsStale) this.renderer.setParts(this.state, this.selection, this.bare ? new Set() : this.chosen);
     this.partsStale = false;
     this.gizmo.update();
@@ -186,6 +188,7 @@ class Page extends Editor {
     if (this.bare || !this.navigation) return;
     const { rotation, center } = this.fitted;
     this.fitted = new Camera({ ...this.source, rotation, center }).fitted(...this.room());
+    this.stale = true;
     this.ask();
   }
 
@@ -193,6 +196,7 @@ class Page extends Editor {
     this.source = new Camera(this.scene.cameras[i]);
     this.fitted = this.source.fitted(...this.room());
     this.panel.setView(i);
+    this.stale = true;
     if (this.navigation) this.ask();
   }
 
@@ -205,10 +209,22 @@ class Page extends Editor {
     this.changed();
   }
 
+  /** Sorts for the picture as it is now. It takes a third of the time at most while the view moves. */
   sort() {
+    const begun = performance.now();
     this.order.sort(this.fitted, this.state);
+    this.renderer?.setOrder(this.order);
     this.surface = null;
     this.stale = false;
+    const now = performance.now();
+    this.rested = now + 2 * (now - begun);
+  }
+
+  /** Another order of the Gaussians, or others of them, at once. */
+  edited() {
+    this.stale = true;
+    this.rested = 0;
+    super.edited();
   }
 
   /** Gaussians that a shape can take, see `candidates` of selection.js. */
@@ -232,7 +248,7 @@ class Page extends Editor {
       return;
     }
     const found = picked?.object ?? null;
-    const how = altKey ? "subtract" : shiftKey ? "add" : "new";
+    const how = altKey ? "subtract" : shiftKey || this.several ? "add" : "new";
     const isAlone = this.chosen.size === 1 && this.chosen.has(found);
     if (how !== "new") this.choose(found, how);
     else this.choose(isAlone ? null : found);
@@ -268,6 +284,7 @@ class Page extends Editor {
 
   /** Moves the object that a drag holds. All of a drag is one edit. */
   moveHeld(held, way) {
+    this.stale = true;
     if (!held.move || !this.edits.extend(held.move, way)) {
       held.move = { op: "move", object: held.object, shift: way };
       this.push(held.move);

@@ -1,13 +1,23 @@
-// Mouse, touch and keys. A drag holds on to the point under the pointer.
+// Mouse, touch and keys. A drag holds on to the point under the pointer. One finger turns the view, or draws; two turn and zoom it,
+// whether or not a tool draws; three pan.
 
 const KEYS_OF_MOVES = {
   KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0], KeyE: [0, -1, 0], KeyQ: [0, 1, 0],
 };
 const KEYS_OF_TURNS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }; // yaw, rise
 const STILL = 4; // pixels that a pointer may move in a click
+const STILL_FINGER = 10; // and a finger in a tap
 
 /** Whether keys are typed into an element. */
 const takesText = (target) => target.matches?.("select, textarea, input:not([type=checkbox])") ?? false;
+
+/** The middle of places. */
+const middleOf = (places) => [0, 1].map((k) => places.reduce((sum, place) => sum + place[k], 0) / places.length);
+
+/** From the first of two fingers to the second: how far, pixels, and at which angle, clockwise. */
+function reachOf([[x, y], [u, v]]) {
+  return { apart: Math.max(Math.hypot(u - x, v - y), 1), angle: Math.atan2(v - y, u - x) };
+}
 
 class Navigation {
   /**
@@ -55,16 +65,19 @@ class Navigation {
     this.canvas.setPointerCapture(e.pointerId);
     const at = this.place(e);
     this.pointers.set(e.pointerId, at);
+    const { tools } = this.view;
     // A second finger moves the camera instead.
-    this.drawing = this.view.tools.isDrawing && this.pointers.size === 1 && e.button <= 0;
+    if (this.drawing) tools.takeBack();
+    this.drawing = tools.isDrawing && this.pointers.size === 1 && e.button <= 0;
     if (this.drawing) {
-      this.view.tools.begin(at, e);
+      tools.begin(at, e);
       return;
     }
-    this.view.tools.cancel();
+    tools.cancel();
+    this.view.released(this.held);
     this.start = at;
     this.moved = this.pointers.size > 1 || e.button > 0;
-    this.pivot = this.hold(at);
+    this.pivot = this.hold(middleOf([...this.pointers.values()]));
   }
 
   drag(e) {
@@ -79,10 +92,11 @@ class Navigation {
       this.view.tools.drag(at);
       return;
     }
-    this.moved ||= Math.hypot(at[0] - this.start[0], at[1] - this.start[1]) > STILL;
+    const still = e.pointerType === "touch" ? STILL_FINGER : STILL;
+    this.moved ||= Math.hypot(at[0] - this.start[0], at[1] - this.start[1]) > still;
     if (!this.moved) return;
-    if (this.pointers.size === 2) {
-      this.pinch(e.pointerId, before, at);
+    if (this.pointers.size > 1) {
+      this.follow(e.pointerId, at);
       this.view.changed();
     } else if (!this.view.dragged(this.held, before, at, e)) {
       if (e.buttons & 2 || e.buttons & 4 || e.shiftKey) this.pan(before, at);
@@ -102,11 +116,13 @@ class Navigation {
       else this.view.tools.cancel();
     } else if (!this.moved && e.type === "pointerup") this.view.clicked(...at, e);
     else this.view.released(this.held);
+    this.held = null;
   }
 
-  orbit(dx, dy) {
+  /** Turns by pixels, and by a further angle about up. */
+  orbit(dx, dy, yaw = 0) {
     const turn = Math.PI / Math.min(this.canvas.clientWidth, this.canvas.clientHeight);
-    this.view.camera().orbit(this.view.up, this.pivot, -dx * turn, -dy * turn);
+    this.view.camera().orbit(this.view.up, this.pivot, yaw - dx * turn, -dy * turn);
   }
 
   pan(from, to) {
@@ -114,12 +130,20 @@ class Navigation {
     camera.move(times(camera.depth(this.pivot), minus(camera.ray(...from), camera.ray(...to))));
   }
 
-  pinch(id, before, at) {
-    const [other] = [...this.pointers].filter(([key]) => key !== id).map(([, place]) => place);
-    const apart = (place) => Math.max(Math.hypot(place[0] - other[0], place[1] - other[1]), 1);
-    const middle = (place) => [0.5 * (place[0] + other[0]), 0.5 * (place[1] + other[1])];
-    this.pan(middle(before), middle(at));
-    this.approach(1 - apart(before) / apart(at));
+  /** One of several fingers goes to a place. Seen from above, what lies there turns as two fingers twist. */
+  follow(id, at) {
+    const before = [...this.pointers.values()];
+    this.pointers.set(id, at);
+    const after = [...this.pointers.values()];
+    const [from, to] = [middleOf(before), middleOf(after)];
+    if (before.length > 2) {
+      this.pan(from, to);
+      return;
+    }
+    const [was, is] = [reachOf(before), reachOf(after)];
+    const twist = Math.atan2(Math.sin(is.angle - was.angle), Math.cos(is.angle - was.angle));
+    this.orbit(to[0] - from[0], to[1] - from[1], -twist * dot(this.view.camera().forward, this.view.up));
+    this.approach(1 - was.apart / is.apart);
   }
 
   /** Moves by a share of the way to what is held on to. */

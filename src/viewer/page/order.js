@@ -6,9 +6,8 @@ class DepthOrder {
   constructor(scene) {
     this.scene = scene;
     const n = scene.gaussians;
-    this.keys = new Uint32Array(n);
-    this.ids = new Uint32Array(n);
-    this.spare = new Uint32Array(n);
+    /** Depths and Gaussians, and the same after a pass. */
+    [this.depths, this.ids, this.otherDepths, this.otherIds] = [0, 1, 2, 3].map(() => new Uint32Array(n));
     /** Drawn in this order, `length` of them. */
     this.drawn = new Uint32Array(n);
     this.length = 0;
@@ -25,7 +24,7 @@ class DepthOrder {
       planes[4 * i + 3] = dot(camera.forward, minus(pose.shift, camera.center));
     });
     const shown = Uint8Array.from(parts, (part) => state.isShown(part));
-    const depths = new Float32Array(this.keys.buffer);
+    const depths = new Float32Array(this.depths.buffer);
     let count = 0;
     for (let i = 0, at = 0; i < gaussians; i++, at += FLOATS) {
       const p = 4 * partOf[i];
@@ -33,21 +32,26 @@ class DepthOrder {
         planes[p] * geometry[at] + planes[p + 1] * geometry[at + 1] + planes[p + 2] * geometry[at + 2] + planes[p + 3];
       if (depth > NEAR && shown[partOf[i]] && geometry[at + OPACITY] > 0) {
         // Bits of positive floats are ordered as they are.
-        depths[i] = depth;
+        depths[count] = depth;
         this.ids[count++] = i;
       }
     }
-    this.pass(this.ids, this.spare, count, 0);
-    this.pass(this.spare, this.ids, count, 16);
+    const [here, there] = [[this.depths, this.ids], [this.otherDepths, this.otherIds]];
+    this.pass(here, there, count, 0);
+    this.pass(there, here, count, 16);
     for (let k = 0; k < count; k++) this.drawn[k] = this.ids[count - 1 - k];
     this.length = count;
   }
 
-  /** One stable pass, ascending by 16 bits. */
-  pass(from, to, count, shift) {
+  /** One stable pass, ascending by 16 bits of the depths. Depths go along: to look them up again would take longer. */
+  pass([depths, ids], [sortedDepths, sortedIds], count, shift) {
     const starts = new Uint32Array(DIGIT + 1);
-    for (let k = 0; k < count; k++) starts[((this.keys[from[k]] >>> shift) & (DIGIT - 1)) + 1]++;
+    for (let k = 0; k < count; k++) starts[((depths[k] >>> shift) & (DIGIT - 1)) + 1]++;
     for (let d = 0; d < DIGIT; d++) starts[d + 1] += starts[d];
-    for (let k = 0; k < count; k++) to[starts[(this.keys[from[k]] >>> shift) & (DIGIT - 1)]++] = from[k];
+    for (let k = 0; k < count; k++) {
+      const place = starts[(depths[k] >>> shift) & (DIGIT - 1)]++;
+      sortedDepths[place] = depths[k];
+      sortedIds[place] = ids[k];
+    }
   }
 }

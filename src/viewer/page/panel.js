@@ -7,6 +7,8 @@ function element(tag, properties = {}, ...children) {
   return made;
 }
 
+const SETTLED = 300; // milliseconds after which what is chosen is spoken
+
 class Panel {
   constructor(page) {
     this.page = page;
@@ -14,7 +16,8 @@ class Panel {
     const at = (id) => document.getElementById(id);
     at("title").textContent = scene.title;
     document.title = `${scene.title} – coseg`;
-    this.lead = at("lead");
+    this.count = at("lead");
+    [this.notice, this.spoken, this.words] = [at("notice"), at("spoken"), NOTHING];
     this.setReceived(scene.blocks ? 0 : scene.gaussians);
     at("then").textContent = scene.blocks ? "Then:" : "Then, beside edits.json:";
     this.list = new ObjectList(page);
@@ -29,18 +32,47 @@ class Panel {
     at("background").onclick = () => page.nextBackground();
     for (const button of document.querySelectorAll("[data-mode]")) button.onclick = () => page.setMode(button.dataset.mode);
     this.views(at("views"));
-    at("fold").onclick = () => {
-      const folded = document.body.classList.toggle("folded");
-      at("fold").setAttribute("aria-expanded", String(!folded));
-      page.resized();
-    };
+    at("fold").onclick = () => this.setFolded(!document.body.classList.contains("folded"));
+  }
+
+  /** Takes the panel away, or brings it back. */
+  setFolded(folded) {
+    document.body.classList.toggle("folded", folded);
+    document.getElementById("fold").setAttribute("aria-expanded", String(!folded));
+    this.page.resized();
+  }
+
+  /** Leads the keys to a field, if there is use for it now; the panel is brought back for it. */
+  lead(field) {
+    if (field.disabled || field.closest("[hidden]")) return;
+    this.setFolded(false);
+    field.focus();
+    field.select?.();
   }
 
   /** How many Gaussians are there. */
   setReceived(count) {
     const { gaussians } = this.page.scene;
     const part = count < gaussians ? `${grouped(count)} of ` : "";
-    this.lead.textContent = `${part}${grouped(gaussians)} Gaussians`;
+    this.count.textContent = `${part}${grouped(gaussians)} Gaussians`;
+    this.missing = part ? this.count.textContent : "";
+    this.note();
+  }
+
+  /** Says over the picture what it does not show: Gaussians that are still to come, or the object that is to be moved. */
+  note() {
+    const { chosen, state, gizmo } = this.page;
+    const lost = gizmo.isLost ? `${called(state.object([...chosen][0]))} is out of view: turn towards it to move it.` : "";
+    const text = this.missing || lost;
+    if (this.notice.textContent !== text) this.notice.textContent = text;
+  }
+
+  /** Tells screen readers, once it stays so. */
+  speak(words) {
+    if (words === this.words) return;
+    this.words = words;
+    clearTimeout(this.speaking);
+    this.speaking = setTimeout(() => (this.spoken.textContent = words), SETTLED);
   }
 
   views(select) {
@@ -76,6 +108,7 @@ class Panel {
     this.list.update();
     this.toolbar.update();
     page.details.update();
+    this.speak(page.details.words);
     page.hint?.clear();
     this.showEdits();
     // What has appeared may have taken the room of the chosen row.

@@ -15,14 +15,15 @@ class Renderer {
     this.splats = this.program(shaders.splatVertex, shaders.splatFragment);
     this.screen = this.program(shaders.screenVertex, shaders.screenFragment);
 
-    const { rows } = scene;
+    const rows = scene.blockRows * scene.steps;
     if (rows > gl.getParameter(gl.MAX_TEXTURE_SIZE)) {
       const most = (gl.getParameter(gl.MAX_TEXTURE_SIZE) * TEXTURE_WIDTH) / TEXELS;
       throw new Error(`The scene has ${scene.gaussians} Gaussians; this device shows ${most} at most.`);
     }
     const size = [TEXTURE_WIDTH, rows];
-    this.geometry = this.texture(gl.RGBA32F, gl.RGBA, gl.FLOAT, ...size, scene.geometry);
-    this.colours = this.texture(gl.RGBA32UI, gl.RGBA_INTEGER, gl.UNSIGNED_INT, ...size, scene.colours);
+    this.geometry = this.texture(gl.RGBA32F, gl.RGBA, gl.FLOAT, ...size, null);
+    this.colours = this.texture(gl.RGBA32UI, gl.RGBA_INTEGER, gl.UNSIGNED_INT, ...size, null);
+    for (let block = 0; block < scene.received; block++) this.upload(block);
     this.parts = gl.createTexture();
     this.partSize = [TEXTURE_WIDTH, Math.ceil(scene.gaussians / TEXTURE_WIDTH)];
     this.partOf = this.texture(gl.R32UI, gl.RED_INTEGER, gl.UNSIGNED_INT, ...this.partSize, null);
@@ -39,14 +40,15 @@ class Renderer {
     this.target = null;
   }
 
-  /** Takes what has come to the scene. */
-  upload() {
+  /** Takes a block that has come to the scene. */
+  upload(block) {
     const { gl, scene } = this;
-    const size = [TEXTURE_WIDTH, scene.rows];
+    const { blockRows } = scene;
+    const place = [0, blockRows * block, TEXTURE_WIDTH, blockRows];
     gl.bindTexture(gl.TEXTURE_2D, this.geometry);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ...size, gl.RGBA, gl.FLOAT, scene.geometry);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, ...place, gl.RGBA, gl.FLOAT, scene.block(scene.geometry, block));
     gl.bindTexture(gl.TEXTURE_2D, this.colours);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ...size, gl.RGBA_INTEGER, gl.UNSIGNED_INT, scene.colours);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, ...place, gl.RGBA_INTEGER, gl.UNSIGNED_INT, scene.block(scene.colours, block));
   }
 
   program(vertex, fragment) {
@@ -151,6 +153,7 @@ class Renderer {
     gl.uniform2f(uniforms.focal, camera.fx, camera.fy);
     gl.uniform2f(uniforms.principal, camera.cx, camera.cy);
     gl.uniform2f(uniforms.size, camera.width, camera.height);
+    gl.uniform2i(uniforms.blocks, scene.steps, (scene.blockRows * TEXTURE_WIDTH) / TEXELS);
     gl.uniform1i(uniforms.degree, scene.degree);
     gl.uniform1f(uniforms.painted, painted);
     gl.uniform3f(uniforms.chosen, 1, 0.85, 0.35);

@@ -30,11 +30,16 @@ class Scene {
     /** Whether Gaussians have labels; without them all are one nameless object. */
     this.labelled = this.objects[0].id !== null;
     if (!this.labelled) this.objects[0].id = WHOLE;
-    this.rows = Math.max(1, Math.ceil((TEXELS * this.gaussians) / TEXTURE_WIDTH));
-    /** Rows of 16 floats, see above; the texture of the same name. */
-    this.geometry = new Float32Array(4 * TEXTURE_WIDTH * this.rows);
+    const rowsOf = (count) => Math.ceil((TEXELS * count) / TEXTURE_WIDTH);
+    /** Blocks in which Gaussians come, how many have come, and rows of a texture that each one takes. */
+    this.steps = Math.max(1, this.blocks);
+    this.received = 0;
+    this.blockRows = rowsOf(Math.ceil(this.gaussians / this.steps));
+    const words = 4 * TEXTURE_WIDTH * rowsOf(this.gaussians);
+    /** Rows of 16 floats, see above; the texture of the same name has them block by block. */
+    this.geometry = new Float32Array(words);
     /** Rows of 16 words: 45 signed bytes of view-dependent colour, then the base colour as three floats. */
-    this.colours = new Uint32Array(4 * TEXTURE_WIDTH * this.rows);
+    this.colours = new Uint32Array(words);
     /** The group of neighbours on one surface of each Gaussian; none without labels, on watched pages, and before it is there. */
     this.superpoints = null;
   }
@@ -75,6 +80,17 @@ class Scene {
       this.geometry[row + 11] = terms ? Math.exp(spread[i] * LOG_STEP) / 127 : 0;
       for (let k = 0; k < 3 * terms; k++) bytes[4 * row + k] = rest[3 * terms * i + k];
     }
+    this.received = first + 1;
+  }
+
+  /** Whole rows of a texture with what a column of numbers has of a block. */
+  block(column, first) {
+    if (this.steps === 1) return column;
+    const out = new column.constructor(4 * TEXTURE_WIDTH * this.blockRows);
+    for (let from = FLOATS * first, to = 0; from < FLOATS * this.gaussians; from += FLOATS * this.steps, to += FLOATS) {
+      for (let k = 0; k < FLOATS; k++) out[to + k] = column[from + k];
+    }
+    return out;
   }
 
   /** Columns of the rotation (w, x, y, z), each as long as its standard deviation. */

@@ -21,6 +21,11 @@ class Selection {
     this.endGrowth();
   }
 
+  /** What `Object.assign` takes back. */
+  copy() {
+    return { ...this, flags: this.flags.slice() };
+  }
+
   /** What is selected stays; the next point begins anew. */
   endGrowth() {
     this.seeds = [];

@@ -14,6 +14,7 @@ uniform vec3 center;
 uniform vec2 focal;
 uniform vec2 principal;
 uniform vec2 size;
+uniform ivec2 blocks;       // their number, and Gaussians that each has room for: every so many Gaussians are one
 uniform int degree;
 uniform float painted;      // share of the label's colour
 uniform vec3 chosen;        // what chosen objects are tinted with
@@ -35,7 +36,7 @@ vec4 ofPart(int part, int k) {
 }
 
 ivec2 texel(int k) {
-    int at = 4 * int(splat) + k;
+    int at = 4 * (int(splat) % blocks.x * blocks.y + int(splat) / blocks.x) + k;
     return ivec2(at % WIDTH, at / WIDTH);
 }
 

@@ -25,7 +25,8 @@ class State {
     this.objects = new Map();
     /** Each with the id of its object and a pose; the object of deleted Gaussians is null. */
     this.parts = [{ object: null, pose: UNMOVED }];
-    this.partOf = Uint32Array.from(scene.places, (place) => place + 1);
+    this.partOf = new Uint32Array(scene.places);
+    for (let row = 0; row < this.partOf.length; row++) this.partOf[row]++;
     for (const { id, name, color, gaussians, low, high } of scene.objects) {
       this.objects.set(id, { ...this.entry(id, name, color), count: gaussians, box: { low, high } });
       this.parts.push({ object: id, pose: UNMOVED });

@@ -64,6 +64,7 @@ class Tools {
   begin(at, { shiftKey, altKey }) {
     const how = altKey ? "subtract" : shiftKey ? "add" : this.how;
     const { selection } = this.page;
+    this.before = selection.copy();
     if (how === "new") selection.clear();
     selection.endGrowth();
     this.flag = how === "subtract" ? 0 : 1;
@@ -88,10 +89,18 @@ class Tools {
     this.page.selected();
   }
 
+  /** Takes a shape back: what was selected before it is selected again. */
+  takeBack() {
+    if (this.shape) Object.assign(this.page.selection, this.before);
+    this.cancel();
+    this.page.selected();
+  }
+
   /** Gives a shape up. What a brush has taken stays. */
   cancel() {
     this.shape = null;
     this.found = null;
+    this.before = null;
     this.clear();
   }
 

@@ -265,6 +265,29 @@ impl Tab {
         self.mouse("mouseMoved", point, 0, 0);
     }
 
+    /// Puts fingers down, moves them straight from one place to another, and lifts them; where nothing moves it is a tap.
+    pub fn fingers<const N: usize>(&mut self, from: [[f64; 2]; N], to: [[f64; 2]; N]) {
+        self.touch("touchStart", &from);
+        for step in (1..=4).filter(|_| from != to) {
+            let part = f64::from(step) / 4.0;
+            let at = |i: usize| [0, 1].map(|k| from[i][k] + part * (to[i][k] - from[i][k]));
+            self.touch("touchMove", &std::array::from_fn::<_, N, _>(at));
+        }
+        self.touch("touchEnd", &[]);
+    }
+
+    /// An event of all fingers that are down after it.
+    pub fn touch(&mut self, kind: &str, points: &[[f64; 2]]) {
+        let points = points.iter().enumerate();
+        let points: Vec<_> = points
+            .map(|(id, [x, y])| json!({"x": x, "y": y, "id": id}))
+            .collect();
+        self.send(
+            "Input.dispatchTouchEvent",
+            json!({"type": kind, "touchPoints": points}),
+        );
+    }
+
     fn mouse(&mut self, kind: &str, [x, y]: [f64; 2], modifiers: u32, buttons: u32) {
         let button = if kind == "mouseMoved" && buttons == 0 {
             "none"

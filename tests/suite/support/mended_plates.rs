@@ -60,11 +60,15 @@ pub fn selected(tab: &mut Tab) -> Value {
 
 /// Writes what the page saves, applies it, and compares labels, names and colours with those of the page.
 pub fn assert_applied(tab: &mut Tab, dir: &Path) {
+    assert_applied_to(tab, &dir.join("plates.ply"), dir);
+}
+
+/// The same for another scene.
+pub fn assert_applied_to(tab: &mut Tab, scene: &Path, dir: &Path) {
     let edits = dir.join("edits.json");
     std::fs::write(&edits, tab.text("page.edits.text()")).unwrap();
     let out = dir.join("mended");
-    let scene = dir.join("plates.ply");
-    let edit = ["edit", "--scene", utf8(&scene), "--edits", utf8(&edits)];
+    let edit = ["edit", "--scene", utf8(scene), "--edits", utf8(&edits)];
     succeeds(&[&edit[..], &["--out", utf8(&out), "--force"]].concat());
     let mended = ply::read(&out.join("scene.ply"), &Limits::default()).unwrap();
     let want = tab.value("Array.from(page.state.labels())");

@@ -192,6 +192,34 @@ fn edits_outlive_a_reload_and_leaving_asks_while_they_are_not_saved() {
 }
 
 #[test]
+fn a_large_selection_fits_what_the_browser_keeps() {
+    let Some((_dir, mut tab)) = opened() else {
+        return;
+    };
+    tab.value(
+        "for (const row of [0, 1, 2, 7, 30, 31, 110]) page.selection.set(row, 1); page.putInto(3)",
+    );
+    let (end, text) = (state(&mut tab), tab.text("page.edits.text()"));
+    assert!(
+        text.contains(r#""gaussians":[0,1,2,7,30,31,110]"#),
+        "{text}"
+    );
+    let kept = "JSON.parse(localStorage.getItem(`coseg edits ${page.scene.sha256}`)).done.at(-1).gaussians";
+    assert_eq!(tab.value(kept), json!({"runs": [0, 3, 4, 1, 22, 2, 78, 1]}));
+    tab.reload();
+    assert_eq!(state(&mut tab), end);
+    assert_eq!(tab.text("page.edits.text()"), text);
+
+    // One by one these rows take more than the 5 MB that there are.
+    tab.value(
+        "page.edits.done.push({ op: 'assign', object: 3, gaussians: Array.from({ length: 700_000 }, (_, i) => i + (i >> 1)) }); \
+         page.edits.keep()",
+    );
+    assert_eq!(tab.text("page.edits.trouble"), "");
+    assert_eq!(tab.value(&format!("{kept}.runs.length")), 700_000);
+}
+
+#[test]
 fn keys_alone_reach_every_action() {
     let Some((dir, mut tab)) = opened() else {
         return;

@@ -4,12 +4,18 @@ pub mod drawing;
 #[cfg(unix)]
 pub mod edit_history;
 #[cfg(unix)]
+pub mod gizmo;
+#[cfg(unix)]
 pub mod mends;
 pub mod page;
 #[cfg(unix)]
 pub mod panel;
 #[cfg(unix)]
 pub mod points;
+#[cfg(unix)]
+pub mod room;
 #[cfg(all(unix, feature = "serve"))]
 pub mod served;
+#[cfg(unix)]
+pub mod touch;
 pub mod viewer_edits;

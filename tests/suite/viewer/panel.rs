@@ -126,6 +126,73 @@ fn esc_leaves_a_number_field_as_it_was() {
 }
 
 #[test]
+fn keys_that_lead_to_a_field_bring_the_panel_back() {
+    let Some(browser) = browser() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let mut tab = Tab::open(&browser, &balls(dir.path(), 3), [1000, 700]);
+    for (script, key, field) in [
+        ("page.choose(2)", "F2", "page.details.name"),
+        ("page.choose(2)", "KeyT", "page.details.target"),
+        ("1", "KeyF", "document.getElementById('search')"),
+        (
+            "page.selection.set(0, 1); page.refresh()",
+            "KeyN",
+            "page.details.name",
+        ),
+    ] {
+        tab.value(script);
+        tab.value("document.activeElement.blur(); document.getElementById('fold').click()");
+        assert_eq!(tab.value("page.details.box.checkVisibility()"), false);
+        tab.key(key, 0);
+        let is_there = format!("{field}.checkVisibility() && document.activeElement === {field}");
+        assert_eq!(tab.value(&is_there), true, "{key}");
+        assert_eq!(
+            tab.text("document.getElementById('fold').getAttribute('aria-expanded')"),
+            "true"
+        );
+    }
+    // What is typed now is the name, and no key.
+    tab.type_text("hat");
+    tab.key("Enter", 0);
+    assert_eq!(tab.text("page.state.object(4).name"), "hat");
+    // Without a use for the field the panel stays away.
+    tab.value("page.choose(null); document.getElementById('fold').click()");
+    tab.key("F2", 0);
+    assert_eq!(
+        tab.value("document.body.classList.contains('folded')"),
+        true
+    );
+}
+
+#[test]
+fn what_is_chosen_is_spoken_and_its_buttons_fill_one_row() {
+    let Some(browser) = browser() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let mut tab = Tab::open(&browser, &balls(dir.path(), 5), [1000, 700]);
+    let spoken = "document.querySelector('main > [role=status]')";
+    let row = "[...page.details.drop.parentElement.children].filter((e) => e.checkVisibility())";
+    for (script, words) in [
+        ("page.choose(2)", "ball 2 chosen"),
+        ("page.choose(3, 'add')", "2 objects chosen ball 2, ball 3"),
+        (
+            "page.selection.set(0, 1); page.refresh()",
+            "1 Gaussian selected of ball 1",
+        ),
+    ] {
+        tab.value(script);
+        tab.until(&format!("{spoken}.textContent === '{words}'"));
+        let tops = format!("new Set({row}.map((e) => e.getBoundingClientRect().top)).size");
+        assert_eq!(tab.value(&tops), 1, "{words}");
+        let cut = format!("{row}.filter((e) => e.scrollWidth > e.clientWidth).length");
+        assert_eq!(tab.value(&cut), 0, "{words}");
+    }
+    tab.value("document.getElementById('fold').click(); page.choose(null)");
+    tab.until(&format!(
+        "{spoken}.textContent === 'nothing chosen' && {spoken}.checkVisibility()"
+    ));
+}
+
+#[test]
 fn a_finger_hits_every_control_of_a_phone() {
     let Some(browser) = browser() else { return };
     let dir = tempfile::tempdir().unwrap();

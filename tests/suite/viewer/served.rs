@@ -96,14 +96,29 @@ fn blocks_make_the_scene_of_the_offline_page() {
     let dir = tempfile::tempdir().unwrap();
     let page = dir.path().join("page.html");
     plates.viewer().write(&page).unwrap();
-    let want = Tab::open(&browser, &page, [600, 400]).value(DIGEST);
+    let picture = "page.draw(); page.canvas.toDataURL()";
+    let mut tab = Tab::open(&browser, &page, [600, 400]);
+    let (want, drawn) = (tab.value(DIGEST), tab.text(picture));
+    drop(tab);
     plates.served(&dir.path().join("edits.json"), |address| {
         let mut tab = Tab::visit(&browser, address, [600, 400]);
         tab.until("document.body.dataset.ready === 'yes'");
         assert_eq!(tab.value("page.scene.blocks"), 6);
         assert_eq!(tab.value(DIGEST), want);
+        assert_eq!(tab.text(picture), drawn);
         let lead = tab.text("document.getElementById('lead').textContent");
         assert_eq!(lead, "111 Gaussians");
+        let notice = "document.getElementById('notice').textContent";
+        assert_eq!(tab.text(notice), "");
+        tab.value("page.panel.setReceived(40)");
+        assert_eq!(tab.text(notice), "40 of 111 Gaussians");
+        // A picture is sorted again only where the view has moved, or the scene has changed.
+        let sorted = "(() => { let sorted = 0; const { sort } = page.order; \
+            page.order.sort = (...a) => { sorted++; sort.apply(page.order, a); }; \
+            const after = [() => page.choose(1), () => page.level(), () => page.show([1], false)] \
+                .map((act) => { sorted = 0; act(); page.draw(); page.draw(); return sorted; }); \
+            page.order.sort = sort; return after; })()";
+        assert_eq!(tab.value(sorted), json!([0, 1, 1]));
         assert_eq!(
             tab.text("document.getElementById('trouble').textContent"),
             ""

@@ -58,7 +58,10 @@ fn the_page_follows_the_run_from_its_first_copy_to_its_end() {
         point.held_out.psnr = Some(20.0 + iteration as f64 / 10.0);
         watch.event(&Event::Evaluated(point));
     }
-    tab.until("document.querySelector('.chart')?.textContent === 'PSNR, dB22.00'");
+    tab.until("document.querySelector('.chart p')?.textContent === 'PSNR, dB22.00'");
+    // Round numbers beside the curve, and the first and the last step below it.
+    let numbers = "[...document.querySelectorAll('.chart')[0].querySelectorAll('text')].map((e) => e.textContent).join()";
+    assert_eq!(tab.text(numbers), "21,21.5,22,0,20");
     let rows = "document.querySelector('tbody').innerText.replaceAll(/\\s+/g, ' ').trim()";
     watch.event(&Event::Scored {
         variant: "vote",
