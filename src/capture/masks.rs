@@ -1,15 +1,19 @@
 //! Masks of photos: black where COLMAP and training leave a photo out.
 
-use crate::data::Limits;
+use super::photos::{Photo, Photos, turned};
 use crate::data::formats::{label_folder, mask_file};
 use crate::data::photos::image_file::{ImageFile, proportional};
-use crate::error::{Error, Result, ensure};
+use crate::data::{LabelMap, Limits};
+use crate::error::{Error, Result, ensure, in_order};
 use crate::files::{atomic, file_name};
+use crate::progress::{Progress, Viewing};
 use image::imageops::FilterType;
 use image::metadata::Orientation;
 use image::{DynamicImage, GrayImage, ImageFormat};
+use rayon::prelude::*;
 use std::collections::HashMap;
 use std::io::Cursor;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 /// The masks of a folder, by their photos.
@@ -39,46 +43,82 @@ impl Masks {
         Ok(Self(found))
     }
 
-    /// Writes the mask of `photo` into `out` as a grey PNG of its size, 0 or 255, turned as the photo is by `orientation`. White for a
-    /// photo without a mask, which COLMAP would leave out.
+    /// Reads the masks of `photos` before anything is written. A warning tells of masks that may be turned.
     ///
     /// # Errors
     /// [`Error::Input`] for a mask of other proportions, or one that cannot be read; [`Error::Io`].
-    pub fn write(&self, photo: &ImageFile, orientation: Option<u8>, out: &Path) -> Result<()> {
-        let (width, height) = photo.size;
-        let orientation = orientation.and_then(Orientation::from_exif);
-        let mut upright = DynamicImage::new_luma8(width as u32, height as u32);
-        orientation.inspect(|turn| upright.apply_orientation(*turn));
-        let size = (upright.width(), upright.height());
-        let mask = match self.0.get(photo.path()) {
-            None => GrayImage::from_pixel(size.0, size.1, [u8::MAX].into()).into(),
-            Some(file) => read(file, photo.size, orientation, size)?,
+    pub fn check(&self, photos: &Photos, progress: &mut dyn Progress) -> Result<ControlFlow<()>> {
+        let masked = |photo| Some((photo, self.of(photo)?));
+        let masked: Vec<(&Photo, &Path)> = photos.all.iter().filter_map(masked).collect();
+        let mut viewing = Viewing::begin(progress, "masks", masked.len());
+        for some in masked.chunks(rayon::current_num_threads()) {
+            in_order(some.par_iter().map(|(photo, file)| {
+                let upright = turned(photo.size, photos.turn(photo));
+                decode(file, photo.size, upright).map(drop)
+            }))?;
+            if viewing.advance(some.len()).is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        viewing.end();
+        let untraced = masked
+            .iter()
+            .filter(|(photo, _)| photo.turns_without_trace());
+        if let [(first, _), ..] = untraced.collect::<Vec<_>>()[..] {
+            tracing::warn!(
+                "{}: its EXIF orientation turns it, but its size does not tell; its mask is taken to lie as the photo is stored, \
+                 and so are those of other such photos",
+                first.path.display()
+            );
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    /// The mask of `photo`, where one is given.
+    fn of(&self, photo: &Photo) -> Option<&Path> {
+        self.0.get(&photo.path).map(PathBuf::as_path)
+    }
+
+    /// Writes the mask of `photo` into `out` as a grey PNG of its size, 0 or 255, turned as the photo is by `turn`. White for a photo
+    /// without a mask, which COLMAP would leave out.
+    ///
+    /// # Errors
+    /// As for [`Masks::check`].
+    pub fn write(&self, photo: &Photo, turn: Option<Orientation>, out: &Path) -> Result<()> {
+        let size = turned(photo.size, turn);
+        let mask = match self.of(photo) {
+            None => GrayImage::from_pixel(size.0 as u32, size.1 as u32, [u8::MAX].into()).into(),
+            Some(file) => read(file, photo.size, turn)?,
         };
         let mut png = Cursor::new(Vec::new());
         let written = mask.write_to(&mut png, ImageFormat::Png);
-        let name = format!("{}.png", file_name(photo.path()).unwrap_or_default());
+        let name = format!("{}.png", file_name(&photo.path).unwrap_or_default());
         let path = out.join(name);
         written.map_err(|e| Error::io(&path, "encode", std::io::Error::other(e)))?;
         atomic::write_bytes(path, &png.into_inner())
     }
 }
 
-/// The mask in `file` of a photo of the size `stored` that becomes one of the size `upright` when it is turned: 0 or 255. A mask that
-/// has the proportions of the turned photo alone is not turned.
-fn read(
+/// The mask in `file` of a photo of the size `stored` that becomes one of the size `upright` when it is turned: 0 where the photo is
+/// left out, and whether it lies as the photo is stored. One that has the size or the proportions of the turned photo alone does not.
+fn decode(
     file: &Path,
     stored: (usize, usize),
-    orientation: Option<Orientation>,
-    upright: (u32, u32),
-) -> Result<DynamicImage> {
+    upright: (usize, usize),
+) -> Result<(LabelMap, bool)> {
     let image = ImageFile::open(file, &Limits::default())?;
-    let turned = (upright.0 as usize, upright.1 as usize);
-    let is_stored = proportional(image.size, stored);
-    ensure!(is_stored || proportional(image.size, turned), file, "size";
-        found "{}x{} pixels", image.size.0, image.size.1;
+    let size = image.size;
+    let is_stored = size == stored || size != upright && proportional(size, stored);
+    ensure!(is_stored || proportional(size, upright), file, "size"; found "{}x{} pixels", size.0, size.1;
         expected "{}x{}, as its photo, or a size of the same proportions", stored.0, stored.1;
         help "make the mask of the whole photo, neither cut nor turned");
-    let used = mask_file::decode(file, &image)?;
+    Ok((mask_file::decode(file, &image)?, is_stored))
+}
+
+/// The mask in `file` of a photo of the size `stored`, turned as the photo is by `turn`: 0 or 255.
+fn read(file: &Path, stored: (usize, usize), turn: Option<Orientation>) -> Result<DynamicImage> {
+    let upright = turned(stored, turn);
+    let (used, is_stored) = decode(file, stored, upright)?;
     let place = |x: u32, y: u32| y as usize * used.width + x as usize;
     let mut mask: DynamicImage =
         GrayImage::from_fn(used.width as u32, used.height as u32, |x, y| {
@@ -86,8 +126,8 @@ fn read(
             [if is_used { u8::MAX } else { 0 }].into()
         })
         .into();
-    if let Some(orientation) = orientation.filter(|_| is_stored) {
-        mask.apply_orientation(orientation);
+    if let Some(turn) = turn.filter(|_| is_stored) {
+        mask.apply_orientation(turn);
     }
-    Ok(mask.resize_exact(upright.0, upright.1, FilterType::Nearest))
+    Ok(mask.resize_exact(upright.0 as u32, upright.1 as u32, FilterType::Nearest))
 }

@@ -7,6 +7,7 @@ mod program;
 mod video;
 
 use self::masks::Masks;
+use self::photos::Photos;
 use self::poses::{Place, Solver};
 use crate::data::photos::{is_heic, is_photo};
 use crate::error::{Error, Result, bail, ensure};
@@ -15,6 +16,7 @@ use crate::progress::Progress;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::fs;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 /// Says what the scene folder was made from, and how far that came.
@@ -51,78 +53,92 @@ pub struct Made {
     pub poses: Option<String>,
 }
 
+/// A scene folder that is made.
+struct Room {
+    folder: PathBuf,
+    record: PathBuf,
+    images: PathBuf,
+    masks: PathBuf,
+    work: PathBuf,
+}
+
 impl Capture<'_> {
     /// Makes the scene folder `out`: photos without EXIF orientation in `images`, or frames of the video, their masks in `masks`, and
-    /// COLMAP models in `sparse`. A folder that was begun is continued: steps that are done are not done again. `None` where `progress` stopped it.
+    /// COLMAP models in `sparse`. A folder that was begun is continued: steps that are done are not done again. `None` where
+    /// `progress` stopped it.
     ///
     /// # Errors
     /// [`Error::Missing`] for the source or a program that is not there; [`Error::Argument`] for a folder with other files, or one
-    /// made from other photos; [`Error::Input`] for photos of several sizes or that cannot be placed; [`Error::Program`];
-    /// [`Error::Io`].
+    /// made from other photos; [`Error::Input`] for photos of several sizes or that cannot be placed, and for masks of other
+    /// proportions; [`Error::Program`]; [`Error::Io`].
     pub fn make(&self, out: &Path, progress: &mut dyn Progress) -> Result<Option<Made>> {
+        let photos = self.photos()?;
+        let masks = self.masks(photos.as_deref())?;
+        let input = self.input(photos.as_deref(), masks.as_ref())?;
+        // COLMAP and ffmpeg would take names that start with a dash as options.
+        let room = Room::new(files::absolute(out)?);
+        let mut made = room.begun(&input)?;
+        let solver = made.poses.is_none().then(|| Solver::find(self.python));
+        let solver = solver.transpose()?;
+        let photos = photos.filter(|_| made.photos == 0).map(Photos::look);
+        let photos = photos.transpose()?;
+        if let (Some(masks), Some(photos)) = (&masks, &photos)
+            && masks.check(photos, progress)?.is_break()
+        {
+            return Ok(None);
+        }
+        made.source = files::absolute(self.source)?;
+        made.input = input;
+        atomic::write_json(&room.record, &made)?;
+        if made.photos == 0 {
+            let photos = match photos {
+                Some(photos) => Some(photos),
+                None => self.video_frames(&room, progress)?,
+            };
+            let Some(photos) = photos else {
+                return Ok(None);
+            };
+            let with_masks = masks.as_ref().map(|masks| (masks, &*room.masks));
+            if photos.copy(with_masks, &room.images, progress)?.is_break() {
+                return Ok(None);
+            }
+            made.photos = photos.all.len();
+            made.masks = masks.map_or(0, |masks| masks.0.len());
+            atomic::write_json(&room.record, &made)?;
+        }
+        if let Some(solver) = solver {
+            if room.solve(&solver, &made, progress)?.is_break() {
+                return Ok(None);
+            }
+            made.poses = Some(solver.to_string());
+            atomic::write_json(&room.record, &made)?;
+        }
+        // What stays does no harm.
+        let _ = fs::remove_dir_all(&room.work);
+        Ok(Some(made))
+    }
+
+    /// The photos of a folder; `None` for a video.
+    fn photos(&self) -> Result<Option<Vec<PathBuf>>> {
         if !self.source.exists() {
             let help = "give a folder of photos, or a video";
             return Err(Error::missing("file or folder", self.source, help));
         }
         ensure!(!self.source.is_file() || !(is_photo(self.source) || is_heic(self.source)), self.source, "name"; found "a photo";
             expected "a folder of photos, or a video"; help "name the folder of the photo");
-        let photos = self.source.is_dir().then(|| photos::list(self.source));
-        let photos = photos.transpose()?;
-        let masks = self.masks(photos.as_deref())?;
-        let input = self.input(photos.as_deref(), masks.as_ref())?;
-        // COLMAP and ffmpeg would take names that start with a dash as options.
-        let out = files::absolute(out)?;
-        let record = out.join(RECORD);
-        let mut made = begun(&out, &record)?;
-        let (images, of_masks) = (out.join("images"), out.join("masks"));
-        let work = out.join(WORK);
-        let has_photos = images.exists();
-        ensure!(made.photos == 0 || has_photos, argument "--out"; found "{}, whose images are gone", out.display();
-            expected "the folder as this command left it"; help "name another folder");
-        ensure!(made.input == input || !has_photos, argument "--out";
-            found "{}, made from {}, other files, masks or frames", out.display(), made.source.display();
-            expected "a new folder, or one made from the same files"; help "name another folder");
-        let solver = made.poses.is_none().then(|| Solver::find(self.python));
-        let solver = solver.transpose()?;
-        made.source = files::absolute(self.source)?;
-        made.input = input;
-        atomic::write_json(&record, &made)?;
-        if made.photos == 0 {
-            let photos = match photos {
-                Some(photos) => photos,
-                None => {
-                    let folder = work.join("frames");
-                    make_empty(&folder)?;
-                    if video::frames(&made.source, self.frames, &folder, progress)?.is_break() {
-                        return Ok(None);
-                    }
-                    photos::list(&folder)?
-                }
-            };
-            let with_masks = masks.as_ref().map(|masks| (masks, &*of_masks));
-            if photos::copy(&photos, with_masks, &images, progress)?.is_break() {
-                return Ok(None);
-            }
-            made.photos = photos.len();
-            made.masks = masks.map_or(0, |masks| masks.0.len());
-            atomic::write_json(&record, &made)?;
+        let is_folder = self.source.is_dir();
+        is_folder.then(|| photos::list(self.source)).transpose()
+    }
+
+    /// Frames of the video, in the working folder. `None` where `progress` stopped it.
+    fn video_frames(&self, room: &Room, progress: &mut dyn Progress) -> Result<Option<Photos>> {
+        let folder = room.work.join("frames");
+        make_empty(&folder)?;
+        let video = files::absolute(self.source)?;
+        if video::frames(&video, self.frames, &folder, progress)?.is_break() {
+            return Ok(None);
         }
-        if let Some(solver) = solver {
-            let place = Place {
-                images: &images,
-                masks: (made.masks > 0).then_some(&of_masks),
-                work: &work,
-                models: &out.join("sparse"),
-            };
-            if solver.run(&place, made.photos, progress)?.is_break() {
-                return Ok(None);
-            }
-            made.poses = Some(solver.to_string());
-            atomic::write_json(&record, &made)?;
-        }
-        // What stays does no harm.
-        let _ = fs::remove_dir_all(&work);
-        Ok(Some(made))
+        Photos::look(photos::list(&folder)?).map(Some)
     }
 
     /// The masks of the photos, where they are given.
@@ -155,16 +171,52 @@ impl Capture<'_> {
     }
 }
 
-/// How far the folder `out` has come; it may also be new or empty.
-fn begun(out: &Path, record: &Path) -> Result<Made> {
-    if record.is_file() {
-        own::check(record)?;
-        return files::json(record, "the record that `coseg from-photos` wrote");
+impl Room {
+    fn new(folder: PathBuf) -> Self {
+        Self {
+            record: folder.join(RECORD),
+            images: folder.join("images"),
+            masks: folder.join("masks"),
+            work: folder.join(WORK),
+            folder,
+        }
     }
-    let others = names(out, |name, _| !name.starts_with('.'));
-    ensure!(others.is_empty(), argument "--out"; found "{}, which holds {}", out.display(), others.join(", ");
-        expected "a new folder, or one that this command began"; help "name another folder");
-    Ok(Made::default())
+
+    /// How far the folder has come; it may also be new or empty. Refuses one that was made from another `input`.
+    fn begun(&self, input: &str) -> Result<Made> {
+        let out = self.folder.display();
+        if !self.record.is_file() {
+            let others = names(&self.folder, |name, _| !name.starts_with('.'));
+            ensure!(others.is_empty(), argument "--out"; found "{out}, which holds {}", others.join(", ");
+                expected "a new folder, or one that this command began"; help "name another folder");
+            return Ok(Made::default());
+        }
+        own::check(&self.record)?;
+        let made: Made = files::json(&self.record, "the record that `coseg from-photos` wrote")?;
+        let has_photos = self.images.exists();
+        ensure!(made.photos == 0 || has_photos, argument "--out"; found "{out}, whose images are gone";
+            expected "the folder as this command left it"; help "name another folder");
+        ensure!(made.input == input || !has_photos, argument "--out";
+            found "{out}, made from {}, other files, masks or frames", made.source.display();
+            expected "a new folder, or one made from the same files"; help "name another folder");
+        Ok(made)
+    }
+
+    /// Finds the poses of its photos.
+    fn solve(
+        &self,
+        solver: &Solver,
+        made: &Made,
+        progress: &mut dyn Progress,
+    ) -> Result<ControlFlow<()>> {
+        let place = Place {
+            images: &self.images,
+            masks: (made.masks > 0).then_some(&*self.masks),
+            work: &self.work,
+            models: &self.folder.join("sparse"),
+        };
+        solver.run(&place, made.photos, progress)
+    }
 }
 
 /// Makes the folder, without what an earlier try left in it.

@@ -2,11 +2,12 @@
 
 use super::masks::Masks;
 use crate::data::Limits;
-use crate::data::photos::image_file::ImageFile;
+use crate::data::photos::image_file::{ImageFile, proportional};
 use crate::data::photos::{HEIC_HELP, is_heic, is_photo, is_video};
 use crate::error::{Error, Result, bail, ensure, in_order};
 use crate::files::{atomic, file_name, names};
 use crate::progress::{Progress, Viewing};
+use image::metadata::Orientation;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
 use std::ops::ControlFlow;
@@ -51,67 +52,103 @@ pub(super) fn list(dir: &Path) -> Result<Vec<PathBuf>> {
     Ok(photos.iter().map(|name| dir.join(name)).collect())
 }
 
-/// Writes the photos into the folder `out`, without EXIF orientation: turned by it where that gives all of them one size, else
-/// with their pixels as they are stored. Photos without orientation are copied. Each one's mask goes into the folder that comes with
-/// `masks`.
-///
-/// # Errors
-/// [`Error::Input`] where the photos differ in size, or one or its mask cannot be read; [`Error::Io`].
-pub(super) fn copy(
-    photos: &[PathBuf],
-    masks: Option<(&Masks, &Path)>,
-    out: &Path,
-    progress: &mut dyn Progress,
-) -> Result<ControlFlow<()>> {
-    let limits = Limits::default();
-    let headers = in_order(photos.par_iter().map(|path| {
-        let file = ImageFile::open(path, &limits)?;
-        Ok((file.size, file.exif_orientation()))
-    }))?;
-    let turns = turns(&photos[0], &headers)?;
-    let mut viewing = Viewing::begin(progress, "photos", photos.len());
-    for some in photos.chunks(rayon::current_num_threads()) {
-        in_order(some.par_iter().map(|path| {
-            let photo = ImageFile::open(path, &limits)?;
-            if let Some((masks, folder)) = masks {
-                let orientation = photo.exif_orientation().filter(|_| turns);
-                masks.write(&photo, orientation, folder)?;
-            }
-            let photo = photo.without_orientation(turns)?;
-            let name = file_name(path).unwrap_or_default();
-            atomic::write_bytes(out.join(name), &photo)
-        }))?;
-        if viewing.advance(some.len()).is_break() {
-            return Ok(ControlFlow::Break(()));
-        }
-    }
-    viewing.end();
-    Ok(ControlFlow::Continue(()))
+/// Photos that get one size when they are turned by their EXIF orientation, or have one as they are stored.
+pub(super) struct Photos {
+    pub all: Vec<Photo>,
+    /// They are turned.
+    turns: bool,
 }
 
-/// Whether the photos get one size when they are turned by their EXIF orientation, and not as they are stored only.
-fn turns(first: &Path, headers: &[((usize, usize), Option<u8>)]) -> Result<bool> {
+/// What the header of a photo says.
+pub(super) struct Photo {
+    pub path: PathBuf,
+    /// As it is stored.
+    pub size: (usize, usize),
+    /// EXIF orientation, unless it is upright.
+    exif: Option<Orientation>,
+}
+
+impl Photo {
+    /// Whether its EXIF orientation turns or mirrors it while its proportions stay the same.
+    pub fn turns_without_trace(&self) -> bool {
+        self.exif.is_some() && proportional(self.size, turned(self.size, self.exif))
+    }
+}
+
+/// A size after a turn.
+pub(super) fn turned((width, height): (usize, usize), turn: Option<Orientation>) -> (usize, usize) {
     // From 5 on the sides are swapped.
-    let upright = |&((w, h), exif): &((usize, usize), Option<u8>)| match exif {
-        Some(5..) => (h, w),
-        _ => (w, h),
-    };
-    let is_one = |sizes: &[(usize, usize)]| sizes.iter().all(|size| *size == sizes[0]);
-    let turned: Vec<_> = headers.iter().map(upright).collect();
-    if is_one(&turned) {
-        return Ok(true);
+    match turn.map(Orientation::to_exif) {
+        Some(5..) => (height, width),
+        _ => (width, height),
     }
-    let stored: Vec<_> = headers.iter().map(|(size, _)| *size).collect();
-    if is_one(&stored) {
-        return Ok(false);
+}
+
+impl Photos {
+    /// Reads the headers of the photos at `paths`.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where they differ in size, or one cannot be read; [`Error::Io`].
+    pub fn look(paths: Vec<PathBuf>) -> Result<Self> {
+        let limits = Limits::default();
+        let all = in_order(paths.into_par_iter().map(|path| {
+            let file = ImageFile::open(&path, &limits)?;
+            let exif = file.exif_orientation().and_then(Orientation::from_exif);
+            let size = file.size;
+            Ok(Photo { path, size, exif })
+        }))?;
+        let is_one = |size: fn(&Photo) -> (usize, usize)| {
+            all.iter().all(|photo| size(photo) == size(&all[0]))
+        };
+        let turns = is_one(|photo| turned(photo.size, photo.exif));
+        if turns || is_one(|photo| photo.size) {
+            return Ok(Self { all, turns });
+        }
+        let mut counts = BTreeMap::new();
+        for photo in &all {
+            *counts.entry(photo.size).or_insert(0) += 1;
+        }
+        let counts = counts.iter().map(|((w, h), n)| format!("{n} of {w}x{h}"));
+        let counts = counts.collect::<Vec<_>>().join(", ");
+        let first = &all[0].path;
+        let dir = first.parent().unwrap_or(first);
+        bail!(dir, "photos"; found "{counts} pixels"; expected "photos of one size, by one lens at one zoom";
+            help "move the others to another folder");
     }
-    let mut counts = BTreeMap::new();
-    for size in stored {
-        *counts.entry(size).or_insert(0) += 1;
+
+    /// The EXIF orientation by which the copy of `photo` is turned.
+    pub fn turn(&self, photo: &Photo) -> Option<Orientation> {
+        photo.exif.filter(|_| self.turns)
     }
-    let counts = counts.iter().map(|((w, h), n)| format!("{n} of {w}x{h}"));
-    let counts = counts.collect::<Vec<_>>().join(", ");
-    let dir = first.parent().unwrap_or(first);
-    bail!(dir, "photos"; found "{counts} pixels"; expected "photos of one size, by one lens at one zoom";
-        help "move the others to another folder");
+
+    /// Writes the photos into the folder `out`, without EXIF orientation. Those that have none are copied. Each one's mask goes into
+    /// the folder that comes with `masks`.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where a photo or its mask cannot be read; [`Error::Io`].
+    pub fn copy(
+        &self,
+        masks: Option<(&Masks, &Path)>,
+        out: &Path,
+        progress: &mut dyn Progress,
+    ) -> Result<ControlFlow<()>> {
+        let limits = Limits::default();
+        let mut viewing = Viewing::begin(progress, "photos", self.all.len());
+        for some in self.all.chunks(rayon::current_num_threads()) {
+            in_order(some.par_iter().map(|photo| {
+                if let Some((masks, folder)) = masks {
+                    masks.write(photo, self.turn(photo), folder)?;
+                }
+                let file = ImageFile::open(&photo.path, &limits)?;
+                let copy = file.without_orientation(self.turns)?;
+                let name = file_name(&photo.path).unwrap_or_default();
+                atomic::write_bytes(out.join(name), &copy)
+            }))?;
+            if viewing.advance(some.len()).is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        viewing.end();
+        Ok(ControlFlow::Continue(()))
+    }
 }

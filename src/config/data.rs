@@ -37,8 +37,8 @@ pub struct DataConfig {
     /// proportion: cameras are scaled to them.
     #[default("images".into())]
     pub images: String,
-    /// Folder of raw labels within `dir`, or a COCO file of instances; replaces what the frames name. Photos without a label file
-    /// are unlabelled. Empty: as the frames say.
+    /// Folder of raw labels within `dir`, a file of COCO instances or CVAT, or the folder of its extracted export; replaces what the
+    /// frames name. Photos without a label file are unlabelled. Empty: as the frames say.
     pub raw_labels: String,
     /// Folder of masks within `dir`, which replace the masks that the frames name. They are PNG files named as their photos, black
     /// where a photo is left out. Empty: the masks that the frames name, or `masks` in layout `colmap`, unless raw labels lie

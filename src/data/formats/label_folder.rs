@@ -35,8 +35,8 @@ pub(crate) fn drawn(names: &[PathBuf]) -> Option<PathBuf> {
     files.find(|path| path.is_file())
 }
 
-/// Decides which files hold the raw labels of `frames`: label maps, shapes of LabelMe, or a file of COCO or CVAT for all. Photos without a
-/// file in the folder that the options name are unlabelled, unless none has one.
+/// Decides which files hold the raw labels of `frames`: label maps, shapes of LabelMe, or a file of COCO or CVAT for all. Photos
+/// without a file in the folder that the options name are unlabelled, unless none has one.
 pub(super) fn choose_raw_files(dir: &Path, options: &LoadOptions, frames: &mut [Frame]) {
     let labelme_fits = matches!(options.raw_format, RawFormat::Auto | RawFormat::Labelme);
     let is_json = |path: &PathBuf| path.extension().is_some_and(|e| e == "json");
@@ -53,8 +53,12 @@ pub(super) fn choose_raw_files(dir: &Path, options: &LoadOptions, frames: &mut [
     frames.iter_mut().for_each(|frame| frame.drawn = None);
     let exists = |frame: &Frame| frame.raw.as_ref().is_some_and(|path| path.exists());
     let has_maps = frames.iter().any(exists);
-    let named = options.raw_format != RawFormat::Auto;
-    let is_used = |file: &ShapeFile| named || file.is_export || !has_maps;
+    let is_used = |file: &ShapeFile| {
+        let labelled = frames.iter().filter(|frame| exists(frame));
+        let maps = labelled.filter_map(|frame| frame.raw.as_deref());
+        let named = dir.join(options.raw_labels.as_deref().unwrap_or_default());
+        options.raw_format != RawFormat::Auto || !has_maps || file.replaces(&named, maps)
+    };
     if let Some(file) = ShapeFile::find(dir, options).filter(is_used) {
         // Which photos it labels is known once it was read.
         frames

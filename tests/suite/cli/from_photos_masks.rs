@@ -2,7 +2,7 @@
 
 use crate::support::exif_photo::photo;
 use crate::support::plates::{HEIGHT, WIDTH};
-use crate::support::program::{listed, utf8};
+use crate::support::program::{listed, text, utf8};
 use crate::support::programs::Place;
 use coseg::data::{LoadOptions, load};
 use image::{GrayImage, Luma};
@@ -75,7 +75,10 @@ fn masks_are_turned_with_their_photos() {
     mask(&masks.join("a.png"), (30, 20), |_, y| y < 10);
     mask(&masks.join("b.jpg.png"), (20, 30), |_, y| y < 15);
     let given = ["--masks", utf8(&masks)];
-    place.fails(&photos, &given, &["none of 2 photos"]);
+    let output = place.run(&photos, &given);
+    let said = text(&output.stderr);
+    assert!(said.contains("none of 2 photos"), "{said}");
+    assert!(!said.contains("EXIF"), "{said}");
     let written = place.path("room/masks");
     let corners = |name: &str| {
         let places = [(0, 0), (19, 0), (0, 29), (19, 29)];
@@ -83,9 +86,82 @@ fn masks_are_turned_with_their_photos() {
     };
     assert_eq!(corners("a.jpg.png"), [255, 0, 255, 0]);
     assert_eq!(corners("b.jpg.png"), [0, 0, 255, 255]);
-    fs::remove_dir_all(place.path("room")).unwrap();
-    mask(&masks.join("a.png"), (30, 30), |_, y| y < 10);
-    place.fails(&photos, &given, &["a.png", "30x30 pixels", "30x20"]);
+}
+
+#[test]
+fn masks_of_photos_that_turn_without_a_trace_are_taken_as_stored() {
+    // Upside down, and a quarter turn of equal sides.
+    for (size, orientation, turned) in [
+        ((30, 20), 3, [255, 255, 0, 0]),
+        ((20, 20), 6, [255, 0, 255, 0]),
+    ] {
+        let place = Place::new();
+        place.script("colmap", "exit 0");
+        let (photos, masks) = (place.path("photos"), place.path("people"));
+        fs::create_dir(&photos).unwrap();
+        fs::create_dir(&masks).unwrap();
+        for name in ["a.jpg", "b.jpg", "c.jpg"] {
+            photo(&photos.join(name), size, orientation);
+        }
+        let (width, height) = (size.0 as u32, size.1 as u32);
+        for name in ["b.png", "c.png"] {
+            mask(&masks.join(name), (width, height), |_, y| y < 10);
+        }
+        let output = place.run(&photos, &["--masks", utf8(&masks)]);
+        let said = text(&output.stderr);
+        let warnings: Vec<&str> = said.lines().filter(|line| line.contains("EXIF")).collect();
+        let [warning] = warnings[..] else {
+            panic!("not one warning: {said}");
+        };
+        assert!(
+            warning.contains("b.jpg") && warning.contains("as the photo is stored"),
+            "{said}"
+        );
+        let written = place.path("room/masks/b.jpg.png");
+        let (right, low) = (width - 1, height - 1);
+        let corners = [(0, 0), (right, 0), (0, low), (right, low)];
+        assert_eq!(
+            corners.map(|(x, y)| pixel(&written, x, y)),
+            turned,
+            "{orientation}"
+        );
+    }
+}
+
+#[test]
+fn nothing_is_written_before_all_masks_are_right() {
+    let place = Place::new();
+    place.script("colmap", "exit 0");
+    let (photos, masks) = (place.path("photos"), place.path("people"));
+    fs::create_dir(&photos).unwrap();
+    fs::create_dir(&masks).unwrap();
+    let names: Vec<String> = (10..60).map(|i| format!("{i}.jpg")).collect();
+    for name in &names {
+        photo(&photos.join(name), (30, 20), 6);
+        mask(&masks.join(format!("{name}.png")), (30, 20), |_, y| y < 10);
+    }
+    let given = ["--masks", utf8(&masks)];
+    let last = masks.join("59.jpg.png");
+    let whole = fs::read(&last).unwrap();
+    let refused = |parts: &[&str]| {
+        place.fails(&photos, &given, &[&["59.jpg.png"], parts].concat());
+        for part in ["images", "masks", "from-photos.json"] {
+            assert!(!place.path("room").join(part).exists(), "{part}");
+        }
+    };
+    mask(&last, (30, 30), |_, y| y < 10);
+    refused(&["30x30 pixels", "30x20"]);
+    // The header is right, the pixels are not.
+    let mut damaged = whole.clone();
+    let data = whole.windows(4).position(|name| name == b"IDAT").unwrap();
+    damaged[data + 4] ^= 0xFF;
+    fs::write(&last, damaged).unwrap();
+    refused(&["image data"]);
+    // The same folder is filled once it is corrected.
+    fs::write(&last, whole).unwrap();
+    place.fails(&photos, &given, &["none of 50 photos"]);
+    assert_eq!(listed(&place.path("room/images")), names);
+    assert_eq!(listed(&place.path("room/masks")).len(), 50);
 }
 
 #[test]

@@ -94,6 +94,86 @@ fn coco_instances_are_found_in_an_export_beside_copies_of_the_photos() {
 }
 
 #[test]
+fn boxes_are_read_where_nothing_else_is_there_alone() {
+    let folder = folder();
+    let dir = folder.path();
+    write(dir, "coco.json", &coco());
+    let expected = load(dir, &options("coco.json")).expect("scene");
+    let same = |change: &dyn Fn(&mut Value)| {
+        let mut value = coco();
+        change(&mut value["annotations"]);
+        write(dir, "coco.json", &value);
+        let loaded = load(dir, &options("coco.json")).expect("scene");
+        for i in [1, 3] {
+            assert_eq!(loaded.views[i].raw, expected.views[i].raw, "{value}");
+        }
+    };
+    for nothing in [json!(null), json!([[]]), json!([[], []])] {
+        same(&|v| v[4]["segmentation"] = nothing.clone());
+    }
+    same(&|v| {
+        drop(
+            v[4].as_object_mut()
+                .expect("annotation")
+                .remove("segmentation"),
+        )
+    });
+    // Beside polygons and run lengths.
+    for wrong in [json!([null, 2, 3, 4]), json!([1, 2, -3, 4]), json!("box")] {
+        same(&|v| {
+            v[1]["bbox"] = wrong.clone();
+            v[3]["bbox"] = wrong.clone();
+        });
+    }
+    let square = coco()["annotations"][0]["segmentation"][0].clone();
+    same(&|v| v[0]["segmentation"] = json!([[], square]));
+    // Neither: the annotation says nothing.
+    same(&|v| {
+        let nothing =
+            json!({ "image_id": 13, "category_id": 0, "segmentation": null, "bbox": null });
+        v.as_array_mut().expect("annotations").push(nothing);
+    });
+}
+
+#[test]
+fn label_maps_come_before_a_json_that_holds_no_instances() {
+    let folder = folder();
+    let dir = folder.path();
+    let maps = load(dir, &options("raw")).expect("scene");
+    let file = "raw/annotations/file.json";
+    let panoptic = json!({
+        "images": [{ "id": 1, "file_name": "v1.png" }],
+        "annotations": [{ "image_id": 1, "segments_info": [{ "id": 1, "category_id": 0 }] }],
+        "categories": [{ "id": 0, "name": "red" }],
+    });
+    let mut without_images = coco();
+    without_images
+        .as_object_mut()
+        .expect("file")
+        .remove("images");
+    for other in [json!({ "notes": [] }), panoptic, without_images, json!(7)] {
+        write(dir, file, &other);
+        let loaded = load(dir, &options("raw")).expect("scene");
+        assert!(!loaded.drawn, "{other}");
+        assert_eq!(labelled(&loaded).len(), 6);
+        for (found, expected) in loaded.views.iter().zip(&maps.views) {
+            assert_eq!(found.raw, expected.raw, "{other}");
+        }
+    }
+    write(dir, file, &coco());
+    let loaded = load(dir, &options("raw")).expect("scene");
+    assert!(loaded.drawn);
+    assert_eq!(labelled(&loaded), ["v1", "v3"]);
+    // Its format is named.
+    write(dir, file, &json!({ "notes": [] }));
+    let named = LoadOptions {
+        raw_format: RawFormat::CocoInstances,
+        ..options("raw")
+    };
+    refused(dir, &named, &["file.json", "missing field"]);
+}
+
+#[test]
 fn broken_coco_instances_are_refused() {
     let folder = folder();
     let dir = folder.path();
@@ -131,14 +211,15 @@ fn broken_coco_instances_are_refused() {
         &["line 1", "a list of polygons"],
     );
     broken(
-        &|v| v["annotations"][0]["segmentation"] = json!(null),
-        &["line 1", "a list of polygons"],
-    );
-    broken(
         &|v| v["annotations"][0]["segmentation"][0][3] = json!(1e200),
         &["points", "80x64"],
     );
-    for wrong in [json!([1, 2, 3]), json!([1, 2, -3, 4])] {
+    for wrong in [
+        json!([1, 2, 3]),
+        json!([1, 2, -3, 4]),
+        json!([null, 2, 3, 4]),
+        json!("box"),
+    ] {
         broken(
             &|v| v["annotations"][4]["bbox"] = wrong.clone(),
             &["annotations[4].bbox", "left, top, width and height"],
@@ -148,7 +229,6 @@ fn broken_coco_instances_are_refused() {
         &|v| v["annotations"][4]["bbox"][2] = json!(900),
         &["points", "80x64"],
     );
-    broken(&|v| v["annotations"][4]["bbox"] = json!("box"), &["line 1"]);
     let with_runs = |size: Value, counts: Value, parts: &[&str]| {
         let value = json!({ "size": size, "counts": counts });
         broken(

@@ -136,6 +136,22 @@ fn exports_are_found_beside_copies_of_the_photos() {
 }
 
 #[test]
+fn label_maps_come_before_a_file_of_cvat_beside_them() {
+    let folder = folder();
+    let dir = folder.path();
+    let maps = load(dir, &options("raw")).expect("scene");
+    write(dir, "raw", &cvat(&[image("v1.png", &shapes())]));
+    let loaded = load(dir, &options("raw")).expect("scene");
+    assert!(!loaded.drawn);
+    assert_eq!(loaded.views[1].raw, maps.views[1].raw);
+    let named = LoadOptions {
+        raw_format: RawFormat::Cvat,
+        ..options("raw")
+    };
+    assert_eq!(labelled(&load(dir, &named).expect("scene")), ["v1"]);
+}
+
+#[test]
 fn shapes_of_a_group_are_one_segment_and_may_be_of_a_smaller_copy() {
     let folder = folder();
     let dir = folder.path();
@@ -288,6 +304,12 @@ fn broken_files_of_cvat_are_refused() {
         &shape,
         &["shapes of a photo", "65535", "limit"],
     );
+    let attributes: String = (0..300).map(|i| format!(" a{i}=\"\"")).collect();
+    broken(
+        "<ellipse ",
+        &format!("<ellipse{attributes} "),
+        &["attributes of an element", "limit", "256"],
+    );
     for (text, parts) in [
         ("", &["XML"][..]),
         ("<svg/>", &["line 1, <svg>", "<annotations>"]),
@@ -305,6 +327,12 @@ fn broken_files_of_cvat_are_refused() {
     }
     write(dir, "export", &good.replace("label=\"", "label=\"no "));
     refused(dir, &export, &["categories", "class table", "rename"]);
-    fs::write(dir.join("export/annotations.xml"), [0xFF, 0xFE, 0x00]).expect("write");
+    let file = dir.join("export/annotations.xml");
+    fs::write(&file, [0xFF, 0xFE, 0x00]).expect("write");
     refused(dir, &export, &["annotations.xml", "read"]);
+    // A file that is empty after its first bytes.
+    let file = fs::OpenOptions::new().write(true).open(&file);
+    file.and_then(|file| file.set_len((1 << 28) + 1))
+        .expect("grown");
+    refused(dir, &export, &["annotations.xml", "bytes", "limit"]);
 }

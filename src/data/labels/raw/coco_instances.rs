@@ -9,6 +9,8 @@ use super::{RawFile, Vocabulary};
 use crate::data::{Classes, Limits};
 use crate::error::{Result, bail, ensure, invalid};
 use serde::Deserialize;
+use serde::de::IgnoredAny;
+use serde_json::Value;
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
@@ -34,16 +36,33 @@ struct Image {
 struct Annotation {
     image_id: u64,
     category_id: u64,
-    #[serde(default)]
-    segmentation: Segmentation,
+    segmentation: Option<Segmentation>,
     /// Left, top, width and height; read where there is no segmentation.
-    bbox: Option<Vec<f64>>,
+    #[serde(default)]
+    bbox: Value,
 }
 
 #[derive(Deserialize)]
 struct Category {
     id: u64,
     name: String,
+}
+
+/// Whether a JSON file certainly holds instances. In files of panoptic segmentation, categories are those of segments.
+pub(super) fn are_in(path: &Path) -> bool {
+    #[derive(Deserialize)]
+    struct Head {
+        #[serde(rename = "images")]
+        _images: IgnoredAny,
+        annotations: Vec<Entry>,
+    }
+    #[derive(Deserialize)]
+    struct Entry {
+        category_id: Option<IgnoredAny>,
+    }
+    let has_category = |entry: &Entry| entry.category_id.is_some();
+    drawing::read::<Head>(path, "instances")
+        .is_ok_and(|head| head.annotations.iter().any(has_category))
 }
 
 /// Reads the file at `path` for a scene with the class table `classes`: drawings by the names of those frames that have
@@ -69,47 +88,72 @@ pub(super) fn read(
         ensure!(images.insert(image.id, image).is_none(),
             path, "images[{i}].id"; found "{} twice", image.id; expected "each id once"; help "{DAMAGED_HELP}");
     }
-    let mut of_images: BTreeMap<u64, Vec<(f64, usize, Region)>> = BTreeMap::new();
-    for (i, annotation) in file.annotations.into_iter().enumerate() {
-        let field = |key: &str| format!("annotations[{i}].{key}");
-        let index = indices.get(&annotation.category_id).copied();
-        let index = index.ok_or_else(|| {
-            invalid!(path, "{}", field("category_id"); found "{}", annotation.category_id;
-                expected "one of the {} ids of categories", names.len(); help "{DAMAGED_HELP}")
-        })?;
-        ensure!(images.contains_key(&annotation.image_id),
-            path, "{}", field("image_id"); found "{}", annotation.image_id;
-            expected "one of the {} ids of images", images.len(); help "{DAMAGED_HELP}");
-        let segmentation = field("segmentation");
-        let region = annotation
-            .segmentation
-            .region(path, &segmentation, limits)?;
-        let region = match (region, annotation.bbox) {
-            (None, Some(bbox)) => box_alone(path, &field("bbox"), &bbox)?,
-            (region, _) => region,
-        };
-        if let Some(region) = region {
-            let regions = of_images.entry(annotation.image_id).or_default();
-            regions.push((area(&region), index, region));
-        }
-    }
-    let picture = |(id, mut regions): (u64, Vec<(f64, usize, Region)>)| {
-        let image = images[&id];
-        regions.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let shape = |(_, class, region)| Shape {
-            class: Some(class),
-            group: None,
-            region,
-        };
+    let of_images = shapes(path, file.annotations, &images, &indices, limits)?;
+    let picture = |(id, shapes): (u64, Vec<Shape>)| {
+        let image: &Image = images[&id];
         Picture {
             name: &image.file_name,
             size: image.width.zip(image.height),
-            shapes: regions.into_iter().map(shape).collect(),
+            shapes,
         }
     };
     let pictures = of_images.into_iter().map(picture).collect();
     let drawings = drawings(path, frames, pictures, &mut vocabulary)?;
     Ok((drawings, vocabulary))
+}
+
+/// The regions on each of the `images` by its id, the largest first. `indices` has the places of the categories.
+fn shapes(
+    path: &Path,
+    annotations: Vec<Annotation>,
+    images: &HashMap<u64, &Image>,
+    indices: &HashMap<u64, usize>,
+    limits: &Limits,
+) -> Result<BTreeMap<u64, Vec<Shape>>> {
+    let mut of_images: BTreeMap<u64, Vec<(f64, Shape)>> = BTreeMap::new();
+    for (i, annotation) in annotations.into_iter().enumerate() {
+        let field = |key: &str| format!("annotations[{i}].{key}");
+        let (image, category) = (annotation.image_id, annotation.category_id);
+        let class = indices.get(&category).copied();
+        ensure!(class.is_some(), path, "{}", field("category_id"); found "{category}";
+            expected "one of the {} ids of categories", indices.len(); help "{DAMAGED_HELP}");
+        ensure!(images.contains_key(&image), path, "{}", field("image_id"); found "{image}";
+            expected "one of the {} ids of images", images.len(); help "{DAMAGED_HELP}");
+        if let Some(region) = annotation.region(path, field, limits)? {
+            let area = area(&region);
+            let group = None;
+            let shape = Shape {
+                class,
+                group,
+                region,
+            };
+            of_images.entry(image).or_default().push((area, shape));
+        }
+    }
+    let sorted = |(image, mut shapes): (u64, Vec<(f64, Shape)>)| {
+        shapes.sort_by(|a, b| b.0.total_cmp(&a.0));
+        (image, shapes.into_iter().map(|(_, shape)| shape).collect())
+    };
+    Ok(of_images.into_iter().map(sorted).collect())
+}
+
+impl Annotation {
+    /// What it covers; `None` where it says nothing. `field` gives the names of its keys for errors.
+    fn region(
+        self,
+        path: &Path,
+        field: impl Fn(&str) -> String,
+        limits: &Limits,
+    ) -> Result<Option<Region>> {
+        let region = match self.segmentation {
+            Some(given) => given.region(path, &field("segmentation"), limits)?,
+            None => None,
+        };
+        match region {
+            None => box_alone(path, &field("bbox"), &self.bbox),
+            Some(region) => Ok(Some(region)),
+        }
+    }
 }
 
 /// The places of the categories by their ids.
@@ -126,16 +170,17 @@ fn indices(path: &Path, categories: &[Category]) -> Result<HashMap<u64, usize>> 
     Ok(indices)
 }
 
-/// The region of an annotation that has no other than its box; `None` where the list is empty. `field` is named in errors.
-fn box_alone(path: &Path, field: &str, bbox: &[f64]) -> Result<Option<Region>> {
-    match *bbox {
-        [] => Ok(None),
-        [left, top, width, height] if width >= 0.0 && height >= 0.0 => {
+/// The region of an annotation that has no other than its box; `None` where it has none. `field` is named in errors.
+fn box_alone(path: &Path, field: &str, bbox: &Value) -> Result<Option<Region>> {
+    let numbers = Option::<Vec<f64>>::deserialize(bbox);
+    match numbers.as_ref().map(Option::as_deref) {
+        Ok(None | Some([])) => Ok(None),
+        Ok(Some(&[left, top, width, height])) if width >= 0.0 && height >= 0.0 => {
             let corners = rectangle([left, top], [left + width, top + height]);
             Ok(Some(Region::Polygons(vec![corners])))
         }
         _ => {
-            bail!(path, "{field}"; found "{bbox:?}"; expected "left, top, width and height"; help "{DAMAGED_HELP}")
+            bail!(path, "{field}"; found "{bbox}"; expected "left, top, width and height"; help "{DAMAGED_HELP}")
         }
     }
 }
@@ -182,17 +227,12 @@ enum Counts {
     Packed(String),
 }
 
-impl Default for Segmentation {
-    fn default() -> Self {
-        Self::Polygons(Vec::new())
-    }
-}
-
 impl Segmentation {
     /// What it covers; `None` where it says nothing. `field` is named in errors.
     fn region(self, path: &Path, field: &str, limits: &Limits) -> Result<Option<Region>> {
         match self {
-            Self::Polygons(lists) => {
+            Self::Polygons(mut lists) => {
+                lists.retain(|list| !list.is_empty());
                 let wrong = lists
                     .iter()
                     .find(|list| list.len() < 6 || list.len() % 2 == 1);

@@ -9,12 +9,16 @@ use super::shape_labels::ShapeLabels;
 use super::{RawFile, Vocabulary};
 use crate::data::{Classes, Limits};
 use crate::error::{Error, Result, bail, ensure, invalid};
-use crate::files;
+use crate::files::{self, check_limit};
 use roxmltree::{Document, Node, ParsingOptions};
 use std::collections::HashMap;
 use std::path::Path;
 use std::str::FromStr;
 
+/// Bytes of a file.
+const MAX_BYTES: u64 = 1 << 28;
+/// Attributes of an element, which the parser compares each with each.
+const MAX_ATTRIBUTES: u64 = 256;
 /// Elements and texts of a file.
 const MAX_NODES: u32 = 1 << 24;
 const DAMAGED_HELP: &str = "export it again from CVAT, as \"CVAT for images 1.1\"";
@@ -28,8 +32,7 @@ pub(super) fn read(
     classes: &Classes,
     limits: &Limits,
 ) -> Result<(HashMap<String, Drawing>, Vocabulary)> {
-    drawing::check_size(path)?;
-    let text = files::text(path)?;
+    let text = text(path)?;
     let options = ParsingOptions {
         nodes_limit: MAX_NODES,
         ..ParsingOptions::default()
@@ -71,6 +74,23 @@ pub(super) fn read(
     }
     let drawings = drawings(path, frames, pictures, &mut labels.vocabulary)?;
     Ok((drawings, labels.vocabulary))
+}
+
+/// The text of the file, within the limits on what a parser takes.
+fn text(path: &Path) -> Result<String> {
+    drawing::check_size(path, MAX_BYTES)?;
+    let text = files::text(path)?;
+    // Attributes have no < in them, and each has a sign of equality.
+    let equals = |tag: &str| tag.bytes().filter(|byte| *byte == b'=').count() as u64;
+    let most = text.split('<').map(equals).max().unwrap_or_default();
+    check_limit(
+        path,
+        "attributes of an element",
+        most,
+        MAX_ATTRIBUTES,
+        DAMAGED_HELP,
+    )?;
+    Ok(text)
 }
 
 /// A shape of an image.

@@ -12,7 +12,7 @@ use std::f64::consts::TAU;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Bytes of a file of drawings.
+/// Bytes of a JSON file of drawings.
 const MAX_BYTES: u64 = 1 << 29;
 /// Points of all outlines on one photo.
 const MAX_POINTS: u64 = 1 << 18;
@@ -44,14 +44,14 @@ pub(super) struct Drawing {
 
 /// A JSON file of acceptable size.
 pub(super) fn read<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<T> {
-    check_size(path)?;
+    check_size(path, MAX_BYTES)?;
     files::json(path, expected)
 }
 
-/// Refuses files of drawings that are too large.
-pub(super) fn check_size(path: &Path) -> Result<()> {
+/// Refuses a file of drawings of more than `most` bytes.
+pub(super) fn check_size(path: &Path, most: u64) -> Result<()> {
     let size = std::fs::metadata(path).map_err(|e| Error::io(path, "look at", e))?;
-    check_limit(path, "bytes", size.len(), MAX_BYTES, "divide the file")
+    check_limit(path, "bytes", size.len(), most, "divide the file")
 }
 
 impl Drawing {

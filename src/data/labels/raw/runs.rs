@@ -64,21 +64,63 @@ impl Runs {
         self.counts.iter().skip(1).step_by(2).sum()
     }
 
+    /// The inside runs, cut at the ends of the lines of the box, which are its rows or its columns: each line, and places along it.
+    fn pieces(&self) -> impl Iterator<Item = (usize, Range<usize>)> {
+        let length = if self.by_rows {
+            self.size.0
+        } else {
+            self.size.1
+        };
+        let mut end = 0;
+        let runs = self.counts.iter().enumerate().map(move |(i, &count)| {
+            let start = end;
+            end += count as usize;
+            (i % 2 == 1, start..end)
+        });
+        let inside = runs.filter(|(is_inside, run)| *is_inside && !run.is_empty());
+        inside.flat_map(move |(_, run)| {
+            (run.start / length..run.end.div_ceil(length)).map(move |line| {
+                let first = line * length;
+                let start = run.start.max(first) - first;
+                (line, start..run.end.min(first + length) - first)
+            })
+        })
+    }
+
+    /// The lines that have pixels inside, from the first to the last, and the places along them; `None` where no pixel is inside.
+    fn covered(&self) -> Option<(Range<usize>, Range<usize>)> {
+        let pieces = self.pieces().map(|(line, piece)| (line..line + 1, piece));
+        pieces.reduce(|(lines, along), (line, piece)| {
+            let along = along.start.min(piece.start)..along.end.max(piece.end);
+            (lines.start..line.end, along)
+        })
+    }
+
     /// Calls `paint` with the place of each pixel that is inside, in a photo of the size `(width, height)` that the picture shows.
     pub fn paint(&self, (width, height): (usize, usize), mut paint: impl FnMut(usize)) {
-        let mut inside = Vec::with_capacity(self.size.0 * self.size.1);
-        for (i, &count) in self.counts.iter().enumerate() {
-            inside.resize(inside.len() + count as usize, i % 2 == 1);
+        let Some((lines, along)) = self.covered() else {
+            return;
+        };
+        let place = |line: usize, at: usize| (line - lines.start) * along.len() + at - along.start;
+        let mut inside = vec![false; lines.len() * along.len()];
+        for (line, piece) in self.pieces() {
+            inside[place(line, piece.start)..][..piece.len()].fill(true);
         }
-        let columns = shown(self.corner.0, self.size.0, self.picture.0, width);
-        for y in shown(self.corner.1, self.size.1, self.picture.1, height) {
-            let row = nearest(y, height, self.picture.1) - self.corner.1;
+        let (across, down) = if self.by_rows {
+            (&along, &lines)
+        } else {
+            (&lines, &along)
+        };
+        let (left, top) = self.corner;
+        let columns = shown(left + across.start, across.len(), self.picture.0, width);
+        for y in shown(top + down.start, down.len(), self.picture.1, height) {
+            let row = nearest(y, height, self.picture.1) - top;
             for x in columns.clone() {
-                let column = nearest(x, width, self.picture.0) - self.corner.0;
+                let column = nearest(x, width, self.picture.0) - left;
                 let place = if self.by_rows {
-                    row * self.size.0 + column
+                    place(row, column)
                 } else {
-                    column * self.size.1 + row
+                    place(column, row)
                 };
                 if inside[place] {
                     paint(y * width + x);
@@ -119,6 +161,22 @@ mod tests {
     }
 
     #[test]
+    fn only_the_box_of_pixels_inside_is_looked_at() {
+        let covered = |counts: &[u64]| {
+            let runs = Runs::of_columns((9, 10), counts.to_vec());
+            runs.expect("runs").covered()
+        };
+        // Of columns 1, 5 and 6 of ten pixels.
+        assert_eq!(covered(&[13, 2, 38, 4, 5, 4, 24]), Some((1..7, 2..7)));
+        assert_eq!(covered(&[0, 3, 87]), Some((0..1, 0..3)));
+        assert_eq!(covered(&[18, 4, 68]), Some((1..3, 0..10)));
+        assert_eq!(covered(&[0, 90]), Some((0..9, 0..10)));
+        assert_eq!(covered(&[45, 0, 45]), None);
+        let outside = Runs::of_columns((9, 10), vec![90]).expect("runs");
+        outside.paint((9, 10), |place| panic!("{place} is painted"));
+    }
+
+    #[test]
     fn runs_that_do_not_fill_their_box_and_boxes_beyond_the_picture_are_refused() {
         let fits = |corner, size, counts: &[u64]| {
             Runs::of_rows((7, 5), corner, size, counts.to_vec()).is_some()
@@ -135,6 +193,47 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn painted_pixels_are_those_whose_nearest_is_inside(
+            size in (1_usize..9, 1_usize..9),
+            runs in prop::collection::vec(0_u64..12, 0..12),
+            corner in (0_usize..4, 0_usize..4),
+            rest in (0_usize..4, 0_usize..4),
+            photo in (1_usize..30, 1_usize..30),
+            by_rows in any::<bool>(),
+        ) {
+            // A box in a picture, or the whole picture; its last run fills it.
+            let (corner, rest) = if by_rows { (corner, rest) } else { ((0, 0), (0, 0)) };
+            let picture = (corner.0 + size.0 + rest.0, corner.1 + size.1 + rest.1);
+            let mut left = (size.0 * size.1) as u64;
+            let mut counts: Vec<u64> = Vec::new();
+            for run in runs {
+                counts.push(run.min(left));
+                left -= run.min(left);
+            }
+            counts.push(left);
+            let mut inside: Vec<bool> = Vec::new();
+            for (i, &count) in counts.iter().enumerate() {
+                inside.resize(inside.len() + count as usize, i % 2 == 1);
+            }
+            let runs = if by_rows {
+                Runs::of_rows(picture, corner, size, counts)
+            } else {
+                Runs::of_columns(picture, counts)
+            };
+            let is_inside = |place: &usize| {
+                let x = nearest(place % photo.0, photo.0, picture.0).checked_sub(corner.0);
+                let y = nearest(place / photo.0, photo.1, picture.1).checked_sub(corner.1);
+                let (Some(x), Some(y)) = (x, y) else { return false };
+                let place = if by_rows { y * size.0 + x } else { x * size.1 + y };
+                x < size.0 && y < size.1 && inside[place]
+            };
+            let expected: Vec<usize> = (0..photo.0 * photo.1).filter(is_inside).collect();
+            let mut painted = Vec::new();
+            runs.expect("runs").paint(photo, |place| painted.push(place));
+            prop_assert_eq!(painted, expected);
+        }
+
         #[test]
         fn the_pixels_that_show_a_box_are_those_whose_nearest_lies_in_it(
             (whole, start, length) in (1_usize..40).prop_flat_map(|whole| (Just(whole), 0..whole))

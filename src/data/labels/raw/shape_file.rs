@@ -1,7 +1,7 @@
 //! One file with the shapes of all photos: where it is, and which photos its pictures are.
 
 use super::drawing::{Drawing, Region};
-use super::{RawFile, Vocabulary};
+use super::{RawFile, Vocabulary, coco_instances};
 use crate::config::RawFormat;
 use crate::data::{LoadOptions, MapGeometry};
 use crate::error::{Result, ensure};
@@ -15,14 +15,16 @@ const OTHER_FILES: [&str; 3] = ["classes.json", "label.json", MapGeometry::FILE]
 const CVAT_FILE: &str = "annotations.xml";
 /// The folder of the file of COCO in exports.
 const COCO_FOLDER: &str = "annotations";
+/// The folder of exports for copies of the photos.
+const PHOTO_FOLDER: &str = "images";
 
 /// A file with the shapes of all photos.
 pub(crate) struct ShapeFile {
     pub path: PathBuf,
     /// Of CVAT or COCO.
     pub format: RawFormat,
-    /// It lies as in exports, whose pictures are copies of the photos and no label maps.
-    pub is_export: bool,
+    /// It lies as in exports.
+    is_export: bool,
 }
 
 impl ShapeFile {
@@ -49,6 +51,16 @@ impl ShapeFile {
         let fits =
             matches!(options.raw_format, RawFormat::Auto) || options.raw_format == found.format;
         fits.then_some(found)
+    }
+
+    /// Whether it is read where the `maps` lie in the folder that `data.raw_labels` names, too: they are the export's copies of the
+    /// photos, or the file certainly holds instances.
+    pub fn replaces<'m>(&self, named: &Path, mut maps: impl Iterator<Item = &'m Path>) -> bool {
+        let copies = named.join(PHOTO_FOLDER);
+        let is_coco = self.format == RawFormat::CocoInstances;
+        self.is_export
+            && (maps.all(|map| map.starts_with(&copies))
+                || is_coco && coco_instances::are_in(&self.path))
     }
 
     fn new(path: PathBuf, is_cvat: bool, is_export: bool) -> Self {
@@ -103,10 +115,11 @@ pub(super) fn drawings(
     pictures: Vec<Picture<'_>>,
     vocabulary: &mut Vocabulary,
 ) -> Result<HashMap<String, Drawing>> {
+    let photos = Photos::new(frames);
     let mut drawings = HashMap::new();
     let mut others = 0;
     for picture in pictures {
-        let Some(frame) = frame_of(frames, picture.name) else {
+        let Some(frame) = photos.frame(picture.name) else {
             others += 1;
             continue;
         };
@@ -132,19 +145,102 @@ pub(super) fn drawings(
     Ok(drawings)
 }
 
-/// The frame of an image: the one whose photo has this path. Photos that lie in one folder are found by their names alone.
-fn frame_of<'a>(frames: &'a [RawFile<'a>], file_name: &str) -> Option<&'a RawFile<'a>> {
-    // Windows' tools write its separators.
-    let path = PathBuf::from(file_name.replace('\\', "/")).with_extension("");
-    let folder = frames.first()?.photo.parent();
-    let is_one_folder = frames.iter().all(|frame| frame.photo.parent() == folder);
-    let wanted = if is_one_folder {
-        Path::new(path.file_name()?)
-    } else {
-        path.as_path()
-    };
-    let mut found = frames
-        .iter()
-        .filter(|frame| frame.photo.with_extension("").ends_with(wanted));
-    found.next().filter(|_| found.next().is_none())
+/// Finds frames by the file names of images.
+struct Photos<'a> {
+    /// By their paths without extension and by the ends of these; `None` for an end that several have.
+    by_ending: HashMap<PathBuf, Option<&'a RawFile<'a>>>,
+    is_one_folder: bool,
+}
+
+impl<'a> Photos<'a> {
+    fn new(frames: &'a [RawFile<'a>]) -> Self {
+        let folder = frames.first().and_then(|frame| frame.photo.parent());
+        let mut by_ending = HashMap::new();
+        for frame in frames {
+            let path = frame.photo.with_extension("");
+            let parts: Vec<_> = path.components().collect();
+            for start in 0..parts.len() {
+                let entry = by_ending.entry(parts[start..].iter().collect());
+                entry.and_modify(|of| *of = None).or_insert(Some(frame));
+            }
+        }
+        Self {
+            by_ending,
+            is_one_folder: frames.iter().all(|frame| frame.photo.parent() == folder),
+        }
+    }
+
+    /// The frame of an image: the one whose photo has this path. Photos that lie in one folder are found by their names alone.
+    fn frame(&self, file_name: &str) -> Option<&'a RawFile<'a>> {
+        // Windows' tools write its separators.
+        let path = PathBuf::from(file_name.replace('\\', "/")).with_extension("");
+        let wanted = if self.is_one_folder {
+            Path::new(path.file_name()?)
+        } else {
+            path.as_path()
+        };
+        self.by_ending.get(wanted).copied().flatten()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::{Duration, Instant};
+
+    /// The photo that is found for an image of this name.
+    fn found<'a>(photos: &[&'a str], file_name: &str) -> Option<&'a str> {
+        let frames: Vec<_> = photos.iter().map(|photo| frame(photo)).collect();
+        let name = Photos::new(&frames).frame(file_name)?.name;
+        photos.iter().copied().find(|photo| *photo == name)
+    }
+
+    fn frame(photo: &str) -> RawFile<'_> {
+        RawFile {
+            name: photo,
+            photo: Path::new(photo),
+            path: Path::new("coco.json"),
+            is_labelme: false,
+        }
+    }
+
+    #[test]
+    fn photos_of_one_folder_are_found_by_name_and_others_by_path() {
+        let one = ["/room/images/a.jpg", "/room/images/b.v2.jpg"];
+        assert_eq!(found(&one, "a.png"), Some(one[0]));
+        assert_eq!(found(&one, "train\\b.v2.png"), Some(one[1]));
+        assert_eq!(found(&one, "b.png"), None);
+        assert_eq!(found(&one, ""), None);
+        let two = [
+            "/room/images/left/a.jpg",
+            "/room/images/right/a.jpg",
+            "/room/images/left/b.jpg",
+        ];
+        assert_eq!(found(&two, "right\\a.jpg"), Some(two[1]));
+        assert_eq!(found(&two, "images/left/a.png"), Some(two[0]));
+        assert_eq!(found(&two, "b.jpg"), Some(two[2]));
+        for other in ["a.jpg", "ht/a.jpg", "train/left/a.jpg", "", "c.jpg"] {
+            assert_eq!(found(&two, other), None, "{other}");
+        }
+        let same = ["/room/images/a.jpg", "/room/images/a.png"];
+        assert_eq!(found(&same, "a.jpg"), None);
+    }
+
+    #[test]
+    fn photos_are_found_in_time_that_grows_with_their_number() {
+        // A comparison of each with each takes minutes.
+        let photos: Vec<String> = (0..30_000)
+            .map(|i| format!("/room/images/{i}.jpg"))
+            .collect();
+        let frames: Vec<_> = photos.iter().map(|photo| frame(photo)).collect();
+        let started = Instant::now();
+        let photos = Photos::new(&frames);
+        for frame in &frames {
+            assert_eq!(
+                photos.frame(frame.name).map(|found| found.name),
+                Some(frame.name)
+            );
+        }
+        assert!(started.elapsed() < Duration::from_secs(30));
+    }
 }
