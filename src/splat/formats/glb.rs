@@ -20,7 +20,7 @@ const FLOAT: u64 = 5_126;
 /// Bytes of a position, and of a label with its padding.
 const POSITION: usize = 12;
 const LABEL: usize = 4;
-/// Difference of coordinates, as a share of them, that rounding to float explains. One rounding makes an eighth of it.
+/// Difference of coordinates, as a share of the largest, that rounding to float explains. One rounding makes an eighth of it.
 const ROUNDING: f64 = 4.0 * f32::EPSILON as f64;
 
 /// The bytes `glb` of the file `path` with one of the `labels` for each vertex of the first primitive. The vertices must be the
@@ -66,13 +66,16 @@ fn check_order(
     origin: DVec3,
 ) -> Result<()> {
     let positions = gaussians.positions(origin);
-    let rounding = |p: &DVec3| ROUNDING * p.abs().max_element();
-    let near = |a: f64, b: f64| (a.abs() - b.abs()).abs() <= ROUNDING * b.abs();
+    // Centres near zero may have come there by adding the origin to a rounded one.
+    let rounding = |p: &DVec3| ROUNDING * p.abs().max(origin.abs()).max_element();
     let (moved, apart) = (median(positions.iter().map(rounding)), spacing(gaussians));
     ensure!(moved <= apart || positions.len() < 2, path, "POSITION";
         found "Gaussians {apart:.2e} apart, so far from zero that float may round them by {moved:.2e}";
         expected "neighbours that rounding leaves apart"; help "write a .ply file, which has such positions as double");
-    let is_same = |(a, b): (&[f32; 3], &DVec3)| (0..3).all(|i| near(a[i].into(), b[i]));
+    let is_same = |(a, b): (&[f32; 3], &DVec3)| {
+        let apart = DVec3::from(a.map(f64::from)).abs() - b.abs();
+        apart.abs().max_element() <= rounding(b)
+    };
     let is_ordered =
         vertices.len() == positions.len() && vertices.iter().zip(&positions).all(is_same);
     ensure!(is_ordered, path, "POSITION"; found "{} vertices, in another order", vertices.len();

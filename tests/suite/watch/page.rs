@@ -7,6 +7,7 @@ use coseg::progress::{CurvePoint, Event, Progress, Silent};
 use coseg::watch::Watched;
 use serde_json::json;
 use std::net::Ipv4Addr;
+use std::time::{Duration, Instant};
 
 /// The picture that the page shows.
 const PICTURE: &str = "document.querySelector('iframe:not(.next)').contentWindow.page";
@@ -89,7 +90,12 @@ fn the_page_follows_the_run_from_its_first_copy_to_its_end() {
 
     tab.value("document.getElementById('stop').click()");
     tab.until("document.getElementById('stop').textContent === 'Stopping'");
-    assert!(watch.stop());
+    // The button says so before the server hears of it.
+    let clock = Instant::now();
+    while !watch.stop() {
+        assert!(clock.elapsed() < Duration::from_secs(20), "not stopped");
+        std::thread::sleep(Duration::from_millis(20));
+    }
     drop(watch);
     tab.until("document.getElementById('stage').textContent.startsWith('The run has ended.')");
     assert_eq!(tab.value("watch.shown"), json!(2), "the picture stays");
