@@ -249,7 +249,7 @@ fn without_raw(listing: &Listing) -> Option<String> {
 fn held_out_drawn_labels(listing: &Listing) -> Option<String> {
     let is_drawn = |frame: &&Frame| frame.split == Split::Test && frame.raw.is_some();
     let drawn: Vec<&Frame> = listing.frames.iter().filter(is_drawn).collect();
-    (listing.raw.are_drawn() && !drawn.is_empty()).then(|| {
+    (listing.raw.drawings().is_some() && !drawn.is_empty()).then(|| {
         format!(
             "{} photos with drawn labels are held out, and nothing learns from them: {}; `coseg data suggest` names photos that \
              are trained on",

@@ -4,7 +4,7 @@
 
 use super::drawing::{self, Drawing, Point, Region};
 use super::runs::Runs;
-use super::shape_file::{Picture, Shape, drawings};
+use super::shape_file::drawings;
 use super::shape_labels::ShapeLabels;
 use super::{RawFile, Vocabulary};
 use crate::data::{Classes, Limits};
@@ -55,24 +55,20 @@ pub(super) fn read(
         .collect::<Result<Vec<_>>>()?;
     let names = of_images.iter().flatten().map(|shape| shape.label);
     let mut labels = ShapeLabels::new(path, classes, names)?;
-    let mut pictures = Vec::new();
+    let mut drawn = Vec::new();
     for (image, mut shapes) in images.iter().zip(of_images) {
         if shapes.is_empty() {
             continue;
         }
         shapes.sort_by(|a, b| a.depth.total_cmp(&b.depth));
-        let shape = |shape: Labelled| Shape {
-            class: labels.place(shape.label),
-            group: shape.group,
-            region: shape.region,
-        };
-        pictures.push(Picture {
-            name: image.required("name")?,
-            size: Some(image.size()?),
-            shapes: shapes.into_iter().map(shape).collect(),
-        });
+        let name = image.required("name")?;
+        let mut drawing = Drawing::new(path, Some(image.size()?));
+        for shape in shapes {
+            labels.draw(&mut drawing, shape.label, shape.group, shape.region)?;
+        }
+        drawn.push((name, drawing));
     }
-    let drawings = drawings(path, frames, pictures, &mut labels.vocabulary)?;
+    let drawings = drawings(path, frames, drawn, &mut labels.vocabulary)?;
     Ok((drawings, labels.vocabulary))
 }
 

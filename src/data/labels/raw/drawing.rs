@@ -30,7 +30,7 @@ pub(super) enum Region {
 }
 
 /// The labels of a photo, in the order in which they are painted.
-pub(super) struct Drawing {
+pub(crate) struct Drawing {
     /// The file that it was read from.
     pub file: PathBuf,
     /// Size of the picture that it was drawn on, where the file gives it.
@@ -67,7 +67,7 @@ impl Drawing {
 
     /// Puts a region over the earlier ones: a segment of the class `index` of `vocabulary`, or of no class. Regions of one class and
     /// group are one segment.
-    pub fn add(
+    pub(super) fn add(
         &mut self,
         vocabulary: &Vocabulary,
         index: Option<usize>,
