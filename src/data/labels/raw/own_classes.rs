@@ -7,14 +7,11 @@ use crate::data::{Classes, LabelMap};
 use crate::error::{Result, ensure};
 use std::path::{Path, PathBuf};
 
-/// The name of the table.
-const FILE: &str = "classes.json";
-
 /// The class table of a folder of maps, where it has one of its own. The maps of the scene folder `dir` itself are in the
 /// scene's table.
 pub(super) fn table(dir: &Path, maps: &Path) -> Option<PathBuf> {
-    let file = maps.join(FILE);
-    let is_scene = || crate::files::atomic::same_file(&file, &dir.join(FILE));
+    let file = maps.join(Classes::FILE);
+    let is_scene = || crate::files::atomic::same_file(&file, &dir.join(Classes::FILE));
     (file.is_file() && !is_scene()).then_some(file)
 }
 

@@ -3,14 +3,14 @@
 use super::drawing::Drawing;
 use super::{RawFile, Vocabulary, coco_instances};
 use crate::config::RawFormat;
-use crate::data::{LoadOptions, MapGeometry};
+use crate::data::{Classes, LoadOptions, MapGeometry};
 use crate::error::{Result, ensure};
 use crate::files::{extension, names};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 /// JSON files in a folder of labels that are something else.
-const OTHER_FILES: [&str; 3] = ["classes.json", "label.json", MapGeometry::FILE];
+const OTHER_FILES: [&str; 3] = [Classes::FILE, "label.json", MapGeometry::FILE];
 /// The file of CVAT's own export.
 const CVAT_FILE: &str = "annotations.xml";
 /// The folder of the file of COCO in exports.
