@@ -123,7 +123,8 @@ fn panoptic(
         [&|id| segments.class(id), &|id| class_of[usize::from(id)]];
     let mut quality = PanopticQuality::default();
     let mut scene = PanopticQuality::default();
-    each.iter().for_each(|pairs| quality.count(pairs, classes_of));
+    each.iter()
+        .for_each(|pairs| quality.count(pairs, classes_of));
     scene.count(&pooled, classes_of);
     (!each.is_empty()).then(|| PanopticScores {
         all: quality.quality(),

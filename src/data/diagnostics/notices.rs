@@ -143,11 +143,8 @@ pub(crate) fn cameras(listing: &Listing) -> Vec<String> {
             }
         };
         notices.extend(outside_center(&posed, side, &field("c", "principal point")));
-        notices.extend(unusual_field_of_view(
-            &posed,
-            side,
-            &field("fl_", "focal length"),
-        ));
+        let focal = field("fl_", "focal length");
+        notices.extend(unusual_field_of_view(&posed, side, &focal));
     }
     let file = listing.file.display();
     notices

@@ -173,12 +173,9 @@ impl Blocks {
                 continue;
             }
             let ray = |(x, y): (usize, usize)| {
-                let (u, v) = (x as f64 + 0.5, y as f64 + 0.5);
-                turn * DVec3::new(
-                    (u - camera.cx) / camera.fx,
-                    (v - camera.cy) / camera.fy,
-                    1.0,
-                )
+                let x = (x as f64 + 0.5 - camera.cx) / camera.fx;
+                let y = (y as f64 + 0.5 - camera.cy) / camera.fy;
+                turn * DVec3::new(x, y, 1.0)
             };
             let rays: Vec<DVec3> = pixels.map(ray).collect();
             let seen = |inverse_depth: f64| -> Option<Vec<f64>> {

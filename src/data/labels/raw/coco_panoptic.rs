@@ -155,13 +155,9 @@ impl Panoptic {
         })?;
         let what = format!("segments of {}", stem(path));
         let most = u64::from(u16::MAX) - 1;
-        check_limit(
-            &self.path,
-            &what,
-            listed.len() as u64,
-            most,
-            "leave small segments out",
-        )?;
+        let count = listed.len() as u64;
+        let help = "leave small segments out";
+        check_limit(&self.path, &what, count, most, help)?;
         let mut numbers = HashMap::new();
         let mut segments = Vec::new();
         for ((&id, &(class, thing)), number) in listed.iter().zip(1..) {

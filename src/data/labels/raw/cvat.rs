@@ -79,13 +79,8 @@ fn text(path: &Path) -> Result<String> {
     // Attributes have no < in them, and each has a sign of equality.
     let equals = |tag: &str| tag.bytes().filter(|byte| *byte == b'=').count() as u64;
     let most = text.split('<').map(equals).max().unwrap_or_default();
-    check_limit(
-        path,
-        "attributes of an element",
-        most,
-        MAX_ATTRIBUTES,
-        DAMAGED_HELP,
-    )?;
+    let what = "attributes of an element";
+    check_limit(path, what, most, MAX_ATTRIBUTES, DAMAGED_HELP)?;
     Ok(text)
 }
 
@@ -213,13 +208,8 @@ impl<'a> Element<'a> {
         };
         let points: Option<Vec<Point>> = text.split(';').map(point).collect();
         let points = points.filter(|points| points.len() > 2);
-        points.ok_or_else(|| {
-            self.error(
-                "points",
-                &format!("{text:?}"),
-                "x,y;x,y;.. of three points or more",
-            )
-        })
+        let expected = "x,y;x,y;.. of three points or more";
+        points.ok_or_else(|| self.error("points", &format!("{text:?}"), expected))
     }
 
     /// `polygon` turned about `center` by `rotation`, in degrees from x to y.

@@ -41,13 +41,8 @@ impl ShapeLabels {
         ensure!(!labels.is_empty(),
             file, "shapes"; found "none with a label"; expected "the outlines of objects, with their classes";
             help "draw polygons and save them");
-        check_limit(
-            file,
-            "labels",
-            labels.len() as u64,
-            MAX_LABELS,
-            "use fewer labels",
-        )?;
+        let count = labels.len() as u64;
+        check_limit(file, "labels", count, MAX_LABELS, "use fewer labels")?;
         Ok(Self {
             vocabulary: Vocabulary::new(file, classes, (1..).zip(labels.values().copied()))?,
             places: labels.into_keys().zip(0..).collect(),

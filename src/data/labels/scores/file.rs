@@ -143,13 +143,8 @@ impl ScoreMap {
     fn check(&self, path: &Path, limits: &Limits) -> Result<()> {
         let cells = (self.width as u64).saturating_mul(self.height as u64);
         let values = cells.saturating_mul(self.classes as u64);
-        check_limit(
-            path,
-            "scores",
-            values,
-            limits.image_pixels,
-            "store fewer classes of each cell",
-        )?;
+        let help = "store fewer classes of each cell";
+        check_limit(path, "scores", values, limits.image_pixels, help)?;
         let lengths = [self.ids.len(), self.probabilities.len()];
         ensure!(values > 0 && lengths.map(|n| n as u64) == [values; 2], path, "tensors";
             found "{lengths:?} values of {} classes, {}x{} cells", self.classes, self.width, self.height;
