@@ -109,10 +109,8 @@ impl Decorator<'_> {
             }
             let s = self.rng.random_range(-reach..reach);
             let (from, to) = (s - w / 2.0 - 0.36, s + w / 2.0 + 0.36);
-            if self
-                .plan
-                .take_wall(k, [from, to, low - 0.1, high + 0.2], 0.1)
-            {
+            let area = [from, to, low - 0.1, high + 0.2];
+            if self.plan.take_wall(k, area, 0.1) {
                 self.build_window(k, s, [w, low, high], color);
                 return true;
             }

@@ -159,12 +159,10 @@ impl Blocks {
         let columns = camera.width / BLOCK_PIXELS;
         let mut blocks = Self::default();
         for block in 0..columns * (camera.height / BLOCK_PIXELS) {
-            let corner = (
-                block % columns * BLOCK_PIXELS,
-                block / columns * BLOCK_PIXELS,
-            );
+            let left = block % columns * BLOCK_PIXELS;
+            let top = block / columns * BLOCK_PIXELS;
             let pixels = (0..BLOCK_PIXELS * BLOCK_PIXELS)
-                .map(|i| (corner.0 + i % BLOCK_PIXELS, corner.1 + i / BLOCK_PIXELS));
+                .map(|i| (left + i % BLOCK_PIXELS, top + i / BLOCK_PIXELS));
             let own: Vec<f64> = pixels
                 .clone()
                 .map(|(x, y)| from.grey[y * camera.width + x])

@@ -168,10 +168,8 @@ fn fill(
     // The first pixel whose centre is not before `edge`.
     let first = |edge: f64, most: usize| (edge - 0.5).ceil().clamp(0.0, most as f64) as usize;
     let ys = || polygon.iter().map(|point| point[1]);
-    let (top, bottom) = (
-        ys().fold(f64::INFINITY, f64::min),
-        ys().fold(f64::NEG_INFINITY, f64::max),
-    );
+    let top = ys().fold(f64::INFINITY, f64::min);
+    let bottom = ys().fold(f64::NEG_INFINITY, f64::max);
     let mut crossings = Vec::new();
     for y in first(top, height)..first(bottom, height) {
         let center = y as f64 + 0.5;
