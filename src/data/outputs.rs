@@ -1,12 +1,11 @@
 //! Folders that commands may write into: none that holds a scene's own files.
 
-use super::LoadOptions;
 use super::blocks::Block;
 use super::formats::folder::Problems;
-use super::formats::frame::Frame;
 use super::formats::layout;
 use super::formats::listing::Cloud;
-use crate::error::{Result, bail, ensure};
+use super::{Classes, LoadOptions};
+use crate::error::{Result, ensure};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -25,18 +24,14 @@ pub fn check_outputs(
     folders: &[&Path],
     scene: Option<(&Path, &LoadOptions)>,
 ) -> Result<()> {
-    let read = scene
-        .map(|(dir, options)| folders_read(dir, options))
-        .unwrap_or_default();
+    let read = scene.map(|(dir, options)| folders_read(dir, options));
+    let read = read.unwrap_or_default();
     for folder in folders {
         let place = absolute(folder);
-        if is_scene(&place) || read.contains(&place) || is_read_by_scene_above(&place) {
-            let found = format!("{}, which holds files of a scene", folder.display());
-            let expected =
-                "a folder of its own: photos, poses, label maps and classes are never overwritten";
-            bail!(argument "{option}"; found "{found}"; expected "{expected}";
-                help "name a new folder");
-        }
+        ensure!(!read.contains(&place) && !is_read_by_scene_above(&place),
+            argument "{option}"; found "{}, which holds files of a scene", folder.display();
+            expected "a folder of its own: photos, poses, label maps and classes are never overwritten";
+            help "name a new folder");
     }
     Ok(())
 }
@@ -52,84 +47,61 @@ pub fn check_output_file(
     (dir, options): (&Path, &LoadOptions),
 ) -> Result<()> {
     let place = absolute(file);
-    let own = files_read(dir, options)
-        .into_iter()
-        .chain([whole(dir).join("classes.json")]);
-    ensure!(own.map(|file| absolute(&file)).all(|file| file != place),
+    let mut read = files_read(dir, options).into_iter();
+    ensure!(read.all(|file| absolute(&file) != place),
         argument "{option}"; found "{}, a file of the scene", file.display();
         expected "another file"; help "name a new file");
     Ok(())
 }
 
-fn is_scene(folder: &Path) -> bool {
-    layout::locate(folder, &LoadOptions::default()).is_ok()
-}
-
+/// Whether a scene that lies in `folder` or above reads files in it, or will once it has that name.
 fn is_read_by_scene_above(folder: &Path) -> bool {
-    let is_reserved = folder
-        .file_name()
-        .is_some_and(|name| RESERVED.iter().any(|reserved| name == *reserved));
-    let mut above = folder.ancestors().skip(1).take(LEVELS).enumerate();
-    above.any(|(level, dir)| {
-        is_scene(dir)
-            && (level == 0 && is_reserved
-                || folders_read(dir, &LoadOptions::default()).contains(folder))
+    let options = LoadOptions::default();
+    let mut scenes = folder.ancestors().take(LEVELS + 1);
+    scenes.any(|dir| {
+        let is_read = || folders_read(dir, &options).contains(folder);
+        let is_reserved = || RESERVED.iter().any(|name| dir.join(name) == folder);
+        layout::locate(dir, &options).is_ok() && (is_reserved() || is_read())
     })
 }
 
-/// The folders whose files make the scene in folder `dir`.
+/// The folders whose files make the scene in folder `dir`, and that folder.
 fn folders_read(dir: &Path, options: &LoadOptions) -> BTreeSet<PathBuf> {
     let files = files_read(dir, options);
     // Raw labels may be folders themselves.
     let folders = files
         .iter()
-        .filter(|file| file.is_dir())
-        .map(PathBuf::as_path);
+        .map(PathBuf::as_path)
+        .filter(|file| file.is_dir());
     let parents = files.iter().filter_map(|file| file.parent());
-    let whole = whole(dir);
-    let scenes = [dir, &whole];
-    folders.chain(parents).chain(scenes).map(absolute).collect()
+    folders.chain(parents).map(absolute).collect()
 }
 
-/// The folder of the whole scene, where `dir` is a block of one; else `dir`. Faults of a block are reported where it is loaded.
-fn whole(dir: &Path) -> PathBuf {
-    let block = Block::in_folder(dir).ok().flatten();
-    let scene = block.and_then(|block| block.scene_folder(dir).ok());
-    scene.unwrap_or_else(|| dir.to_owned())
-}
-
-/// Photos, label maps, masks and the initial cloud of the scene in folder `dir`.
+/// Photos, label maps, masks, the initial cloud and the class table of the scene in folder `dir`, whether or not they are there.
 fn files_read(dir: &Path, options: &LoadOptions) -> Vec<PathBuf> {
-    // Faults of the scene are reported where it is loaded.
-    let listing = layout::list(dir, options, &mut Problems::default());
-    let cloud = listing.iter().filter_map(|listing| match &listing.cloud {
-        Cloud::Ply(file) => Some(file.clone()),
-        _ => None,
-    });
-    let files = |frame: &Frame| {
-        let maps = [&frame.mask, &frame.truth, &frame.raw, &frame.instances];
-        let maps = maps.into_iter().flatten().cloned();
-        [frame.image.clone()]
-            .into_iter()
-            .chain(maps)
-            .collect::<Vec<_>>()
-    };
-    let frames = listing.iter().flat_map(|listing| &listing.frames);
-    frames.flat_map(files).chain(cloud).collect()
+    // Faults of the scene, and of a block of one, are reported where it is loaded.
+    let block = Block::in_folder(dir).ok().flatten();
+    let whole = block.and_then(|block| block.scene_folder(dir).ok());
+    let mut files = vec![dir.join(Classes::FILE)];
+    files.extend(whole.map(|whole| whole.join(Classes::FILE)));
+    if let Ok(listing) = layout::list(dir, options, &mut Problems::default()) {
+        for frame in &listing.frames {
+            files.push(frame.image.clone());
+            files.extend(frame.maps().cloned());
+        }
+        if let Cloud::Ply(cloud) = listing.cloud {
+            files.push(cloud);
+        }
+    }
+    files
 }
 
 /// The path with links resolved as far as it exists.
 fn absolute(path: &Path) -> PathBuf {
-    let mut rest = Vec::new();
     let full = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-    for above in full.ancestors() {
-        if let Ok(place) = above.canonicalize() {
-            return rest
-                .into_iter()
-                .rev()
-                .fold(place, |place: PathBuf, name| place.join(name));
-        }
-        rest.extend(above.file_name());
-    }
-    full
+    let resolved = full.ancestors().find_map(|above| {
+        let rest = full.strip_prefix(above).ok()?;
+        Some(above.canonicalize().ok()?.join(rest))
+    });
+    resolved.unwrap_or(full)
 }

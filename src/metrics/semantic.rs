@@ -111,25 +111,21 @@ fn panoptic(
             )
             .collect();
         // Objects without a class show nothing.
-        let found = view.objects.iter();
-        let found = found.map(|&id| {
-            if known(class_of[usize::from(id)]) {
-                id
-            } else {
-                0
-            }
-        });
-        let found: Vec<u16> = found.collect();
+        let is_known = |id: u16| known(class_of[usize::from(id)]);
+        let shown = view.objects.iter();
+        let shown: Vec<u16> = shown.map(|&id| if is_known(id) { id } else { 0 }).collect();
         let mut pairs = Pairs::default();
-        pairs.add(&truth, &found);
+        pairs.add(&truth, &shown);
         pooled.merge(&pairs);
         each.push(pairs);
     }
-    let of: [&dyn Fn(u16) -> u16; 2] = [&|id| segments.class(id), &|id| class_of[usize::from(id)]];
+    let classes_of: [&dyn Fn(u16) -> u16; 2] =
+        [&|id| segments.class(id), &|id| class_of[usize::from(id)]];
     let mut quality = PanopticQuality::default();
     let mut scene = PanopticQuality::default();
-    each.iter().for_each(|pairs| quality.count(pairs, of));
-    scene.count(&pooled, of);
+    each.iter()
+        .for_each(|pairs| quality.count(pairs, classes_of));
+    scene.count(&pooled, classes_of);
     (!each.is_empty()).then(|| PanopticScores {
         all: quality.quality(),
         things: quality.quality_of(|class| !stuff.contains(&class)),

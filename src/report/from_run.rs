@@ -105,10 +105,8 @@ pub fn held_out_views<'a>(
         .iter()
         .filter(|r| shown(r.variant) && r.identities.is_some())
         .collect();
-    let (source, coverage) = (
-        config.segmentation.render,
-        config.segmentation.min_coverage as f32,
-    );
+    let source = config.segmentation.render;
+    let coverage = config.segmentation.min_coverage as f32;
     let classes = &outcome.scene.classes;
     let identities = rows.iter().filter_map(|r| r.identities.as_ref());
     let maps: Vec<_> = identities

@@ -77,17 +77,13 @@ impl HeldOutView<'_> {
         };
         labels.write(&file("label"))?;
         let colored = pictures::colored(labels, classes);
-        save(
-            "label_color",
-            &pictures::with_legend(&colored, labels, classes),
-        )?;
-        match &self.view.truth {
-            Some(truth) => save(
-                "label_error",
-                &pictures::label_error(labels, &truth.map(), classes.ignore),
-            ),
-            None => atomic::remove(file("label_error")),
-        }
+        let colored = pictures::with_legend(&colored, labels, classes);
+        save("label_color", &colored)?;
+        let Some(truth) = &self.view.truth else {
+            return atomic::remove(file("label_error"));
+        };
+        let error = pictures::label_error(labels, &truth.map(), classes.ignore);
+        save("label_error", &error)
     }
 
     /// The difference of `rgb`, the rendered view, from the photo; grey where a mask leaves pixels out.

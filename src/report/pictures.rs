@@ -146,11 +146,8 @@ pub fn with_legend(picture: &RgbImage, labels: &LabelMap, classes: &Classes) -> 
     let columns = (picture.width() as usize / widest.max(1)).max(1);
     let rows = entries.len().div_ceil(columns);
     let strip = if rows == 0 { 0 } else { rows * line + 2 * gap };
-    let mut out = RgbImage::from_pixel(
-        picture.width(),
-        picture.height() + strip as u32,
-        Rgb([250, 250, 248]),
-    );
+    let height = picture.height() + strip as u32;
+    let mut out = RgbImage::from_pixel(picture.width(), height, Rgb([250, 250, 248]));
     image::imageops::replace(&mut out, picture, 0, 0);
     for (i, (color, text)) in entries.iter().enumerate() {
         let x = gap + (i % columns) * (picture.width() as usize / columns);

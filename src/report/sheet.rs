@@ -15,12 +15,13 @@ const CAPTION: usize = GLYPH + 5;
 /// Views in rows: each its photo, then its raw and its true labels where some view has them, with captions. A legend of the
 /// classes at the end. Where raw labels are segments, each has a colour of its own.
 pub fn contact_sheet(tiles: &[Thumbnail], classes: &Classes) -> RgbImage {
-    let side = |of: fn(&RgbImage) -> u32| {
-        let sides = tiles.iter().map(|tile| of(&tile.photo) as usize);
+    let longest = |side: fn(&RgbImage) -> u32| {
+        let sides = tiles.iter().map(|tile| side(&tile.photo) as usize);
         sides.max().unwrap_or(1)
     };
-    let (width, height) = (side(RgbImage::width), side(RgbImage::height));
-    let has = |of: fn(&Thumbnail) -> &Option<LabelMap>| tiles.iter().any(|tile| of(tile).is_some());
+    let (width, height) = (longest(RgbImage::width), longest(RgbImage::height));
+    let has =
+        |map: fn(&Thumbnail) -> &Option<LabelMap>| tiles.iter().any(|tile| map(tile).is_some());
     let (has_raw, has_truth) = (has(|tile| &tile.raw), has(|tile| &tile.truth));
     let parts = 1 + usize::from(has_raw) + usize::from(has_truth);
     let cell = [width * parts + GAP, height + CAPTION + GAP];

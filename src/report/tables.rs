@@ -252,16 +252,13 @@ fn class_table<T>(
 pub(super) fn times(report: &Report<'_>) -> Markup {
     let s = &report.metrics.seconds;
     let known = s.building + s.features + s.unprojection + s.segmentation;
+    let rest = (s.total - known).max(0.0);
     let stages = [
         ("building", s.building, color(Variant::Ours)),
         ("2D features", s.features, color(Variant::Vote)),
         ("unprojection", s.unprojection, color(Variant::PerGaussian)),
         ("segmentation", s.segmentation, color(Variant::OursCe)),
-        (
-            "loading, scoring, writing",
-            (s.total - known).max(0.0),
-            color(Variant::Raw),
-        ),
+        ("loading, scoring, writing", rest, color(Variant::Raw)),
     ];
     let share = |seconds: f64| 100.0 * seconds / s.total.max(1e-9);
     let body = html! {

@@ -136,11 +136,8 @@ pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
         }
         // A value that does not fit an f32 counts as not finite.
         if let Some(column) = cells.iter().position(|&v| !(v as f32).is_finite()) {
-            return Err(bad(
-                column,
-                "a finite number",
-                "remove this Gaussian (splat-transform --filter-nan)",
-            ));
+            let help = "remove this Gaussian (splat-transform --filter-nan)";
+            return Err(bad(column, "a finite number", help));
         }
         let g = &mut scene.gaussians;
         positions.push(DVec3::new(cells[0], cells[1], cells[2]));
@@ -157,11 +154,8 @@ pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
             let column = opacity + 8;
             let id = cells[column];
             if id.fract() != 0.0 || !(0.0..=65_535.0).contains(&id) {
-                return Err(bad(
-                    column,
-                    "a class id from 0 to 65535",
-                    "correct or drop the label column",
-                ));
+                let help = "correct or drop the label column";
+                return Err(bad(column, "a class id from 0 to 65535", help));
             }
             labels.push(id as u16);
         }

@@ -103,7 +103,14 @@ pub fn largest_buffer(client: &Client) -> usize {
     usize::try_from(client.properties().memory.max_page_size).unwrap_or(usize::MAX)
 }
 
-/// A buffer as a kernel argument.
-pub fn arg(tensor: &CubeTensor) -> BufferArg {
-    tensor.clone().into_buffer_arg()
+/// Launches a kernel on so many `cubes` with these buffers, then these numbers and constants:
+/// `launch!(gpu, kernel, gpu.cubes_for(n); a, &b; n as u32)`.
+macro_rules! launch {
+    ($gpu:expr, $kernel:ident, $cubes:expr; $($buffer:expr),+; $($value:expr),+) => {
+        $kernel::launch(
+            &$gpu.client, $cubes, $gpu.dim(),
+            $(burn_cubecl::tensor::CubeTensor::clone($buffer).into_buffer_arg(),)+ $($value),+
+        )
+    };
 }
+pub(crate) use launch;

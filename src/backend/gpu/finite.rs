@@ -1,6 +1,6 @@
 //! Values that are NaN or infinite, counted.
 
-use super::{Gpu, arg};
+use super::{Gpu, launch};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 
@@ -27,13 +27,7 @@ pub fn add_non_finite(gpu: &Gpu, values: &CubeTensor, len: usize, report: &CubeT
     if len > 0 {
         // A unit looks at several values.
         let units = len.min(1 << 20);
-        count_non_finite::launch(
-            &gpu.client,
-            gpu.cubes_for(units),
-            gpu.dim(),
-            arg(values),
-            arg(report),
-            len as u32,
-        );
+        launch!(gpu, count_non_finite, gpu.cubes_for(units);
+            values, report; len as u32);
     }
 }

@@ -113,13 +113,8 @@ impl Object<'_> {
 
     /// An upright box with rounded edges.
     pub fn cushion(&mut self, center: [f64; 3], size: [f64; 3], radius: f64, material: usize) {
-        self.solid(
-            Shape::Rounded(radius),
-            center,
-            size,
-            DMat3::IDENTITY,
-            material,
-        );
+        let shape = Shape::Rounded(radius);
+        self.solid(shape, center, size, DMat3::IDENTITY, material);
     }
 
     /// An upright cylinder or cone: centre, height, radius at the bottom and at the top.
@@ -132,13 +127,9 @@ impl Object<'_> {
         material: usize,
     ) {
         let r = bottom.max(top);
-        self.solid(
-            Shape::Frustum(bottom / r, top / r),
-            center,
-            [2.0 * r, 2.0 * r, height],
-            DMat3::IDENTITY,
-            material,
-        );
+        let shape = Shape::Frustum(bottom / r, top / r);
+        let size = [2.0 * r, 2.0 * r, height];
+        self.solid(shape, center, size, DMat3::IDENTITY, material);
     }
 
     /// An ellipsoid.

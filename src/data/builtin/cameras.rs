@@ -47,11 +47,8 @@ pub(super) fn shots(
     for i in 0..test {
         let along = (i as f64 + 0.5) / test as f64;
         let (eye, target) = walk(room, start, along);
-        let shift = DVec3::new(
-            rng.random_range(-0.6..0.6),
-            rng.random_range(-0.6..0.6),
-            rng.random_range(-0.25..0.25),
-        );
+        let mut within = |reach: f64| rng.random_range(-reach..reach);
+        let shift = DVec3::new(within(0.6), within(0.6), within(0.25));
         let target = target + shift;
         // Off the walk: drawn towards the room's middle, to the side, higher or lower.
         let mut best: Option<(f64, DVec3)> = None;

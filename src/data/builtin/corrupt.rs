@@ -140,10 +140,8 @@ impl Objects {
             let hard = (spread * normal - spread * spread / 2.0).exp().min(3.0);
             let hard = hard / (1.0 + 4.0 * share);
             difficulty.insert(id, hard);
-            runs.insert(
-                (id, class),
-                run(labels.len(), hard, &wrong[&class], params, rng),
-            );
+            let views = run(labels.len(), hard, &wrong[&class], params, rng);
+            runs.insert((id, class), views);
         }
         Self {
             difficulty,
@@ -162,12 +160,8 @@ fn largest_shares(
     let mut largest = BTreeMap::new();
     for (map, ids) in labels.iter().zip(instances) {
         let mut area: BTreeMap<(u16, u16), usize> = BTreeMap::new();
-        for (&class, &id) in map
-            .ids
-            .iter()
-            .zip(*ids)
-            .filter(|(class, _)| **class != ignore)
-        {
+        let pixels = map.ids.iter().zip(*ids);
+        for (&class, &id) in pixels.filter(|(class, _)| **class != ignore) {
             *area.entry((id, class)).or_default() += 1;
         }
         for (key, n) in area {

@@ -95,11 +95,8 @@ const CORNERS: [(f64, f64); 4] = [(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 
 fn legs(o: &mut Object, [width, depth]: [f64; 2], height: f64, thickness: f64, material: usize) {
     for (x, y) in CORNERS {
         let (x, y) = (x * (width - thickness), y * (depth - thickness));
-        o.cuboid(
-            [x, y, height / 2.0],
-            [thickness, thickness, height],
-            material,
-        );
+        let size = [thickness, thickness, height];
+        o.cuboid([x, y, height / 2.0], size, material);
     }
 }
 
@@ -213,11 +210,8 @@ fn desk(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) {
     let front = Pattern::Panels(rgb(0xe9e4d8), rgb(0x9d978a), rgb(0x55504a), [1, 3]);
     let front = o.builder.matt(front);
     let middle = h / 2.0 - 0.02;
-    o.cuboid(
-        [w / 2.0 - 0.24, 0.0, middle],
-        [0.42, d - 0.04, h - 0.04],
-        front,
-    );
+    let at = [w / 2.0 - 0.24, 0.0, middle];
+    o.cuboid(at, [0.42, d - 0.04, h - 0.04], front);
     for y in [-0.5, 0.5] {
         let at = [-w / 2.0 + 0.04, y * (d - 0.08), middle];
         o.cuboid(at, [0.06, 0.06, h - 0.04], s.metal);
@@ -244,13 +238,8 @@ fn chair(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) {
     let back = -d / 2.0 - 0.008;
     if (variant / 3).is_multiple_of(2) {
         let at = [0.0, back - 0.01, h - 0.16];
-        o.solid(
-            Shape::Rounded(0.015),
-            at,
-            [w - 0.04, 0.035, 0.3],
-            lean,
-            wood,
-        );
+        let size = [w - 0.04, 0.035, 0.3];
+        o.solid(Shape::Rounded(0.015), at, size, lean, wood);
         return;
     }
     for i in [0.0, 1.0, 2.0] {
@@ -298,13 +287,8 @@ fn sideboard(o: &mut Object, s: &Style, [w, d, h]: [f64; 3], variant: usize) {
     let [light, dark] = s.wood_colors[variant % 2];
     let front = Pattern::Panels(light, dark * 0.5, rgb(0xd8c28a), [3, 1]);
     let front = o.builder.matt(front);
-    legs(
-        o,
-        [w - 0.1, d - 0.08],
-        0.16,
-        0.045,
-        s.woods[(variant + 1) % 2],
-    );
+    let feet = s.woods[(variant + 1) % 2];
+    legs(o, [w - 0.1, d - 0.08], 0.16, 0.045, feet);
     o.cuboid([0.0, 0.0, h / 2.0 + 0.07], [w, d, h - 0.14], front);
     let top = s.woods[variant % 2];
     o.cuboid([0.0, 0.0, h - 0.015], [w + 0.03, d + 0.02, 0.03], top);

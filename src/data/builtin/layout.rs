@@ -212,11 +212,8 @@ impl Decorator<'_> {
             let s = s + side * (size[0] / 2.0 + table[0] / 2.0 + 0.1);
             let at = self.plan.on_wall(k, s, 0.3, 0.0);
             let free = self.plan.take_floor(at, 0.0, table[0], table[0], 0.02);
-            if free
-                && self
-                    .plan
-                    .take_wall(k, [s - 0.24, s + 0.24, 0.0, 1.15], 0.02)
-            {
+            let behind = [s - 0.24, s + 0.24, 0.0, 1.15];
+            if free && self.plan.take_wall(k, behind, 0.02) {
                 let variant = self.rng.random_range(0..2);
                 self.put(Kind::SideTable, at, 0.0, table, variant);
                 self.table_lamp(at + DVec3::Z * table[2]);
@@ -234,10 +231,9 @@ impl Decorator<'_> {
             let y = self.rng.random_range(-1.0..1.0) * reach.y;
             let turn = yaw(self.rng.random_range(0..2)) + self.rng.random_range(-0.12..0.12);
             let at = DVec3::new(x, y, 0.0);
-            if self
-                .plan
-                .take_floor(at, turn, size[0] + 0.7, size[1] + 1.0, 0.15)
-            {
+            // With room for the chairs.
+            let [w, d] = [size[0] + 0.7, size[1] + 1.0];
+            if self.plan.take_floor(at, turn, w, d, 0.15) {
                 self.set_table(at, turn, size);
                 return true;
             }

@@ -79,11 +79,9 @@ impl Room {
             let (b, size) = layout::furnish(Some(DVec3::new(6.4, 5.2, 2.7)), &mut rng);
             let objects: BTreeSet<_> = b.solids.iter().map(|s| (s.class, s.instance)).collect();
             let count = |class| objects.iter().filter(|object| object.0 == class).count();
+            let has = |&(class, least): &(u16, usize)| count(class) >= least;
             // A few layouts are enough.
-            if MIN_OBJECTS
-                .iter()
-                .all(|&(class, least)| count(class) >= least)
-            {
+            if MIN_OBJECTS.iter().all(has) {
                 let mut room = Self::new(b, size);
                 room.bake();
                 return room;

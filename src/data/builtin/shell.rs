@@ -38,11 +38,8 @@ impl Decorator<'_> {
         };
         let floor = self.builder.matt(floor);
         let mut o = self.builder.object(class::FLOOR, DVec3::ZERO, 0.0);
-        o.cuboid(
-            [0.0, 0.0, -THICKNESS / 2.0],
-            [w + 0.4, d + 0.4, THICKNESS],
-            floor,
-        );
+        let size = [w + 0.4, d + 0.4, THICKNESS];
+        o.cuboid([0.0, 0.0, -THICKNESS / 2.0], size, floor);
     }
 
     fn walls(&mut self) {
@@ -73,11 +70,8 @@ impl Decorator<'_> {
             let material = if k == accent { special } else { base };
             let at = self.plan.on_wall(k, 0.0, 0.0, 0.0);
             let mut o = self.builder.object(class::WALL, at, yaw(k));
-            o.cuboid(
-                [0.0, -THICKNESS / 2.0, h / 2.0],
-                [length, THICKNESS, h],
-                material,
-            );
+            let size = [length, THICKNESS, h];
+            o.cuboid([0.0, -THICKNESS / 2.0, h / 2.0], size, material);
             if wainscot && k != accent {
                 o.cuboid([0.0, 0.006, 0.42], [length, 0.012, 0.84], panelling);
                 o.cuboid([0.0, 0.014, 0.86], [length, 0.028, 0.05], white);
@@ -92,11 +86,8 @@ impl Decorator<'_> {
         let plaster = self.builder.matt(plaster);
         let beams = self.rng.random_bool(0.6);
         let mut o = self.builder.object(class::CEILING, DVec3::Z * h, 0.0);
-        o.cuboid(
-            [0.0, 0.0, THICKNESS / 2.0],
-            [w + 0.4, d + 0.4, THICKNESS],
-            plaster,
-        );
+        let size = [w + 0.4, d + 0.4, THICKNESS];
+        o.cuboid([0.0, 0.0, THICKNESS / 2.0], size, plaster);
         if beams {
             let n = (w / 1.4).round();
             for i in 0..n as usize {
@@ -118,10 +109,8 @@ impl Decorator<'_> {
             }
             let s = self.rng.random_range(-reach..reach);
             let (from, to) = (s - w / 2.0 - 0.36, s + w / 2.0 + 0.36);
-            if self
-                .plan
-                .take_wall(k, [from, to, low - 0.1, high + 0.2], 0.1)
-            {
+            let area = [from, to, low - 0.1, high + 0.2];
+            if self.plan.take_wall(k, area, 0.1) {
                 self.build_window(k, s, [w, low, high], color);
                 return true;
             }

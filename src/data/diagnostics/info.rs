@@ -123,7 +123,7 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
     sizes.sort_by_key(|&(.., n)| Reverse(n));
     let left_out = frames.iter().map(|f| f.left_out);
     let pixels = frames.iter().map(|f| f.pixels);
-    let count = |of: fn(&&Frame) -> bool| listing.frames.iter().filter(of).count();
+    let count = |is: fn(&&Frame) -> bool| listing.frames.iter().filter(is).count();
     Ok(Info {
         name: scene_name(dir),
         layout: listing.layout,

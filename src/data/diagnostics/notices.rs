@@ -29,16 +29,16 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         options,
         layout,
     });
-    let of_scene = [
+    let cameras = cameras(&listing);
+    let others = [
         large_photos(&listing, options.max_side),
         assumed_undistorted(&listing, options),
         without_mask(&listing, masks),
+        without_raw(&listing),
+        held_out_drawn_labels(&listing),
     ];
-    let mut notices: Vec<String> = of_scene.into_iter().flatten().collect();
-    notices.extend(cameras(&listing));
-    notices.extend(without_raw(&listing));
-    notices.extend(held_out_drawn_labels(&listing));
-    listing.notices.extend(notices);
+    listing.notices.extend(cameras);
+    listing.notices.extend(others.into_iter().flatten());
     Ok(listing)
 }
 
@@ -50,9 +50,10 @@ pub(crate) fn list_sound(dir: &Path, options: &LoadOptions) -> Result<Listing> {
     Problems::first_of(|problems| list(dir, options, problems))
 }
 
-fn frame_names(frames: &[&Frame]) -> String {
-    let names: Vec<&str> = frames.iter().map(|frame| &*frame.name).collect();
-    first_names(&names)
+/// The number of `frames` and the first few names; `None` where there are none.
+fn listed<'a>(frames: impl Iterator<Item = &'a Frame>) -> Option<(usize, String)> {
+    let names: Vec<&str> = frames.map(|frame| &*frame.name).collect();
+    (!names.is_empty()).then(|| (names.len(), first_names(&names)))
 }
 
 /// Photos that are reduced to at most `most` pixels a side; 0 means no limit.
@@ -67,14 +68,9 @@ fn large_photos(listing: &Listing, most: usize) -> Option<String> {
 /// Photos without a mask where others have one, or where `folder` holds masks.
 fn without_mask(listing: &Listing, folder: Option<&str>) -> Option<String> {
     let is_whole = |frame: &&Frame| frame.mask.is_none();
-    let without: Vec<&Frame> = listing.frames.iter().filter(is_whole).collect();
-    let count = without.len();
+    let (count, names) = listed(listing.frames.iter().filter(is_whole))?;
     let all = listing.frames.len();
-    if count == 0 {
-        return None;
-    }
     if count < all {
-        let names = frame_names(&without);
         return Some(format!(
             "{count} of {all} photos have no mask and are used whole: {names}"
         ));
@@ -129,11 +125,8 @@ pub(crate) fn cameras(listing: &Listing) -> Vec<String> {
             }
         };
         notices.extend(outside_center(&posed, side, &field("c", "principal point")));
-        notices.extend(unusual_field_of_view(
-            &posed,
-            side,
-            &field("fl_", "focal length"),
-        ));
+        let focal = field("fl_", "focal length");
+        notices.extend(unusual_field_of_view(&posed, side, &focal));
     }
     let file = listing.file.display();
     notices
@@ -173,16 +166,16 @@ fn outside_center(
     side: impl Fn(&Frame) -> [f64; 3],
     field: &str,
 ) -> Option<String> {
-    let is_outside = |frame: &&&Frame| {
+    let is_outside = |frame: &&Frame| {
         let [_, center, length] = side(frame);
         !(0.0..=length).contains(&center)
     };
-    let outside: Vec<&Frame> = posed.iter().filter(is_outside).copied().collect();
-    let [_, center, length] = side(outside.first()?);
+    let outside = || posed.iter().copied().filter(is_outside);
+    let [_, center, length] = side(outside().next()?);
+    let (_, names) = listed(outside())?;
     Some(format!(
-        "{field} of {}: found {center}, expected a pixel of the photo, 0 to {length}; where photos were scaled, scale the \
-         intrinsics with them",
-        frame_names(&outside)
+        "{field} of {names}: found {center}, expected a pixel of the photo, 0 to {length}; where photos were scaled, scale the \
+         intrinsics with them"
     ))
 }
 
@@ -196,33 +189,28 @@ fn unusual_field_of_view(
         2.0 * (0.5 * length / focal).atan().to_degrees()
     };
     let [low, high] = USUAL_FIELDS_OF_VIEW;
-    let is_unusual = |frame: &&&Frame| !(low..=high).contains(&angle(frame));
-    let unusual: Vec<&Frame> = posed.iter().filter(is_unusual).copied().collect();
-    let first = unusual.first()?;
+    let is_unusual = |frame: &&Frame| !(low..=high).contains(&angle(frame));
+    let unusual = || posed.iter().copied().filter(is_unusual);
+    let first = unusual().next()?;
     let [focal, ..] = side(first);
+    let angle = angle(first);
+    let (_, names) = listed(unusual())?;
     Some(format!(
-        "{field} of {}: found {focal} pixels, a field of view of {:.1} degrees, expected {low} to {high}; give it in pixels \
-         of these photos, not in millimetres or for another size",
-        frame_names(&unusual),
-        angle(first)
+        "{field} of {names}: found {focal} pixels, a field of view of {angle:.1} degrees, expected {low} to {high}; give it in \
+         pixels of these photos, not in millimetres or for another size"
     ))
 }
 
 /// Training frames without raw labels where others have some.
 fn without_raw(listing: &Listing) -> Option<String> {
-    let train = listing
-        .frames
-        .iter()
-        .filter(|frame| frame.split == Split::Train);
-    let (labelled, without): (Vec<&Frame>, Vec<&Frame>) =
-        train.partition(|frame| frame.raw.is_some());
-    let count = without.len();
-    let all = without.len() + labelled.len();
-    (!without.is_empty() && !labelled.is_empty()).then(|| {
+    let is_training = |frame: &&Frame| frame.split == Split::Train;
+    let train = || listing.frames.iter().filter(is_training);
+    let (count, names) = listed(train().filter(|frame| frame.raw.is_none()))?;
+    let all = train().count();
+    let labelled = all - count;
+    (labelled > 0).then(|| {
         format!(
-            "{count} of {all} training frames have no raw labels: {}; {} have some",
-            frame_names(&without),
-            labelled.len()
+            "{count} of {all} training frames have no raw labels: {names}; {labelled} have some"
         )
     })
 }
@@ -230,35 +218,29 @@ fn without_raw(listing: &Listing) -> Option<String> {
 /// Held-out photos with labels drawn by hand: no training view learns from them.
 fn held_out_drawn_labels(listing: &Listing) -> Option<String> {
     let is_drawn = |frame: &&Frame| frame.split == Split::Test && frame.raw.is_some();
-    let drawn: Vec<&Frame> = listing.frames.iter().filter(is_drawn).collect();
-    (listing.raw.are_drawn() && !drawn.is_empty()).then(|| {
-        format!(
-            "{} photos with drawn labels are held out, and nothing learns from them: {}; `coseg data suggest` names photos that \
-             are trained on",
-            drawn.len(),
-            frame_names(&drawn)
-        )
-    })
+    listing.raw.drawings()?;
+    let (count, names) = listed(listing.frames.iter().filter(is_drawn))?;
+    Some(format!(
+        "{count} photos with drawn labels are held out, and nothing learns from them: {names}; `coseg data suggest` names photos \
+         that are trained on"
+    ))
 }
 
 /// Training frames whose raw labels have no labelled pixel. `train` has the name of each frame with raw labels, and whether that
 /// is the case.
 pub(crate) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Option<String> {
-    let train: Vec<_> = train.collect();
-    let void = train.iter().filter(|(_, void)| *void);
-    let void: Vec<&str> = void.map(|(name, _)| *name).collect();
-    let count = void.len();
-    let all = train.len();
+    let (void, labelled): (Vec<_>, Vec<_>) = train.partition(|(_, void)| *void);
+    let (count, all) = (void.len(), void.len() + labelled.len());
+    let names: Vec<&str> = void.into_iter().map(|(name, _)| name).collect();
+    let consequence = if labelled.is_empty() {
+        "; stage two has nothing to learn from: look at the ids and at classes.json"
+    } else {
+        ""
+    };
     (count > 0).then(|| {
-        let names = first_names(&void);
-        let notice = format!(
-            "raw labels of {count} of {all} training frames are unlabelled in every pixel: {names}"
-        );
-        if count < all {
-            return notice;
-        }
         format!(
-            "{notice}; stage two has nothing to learn from: look at the ids and at classes.json"
+            "raw labels of {count} of {all} training frames are unlabelled in every pixel: {}{consequence}",
+            first_names(&names)
         )
     })
 }
@@ -266,16 +248,12 @@ pub(crate) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Opti
 /// A notice of the photos whose labels may belong to a turned copy. Sizes alone do not show this: the flag of each frame says it.
 pub(crate) fn turned<'a>(frames: impl Iterator<Item = (&'a Frame, bool)>) -> Option<String> {
     let turned = frames.filter(|(_, turned)| *turned);
-    let turned: Vec<&Frame> = turned.map(|(frame, _)| frame).collect();
-    (!turned.is_empty()).then(|| {
-        format!(
-            "{} photos have an EXIF orientation, by which other programs turn or mirror them; coseg does not. No size shows \
-             whether their label maps and masks were made from turned photos: {}; apply the orientation to the photos \
-             or strip it (docs/from-photos.md, 1), before COLMAP and the segmenter see them",
-            turned.len(),
-            frame_names(&turned)
-        )
-    })
+    let (count, names) = listed(turned.map(|(frame, _)| frame))?;
+    Some(format!(
+        "{count} photos have an EXIF orientation, by which other programs turn or mirror them; coseg does not. No size shows \
+         whether their label maps and masks were made from turned photos: {names}; apply the orientation to the photos \
+         or strip it (docs/from-photos.md, 1), before COLMAP and the segmenter see them"
+    ))
 }
 
 /// A notice if only the size of a map suggests that lens distortion was removed from it. It looks at the first raw labels of a

@@ -159,12 +159,10 @@ impl Blocks {
         let columns = camera.width / BLOCK_PIXELS;
         let mut blocks = Self::default();
         for block in 0..columns * (camera.height / BLOCK_PIXELS) {
-            let corner = (
-                block % columns * BLOCK_PIXELS,
-                block / columns * BLOCK_PIXELS,
-            );
+            let left = block % columns * BLOCK_PIXELS;
+            let top = block / columns * BLOCK_PIXELS;
             let pixels = (0..BLOCK_PIXELS * BLOCK_PIXELS)
-                .map(|i| (corner.0 + i % BLOCK_PIXELS, corner.1 + i / BLOCK_PIXELS));
+                .map(|i| (left + i % BLOCK_PIXELS, top + i / BLOCK_PIXELS));
             let own: Vec<f64> = pixels
                 .clone()
                 .map(|(x, y)| from.grey[y * camera.width + x])
@@ -173,12 +171,9 @@ impl Blocks {
                 continue;
             }
             let ray = |(x, y): (usize, usize)| {
-                let (u, v) = (x as f64 + 0.5, y as f64 + 0.5);
-                turn * DVec3::new(
-                    (u - camera.cx) / camera.fx,
-                    (v - camera.cy) / camera.fy,
-                    1.0,
-                )
+                let x = (x as f64 + 0.5 - camera.cx) / camera.fx;
+                let y = (y as f64 + 0.5 - camera.cy) / camera.fy;
+                turn * DVec3::new(x, y, 1.0)
             };
             let rays: Vec<DVec3> = pixels.map(ray).collect();
             let seen = |inverse_depth: f64| -> Option<Vec<f64>> {

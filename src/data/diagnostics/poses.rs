@@ -195,7 +195,7 @@ fn verdict(
         .others()
         .map(|other| Fit::new(of_layout, other, views, points))
         .collect();
-    let best = |by: fn(&Fit) -> f64| others.iter().max_by(|a, b| by(a).total_cmp(&by(b)));
+    let best = |score: fn(&Fit) -> f64| others.iter().max_by(|a, b| score(a).total_cmp(&score(b)));
     let by_agreement = best(|fit| fit.agreement)?;
     if by_agreement.agreement > MIN_RIGHT_AGREEMENT {
         let found = format!(

@@ -49,7 +49,7 @@ impl Listing {
             classes: self.classes_of(&views),
             views,
             points: self.points(origin, &options.limits)?,
-            drawn: self.raw.are_drawn(),
+            drawn: self.raw.drawings().is_some(),
             origin,
             up: self.up(),
             unit_is_metre: self.layout != Layout::Colmap,

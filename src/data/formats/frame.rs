@@ -110,8 +110,13 @@ impl Frame {
 
     /// Whether it has labels or a mask that may belong to a turned copy of the photo in `file`, which sizes alone do not show.
     pub fn may_be_turned(&self, file: &ImageFile) -> bool {
+        self.maps().next().is_some() && file.turns_without_trace()
+    }
+
+    /// The files of its labels and mask.
+    pub fn maps(&self) -> impl Iterator<Item = &PathBuf> {
         let maps = [&self.truth, &self.raw, &self.instances, &self.mask];
-        maps.into_iter().any(Option::is_some) && file.turns_without_trace()
+        maps.into_iter().flatten()
     }
 }
 

@@ -23,10 +23,13 @@ pub(crate) fn file(names: &[PathBuf]) -> Option<PathBuf> {
     names.iter().find(|path| path.is_file()).cloned()
 }
 
-/// The first of `names` that is a file, or a folder of masks without its extension.
+/// The first of `names` that is there, as a file or as a folder of masks with its name without extension.
 pub(crate) fn map(names: &[PathBuf]) -> Option<PathBuf> {
-    let mut folders = names.iter().map(|path| path.with_extension(""));
-    file(names).or_else(|| folders.find(|path| path.is_dir()))
+    names.iter().find_map(|path| {
+        let masks = path.with_extension("");
+        let file = path.is_file().then(|| path.clone());
+        file.or_else(|| masks.is_dir().then_some(masks))
+    })
 }
 
 /// The first of `names` that is a JSON file.

@@ -143,8 +143,8 @@ fn nothing(dir: &Path, options: &LoadOptions) -> Error {
                 expected "{expected}"; help "name one with --set data.transforms={first}");
         }
     }
-    if let Some((other, there)) = markers(dir, options).first() {
-        return invalid!(dir, "data.layout"; found "{named}, but {there} of layout {other}"; expected "{expected}";
+    if let Some((other, marker)) = markers(dir, options).first() {
+        return invalid!(dir, "data.layout"; found "{named}, but {marker} of layout {other}"; expected "{expected}";
             help "choose that one with --set data.layout={other}, or give another folder");
     }
     let (found, help) = meant(dir);

@@ -105,9 +105,11 @@ impl Listing {
             return self.without_raw_labels();
         };
         // One file may hold the shapes of all photos.
-        let is_empty = |frame: &&mut Frame| raw.are_drawn() && !raw.has_drawing(&frame.name);
-        let without = self.frames.iter_mut().filter(is_empty);
-        without.for_each(|frame| frame.raw = None);
+        if let Some(drawings) = raw.drawings() {
+            let frames = self.frames.iter_mut();
+            let undrawn = frames.filter(|frame| !drawings.contains_key(&frame.name));
+            undrawn.for_each(|frame| frame.raw = None);
+        }
         self.raw = raw;
         if let Some(vocabulary) = vocabulary {
             self.occurring_classes |= self.classes.is_empty();

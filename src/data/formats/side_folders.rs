@@ -22,15 +22,15 @@ impl<'a> SideFolders<'a> {
     /// names, some photo must have a file.
     pub fn frame(&self, frame: Frame, photo: &Path) -> Frame {
         let Folder { dir, options, .. } = self.folder;
-        let of = |folder: &str| names(&dir.join(folder), photo);
-        let raw = of(options.raw_labels.as_deref().unwrap_or("labels_raw"));
+        let files = |folder: &str| names(&dir.join(folder), photo);
+        let raw = files(options.raw_labels.as_deref().unwrap_or("labels_raw"));
         let usual = || options.raw_labels.is_some().then(|| raw[0].clone());
         Frame {
             mask: self.masks.of_photo(photo),
-            truth: map(&of("labels")),
+            truth: map(&files("labels")),
             drawn: drawn(&raw),
             raw: map(&raw).or_else(usual),
-            instances: map(&of("instances")),
+            instances: map(&files("instances")),
             ..frame
         }
     }

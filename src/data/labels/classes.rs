@@ -14,6 +14,9 @@ const VOID: u16 = 0;
 const VOID_NAMES: &str = "void ignore ignored unlabelled unlabeled unknown undefined";
 
 impl Classes {
+    /// The name of the file with the table of a folder.
+    pub(crate) const FILE: &str = "classes.json";
+
     /// A table of classes with colours from [`class_color`], ascending by id. Entries with the ignored id and repeated
     /// ids (after the first) are left out.
     pub fn from_names<S: Into<String>>(

@@ -175,13 +175,8 @@ impl LabelMap {
     /// [`crate::Error::Limit`] for ids above 255; [`crate::Error::Io`].
     pub fn write_indexed(&self, path: &Path, color: impl Fn(u16) -> [u8; 3]) -> Result<()> {
         let most = self.ids.iter().copied().max().unwrap_or_default();
-        check_limit(
-            path,
-            "label id",
-            most.into(),
-            255,
-            "a palette has no more colours; take the grey maps",
-        )?;
+        let help = "a palette has no more colours; take the grey maps";
+        check_limit(path, "label id", most.into(), 255, help)?;
         let palette: Vec<u8> = (0..=most).flat_map(color).collect();
         let ids: Vec<u8> = self.ids.iter().map(|&id| id as u8).collect();
         atomic::write(path, |out| {

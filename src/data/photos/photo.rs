@@ -4,7 +4,8 @@ use super::image_file::ImageFile;
 use super::lens::Undistortion;
 use crate::data::{Limits, PhotoCache};
 use crate::error::{Result, ensure};
-use image::{RgbImage, imageops};
+use image::RgbImage;
+use image::imageops::{FilterType, resize};
 use sha2::{Digest, Sha256};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -195,12 +196,8 @@ impl Preprocessing {
         }
         if let Some((width, height)) = self.size {
             // Bicubic, the kernel as wide as the reduction: what 3DGS does with photos of more than 1600 pixels.
-            photo = imageops::resize(
-                &photo,
-                width as u32,
-                height as u32,
-                imageops::FilterType::CatmullRom,
-            );
+            let (width, height) = (width as u32, height as u32);
+            photo = resize(&photo, width, height, FilterType::CatmullRom);
         }
         Ok((photo, transparent))
     }

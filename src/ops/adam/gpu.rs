@@ -1,7 +1,7 @@
 //! The Adam step in one kernel, one unit for each scalar.
 
 use super::{AdamStep, BETA1, BETA2, EPSILON, Updated, cpu};
-use crate::backend::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, launch};
 use crate::ops::gpu::{covers, own};
 use burn::backend::tensor::FloatTensor;
 use burn::tensor::DType;
@@ -69,24 +69,9 @@ pub fn adam_step(
     } else {
         gpu.floats([1])
     };
-    adam::launch(
-        &gpu.client,
-        gpu.cubes_for(count),
-        gpu.dim(),
-        arg(&param),
-        arg(&into_contiguous(grad)),
-        arg(&first),
-        arg(&second),
-        arg(&rates),
-        count as u32,
-        rate,
-        BETA1 as f32,
-        (1.0 - BETA1) as f32,
-        BETA2 as f32,
-        (1.0 - BETA2) as f32,
-        (1.0 / c2.sqrt()) as f32,
-        EPSILON as f32,
-        step.rates.len(),
-    );
+    launch!(gpu, adam, gpu.cubes_for(count);
+        &param, &into_contiguous(grad), &first, &second, &rates;
+        count as u32, rate, BETA1 as f32, (1.0 - BETA1) as f32, BETA2 as f32, (1.0 - BETA2) as f32,
+        (1.0 / c2.sqrt()) as f32, EPSILON as f32, step.rates.len());
     (param, first, second)
 }

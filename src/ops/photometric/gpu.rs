@@ -4,7 +4,7 @@
 //! which needs those derivatives of the neighbouring tiles too. Each cube leaves its part of the loss.
 
 use super::{C1, C2, CHANNELS, PhotometricTarget, RADIUS, TAPS, cpu, taps};
-use crate::backend::gpu::{Gpu, UNITS, arg, sum_cube};
+use crate::backend::gpu::{Gpu, UNITS, launch, sum_cube};
 use crate::ops::gpu::covers;
 use burn::backend::ops::FloatTensorOps;
 use burn::backend::tensor::FloatTensor;
@@ -278,34 +278,11 @@ fn compare(
     let l1_scale = (1.0 - ssim_weight) / values as f64;
     let partials = gpu.floats([PARTIALS * values]);
     let sums = gpu.floats([cubes]);
-    dissimilarity::launch(
-        &gpu.client,
-        gpu.cubes(cubes),
-        gpu.dim(),
-        arg(image),
-        arg(&photo),
-        arg(&partials),
-        arg(&sums),
-        width as u32,
-        height as u32,
-        cubes as u32,
-        -ssim_scale as f32,
-    );
-    gradient_of::launch(
-        &gpu.client,
-        gpu.cubes(cubes),
-        gpu.dim(),
-        arg(image),
-        arg(&photo),
-        arg(&partials),
-        arg(&gradient),
-        arg(&sums),
-        width as u32,
-        height as u32,
-        cubes as u32,
-        ssim_scale as f32,
-        l1_scale as f32,
-    );
+    launch!(gpu, dissimilarity, gpu.cubes(cubes);
+        image, &photo, &partials, &sums; width as u32, height as u32, cubes as u32, -ssim_scale as f32);
+    launch!(gpu, gradient_of, gpu.cubes(cubes);
+        image, &photo, &partials, &gradient, &sums;
+        width as u32, height as u32, cubes as u32, ssim_scale as f32, l1_scale as f32);
     let sums = CubeBackend::float_reshape(sums, Shape::new([1, cubes]));
     let loss = CubeBackend::float_sum_dim(sums, 1);
     (CubeBackend::float_reshape(loss, Shape::new([1])), gradient)

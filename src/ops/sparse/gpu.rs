@@ -1,7 +1,7 @@
 //! Constant sparse matrices on a device: compressed rows, one unit for each row and channel.
 
 use super::{SparseMatrix, cpu};
-use crate::backend::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, launch};
 use crate::ops::gpu::covers;
 use burn::backend::tensor::FloatTensor;
 use burn::tensor::DType;
@@ -68,18 +68,9 @@ impl DeviceMatrix {
     pub fn apply(&self, gpu: &Gpu, x: CubeTensor) -> CubeTensor {
         let channels = x.meta.shape()[1];
         let out = gpu.floats([self.rows, channels]);
-        multiply::launch(
-            &gpu.client,
-            gpu.cubes_for(self.rows * channels),
-            gpu.dim(),
-            arg(&self.offsets),
-            arg(&self.indices),
-            arg(&self.values),
-            arg(&into_contiguous(x)),
-            arg(&out),
-            self.rows as u32,
-            channels as u32,
-        );
+        launch!(gpu, multiply, gpu.cubes_for(self.rows * channels);
+            &self.offsets, &self.indices, &self.values, &into_contiguous(x), &out;
+            self.rows as u32, channels as u32);
         out
     }
 }

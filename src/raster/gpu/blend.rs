@@ -7,7 +7,7 @@ use super::pixel::{
 };
 use super::prepare::Prepared;
 use super::view::BACKGROUND;
-use crate::backend::gpu::{Gpu, UNITS, arg};
+use crate::backend::gpu::{Gpu, UNITS, launch};
 use burn::tensor::Shape;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
@@ -303,25 +303,9 @@ pub(super) fn blend(
     let image = gpu.floats(Shape::new([h, w, channels]));
     let transmittance = gpu.floats(Shape::new([h, w]));
     for (first, block) in blocks(channels, WIDEST) {
-        blend_tiles::launch(
-            &gpu.client,
-            gpu.cubes(tiles),
-            gpu.dim(),
-            arg(&entries.ranges),
-            arg(&entries.gaussians),
-            arg(splats),
-            arg(values),
-            arg(view),
-            arg(&image),
-            arg(&transmittance),
-            w as u32,
-            h as u32,
-            tiles as u32,
-            channels as u32,
-            first as u32,
-            block,
-            first == 0,
-        );
+        launch!(gpu, blend_tiles, gpu.cubes(tiles);
+            &entries.ranges, &entries.gaussians, splats, values, view, &image, &transmittance;
+            w as u32, h as u32, tiles as u32, channels as u32, first as u32, block, first == 0);
     }
     (image, transmittance)
 }

@@ -6,7 +6,7 @@ use super::pixel_sums;
 use super::prepare::{Prepared, Scenery, check_size, prepare};
 use super::project::SPLAT;
 use super::sh::{self, Harmonics};
-use crate::backend::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, launch};
 use crate::error::Result;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
@@ -94,17 +94,9 @@ impl Lists {
         let count = || {
             let gpu = Gpu::of(&prepared.view);
             let counts = gpu.floats([len]);
-            count_pixels::launch(
-                &gpu.client,
-                gpu.cubes_for(len),
-                gpu.dim(),
-                arg(&prepared.projected.splats),
-                arg(&prepared.projected.radii),
-                arg(&counts),
-                len as u32,
-                prepared.size[0] as f32,
-                prepared.size[1] as f32,
-            );
+            launch!(gpu, count_pixels, gpu.cubes_for(len);
+                &prepared.projected.splats, &prepared.projected.radii, &counts;
+                len as u32, prepared.size[0] as f32, prepared.size[1] as f32);
             counts
         };
         self.counts.get_or_init(count).clone()

@@ -5,7 +5,7 @@ use super::outline::{outline, pixel_rows, tile_columns, tile_rows};
 use super::project::ProjectedScene;
 use super::radix_sort::sort_positions;
 use super::scan::exclusive_sums;
-use crate::backend::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, launch};
 use crate::raster::cpu::footprint::TILE;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
@@ -155,28 +155,11 @@ pub(super) fn depth_order(
 ) -> Order {
     let (_, ids) = sort_positions(gpu, scene.depths.clone(), len, 32);
     let counts = gpu.words(len + 1);
-    count_tiles::launch(
-        &gpu.client,
-        gpu.cubes_for(len + 1),
-        gpu.dim(),
-        arg(&scene.splats),
-        arg(&scene.radii),
-        arg(&ids),
-        arg(&counts),
-        len as u32,
-        size[0] as u32,
-        size[1] as u32,
-        everywhere,
-    );
+    launch!(gpu, count_tiles, gpu.cubes_for(len + 1);
+        &scene.splats, &scene.radii, &ids, &counts; len as u32, size[0] as u32, size[1] as u32, everywhere);
     let offsets = exclusive_sums(gpu, &counts, len + 1);
-    report_total::launch(
-        &gpu.client,
-        gpu.cubes_for(1),
-        gpu.dim(),
-        arg(&offsets),
-        arg(report),
-        len as u32,
-    );
+    launch!(gpu, report_total, gpu.cubes_for(1);
+        &offsets, report; len as u32);
     Order { ids, offsets, len }
 }
 
@@ -223,36 +206,14 @@ pub(super) fn tile_entries(
     let gaussians = gpu.words(len);
     let ends = gpu.words(order.len);
     let tiles = gpu.words(len);
-    emit_entries::launch(
-        &gpu.client,
-        gpu.cubes_for(order.len),
-        gpu.dim(),
-        arg(&scene.splats),
-        arg(&order.ids),
-        arg(&order.offsets),
-        arg(&tiles),
-        arg(&gaussian_of),
-        arg(&ends),
-        order.len as u32,
-        size[0] as u32,
-        size[1] as u32,
-        everywhere,
-    );
+    launch!(gpu, emit_entries, gpu.cubes_for(order.len);
+        &scene.splats, &order.ids, &order.offsets, &tiles, &gaussian_of, &ends;
+        order.len as u32, size[0] as u32, size[1] as u32, everywhere);
     // One number more than there are tiles, for entries without a tile.
     let bits = usize::BITS - tile_count.leading_zeros();
     let (tiles, entries) = sort_positions(gpu, tiles, len, bits);
-    find_ranges::launch(
-        &gpu.client,
-        gpu.cubes_for(len),
-        gpu.dim(),
-        arg(&tiles),
-        arg(&entries),
-        arg(&gaussian_of),
-        arg(&ranges),
-        arg(&gaussians),
-        len as u32,
-        tile_count as u32,
-    );
+    launch!(gpu, find_ranges, gpu.cubes_for(len);
+        &tiles, &entries, &gaussian_of, &ranges, &gaussians; len as u32, tile_count as u32);
     TileEntries {
         len,
         ranges,

@@ -6,7 +6,7 @@ use super::inputs::Inputs;
 use super::project::{ProjectedScene, SPLAT};
 use super::vec3::{Vec3, add_scaled, cross, dot, read3, scaled, vec3, write3};
 use super::view::{AXES, FOCAL, LOW_PASS, SIZE};
-use crate::backend::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, launch};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 
@@ -184,25 +184,9 @@ pub(super) fn backward(
         logits: gpu.floats([n]),
         screen: gpu.floats([n, if sums == ABSOLUTE_MOMENTS { 4 } else { 2 }]),
     };
-    parameters_backward::launch(
-        &gpu.client,
-        gpu.cubes_for(n),
-        gpu.dim(),
-        arg(&inputs.means),
-        arg(&inputs.log_scales),
-        arg(&inputs.rotations),
-        arg(&inputs.logits),
-        arg(view),
-        arg(&scene.splats),
-        arg(&scene.radii),
-        arg(moments),
-        arg(&out.means),
-        arg(&out.log_scales),
-        arg(&out.rotations),
-        arg(&out.logits),
-        arg(&out.screen),
-        n as u32,
-        sums,
-    );
+    launch!(gpu, parameters_backward, gpu.cubes_for(n);
+        &inputs.means, &inputs.log_scales, &inputs.rotations, &inputs.logits, view, &scene.splats,
+        &scene.radii, moments, &out.means, &out.log_scales, &out.rotations, &out.logits, &out.screen;
+        n as u32, sums);
     out
 }

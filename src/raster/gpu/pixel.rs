@@ -175,7 +175,7 @@ pub(super) fn reaches_patch(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::backend::gpu::arg;
+    use crate::backend::gpu::launch;
     use crate::raster::Settings;
     use crate::raster::gpu::fixture::{gpu, words};
     use crate::raster::gpu::view;
@@ -275,18 +275,8 @@ mod tests {
             let splats = gpu.upload(&splats, DType::F32);
             let constants = gpu.upload(&constants, DType::F32);
             let found = gpu.upload(&[0_u32; 3], DType::U32);
-            count_missed::launch(
-                &gpu.client,
-                gpu.cubes(count),
-                gpu.dim(),
-                arg(&splats),
-                arg(&constants),
-                arg(&found),
-                count as u32,
-                7,
-                size[0],
-                size[1],
-            );
+            launch!(gpu, count_missed, gpu.cubes(count);
+                &splats, &constants, &found; count as u32, 7, size[0], size[1]);
             let found = words(&gpu, &found);
             assert!(found[0] > 50_000, "some show: {found:?}");
             assert_eq!(found[1], 0, "of {found:?} at alpha_min {alpha_min}");

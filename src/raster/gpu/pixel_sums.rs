@@ -6,7 +6,7 @@ use super::blend::blocks;
 use super::lists::tile_counts;
 use super::prepare::Prepared;
 use super::row_sums::sum_rows;
-use crate::backend::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, launch};
 use burn_cubecl::tensor::CubeTensor;
 
 /// What was rendered and its gradient.
@@ -82,53 +82,18 @@ pub(super) fn pixel_sums(
         // One pass even without entries, to write the zeros.
         for first_entry in (0..entries.len.max(1)).step_by(most) {
             let end_entry = (first_entry + most).min(entries.len);
-            tiles_backward::launch(
-                &gpu.client,
-                gpu.cubes(tile_count),
-                gpu.dim(),
-                arg(&entries.ranges),
-                arg(&entries.gaussians),
-                arg(&entries.entries),
-                arg(&prepared.projected.splats),
-                arg(values.unwrap_or(pixels.d_image)),
-                arg(&prepared.view),
-                arg(pixels.image),
-                arg(pixels.d_image),
-                arg(pixels.transmittance),
-                arg(pixels.d_transmittance.unwrap_or(pixels.transmittance)),
-                arg(&rows),
-                w as u32,
-                h as u32,
-                tile_count as u32,
-                channels as u32,
-                first_channel as u32,
-                first_entry as u32,
-                end_entry as u32,
-                block,
-                moments,
-                first_channel == 0 && pixels.d_transmittance.is_some(),
-            );
+            launch!(gpu, tiles_backward, gpu.cubes(tile_count);
+                &entries.ranges, &entries.gaussians, &entries.entries, &prepared.projected.splats,
+                values.unwrap_or(pixels.d_image), &prepared.view, pixels.image, pixels.d_image,
+                pixels.transmittance, pixels.d_transmittance.unwrap_or(pixels.transmittance), &rows;
+                w as u32, h as u32, tile_count as u32, channels as u32, first_channel as u32,
+                first_entry as u32, end_entry as u32, block, moments,
+                first_channel == 0 && pixels.d_transmittance.is_some());
             // The first slab of each part overwrites its sums.
-            sum_rows::launch(
-                &gpu.client,
-                gpu.cubes_for(order.len * columns),
-                gpu.dim(),
-                arg(&order.ids),
-                arg(&order.offsets),
-                arg(&entries.ends),
-                arg(&rows),
-                arg(&out.moments),
-                arg(&out.values),
-                order.len as u32,
-                channels as u32,
-                first_channel as u32,
-                first_entry as u32,
-                end_entry as u32,
-                block,
-                moments,
-                first_channel > 0 || first_entry > 0,
-                first_entry > 0,
-            );
+            launch!(gpu, sum_rows, gpu.cubes_for(order.len * columns);
+                &order.ids, &order.offsets, &entries.ends, &rows, &out.moments, &out.values;
+                order.len as u32, channels as u32, first_channel as u32, first_entry as u32,
+                end_entry as u32, block, moments, first_channel > 0 || first_entry > 0, first_entry > 0);
         }
     }
     out

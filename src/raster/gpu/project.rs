@@ -4,7 +4,7 @@ use super::ewa::{ewa, offset_from_camera, rows_cross, to_camera};
 use super::inputs::Inputs;
 use super::vec3::{dot, read3};
 use super::view::{FOCAL, LN_ALPHA_MIN, LOW_PASS, NEAR, PRINCIPAL, SIZE};
-use crate::backend::gpu::{Gpu, arg, is_finite};
+use crate::backend::gpu::{Gpu, is_finite, launch};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 
@@ -134,22 +134,10 @@ pub(super) fn project(
         radii: gpu.words(inputs.len()),
     };
     if inputs.len() > 0 {
-        project_kernel::launch(
-            &gpu.client,
-            gpu.cubes_for(inputs.len()),
-            gpu.dim(),
-            arg(&inputs.means),
-            arg(&inputs.log_scales),
-            arg(&inputs.rotations),
-            arg(&inputs.logits),
-            arg(view),
-            arg(&out.splats),
-            arg(&out.depths),
-            arg(&out.radii),
-            arg(report),
-            inputs.len() as u32,
-            everywhere,
-        );
+        launch!(gpu, project_kernel, gpu.cubes_for(inputs.len());
+            &inputs.means, &inputs.log_scales, &inputs.rotations, &inputs.logits, view, &out.splats,
+            &out.depths, &out.radii, report;
+            inputs.len() as u32, everywhere);
     }
     out
 }

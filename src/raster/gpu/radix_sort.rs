@@ -5,7 +5,7 @@
 //! every key goes to its place among all, neighbours together.
 
 use super::scan::{exclusive_sums, scan_cube};
-use crate::backend::gpu::{Gpu, UNITS, arg};
+use crate::backend::gpu::{Gpu, UNITS, launch};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 
@@ -204,33 +204,14 @@ pub(super) fn sort_positions(
     for pass in 0..bits.div_ceil(BITS).max(1) {
         let shift = pass * BITS;
         let counts = gpu.words(DIGITS * blocks);
-        count_digits::launch(
-            &gpu.client,
-            gpu.cubes(blocks),
-            gpu.dim(),
-            arg(&keys),
-            arg(&counts),
-            len as u32,
-            blocks as u32,
-            shift,
-        );
+        launch!(gpu, count_digits, gpu.cubes(blocks);
+            &keys, &counts; len as u32, blocks as u32, shift);
         let starts = exclusive_sums(gpu, &counts, DIGITS * blocks);
         let sorted_keys = gpu.words(len);
         let sorted_values = gpu.words(len);
-        scatter::launch(
-            &gpu.client,
-            gpu.cubes(blocks),
-            gpu.dim(),
-            arg(&keys),
-            arg(&values),
-            arg(&starts),
-            arg(&sorted_keys),
-            arg(&sorted_values),
-            len as u32,
-            blocks as u32,
-            shift,
-            pass == 0,
-        );
+        launch!(gpu, scatter, gpu.cubes(blocks);
+            &keys, &values, &starts, &sorted_keys, &sorted_values;
+            len as u32, blocks as u32, shift, pass == 0);
         (keys, values) = (sorted_keys, sorted_values);
     }
     (keys, values)

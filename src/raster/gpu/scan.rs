@@ -1,6 +1,6 @@
 //! Prefix sums.
 
-use crate::backend::gpu::{Gpu, UNITS, arg};
+use crate::backend::gpu::{Gpu, UNITS, launch};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 
@@ -97,28 +97,14 @@ pub(super) fn exclusive_sums(gpu: &Gpu, values: &CubeTensor, len: usize) -> Cube
     }
     let blocks = len.div_ceil(BLOCK);
     let totals = gpu.words(blocks);
-    scan_blocks::launch(
-        &gpu.client,
-        gpu.cubes(blocks),
-        gpu.dim(),
-        arg(values),
-        arg(&sums),
-        arg(&totals),
-        len as u32,
-        blocks as u32,
-    );
+    launch!(gpu, scan_blocks, gpu.cubes(blocks);
+        values, &sums, &totals; len as u32, blocks as u32);
     if blocks == 1 {
         return sums;
     }
     let starts = exclusive_sums(gpu, &totals, blocks);
-    add_block_starts::launch(
-        &gpu.client,
-        gpu.cubes_for(len),
-        gpu.dim(),
-        arg(&sums),
-        arg(&starts),
-        len as u32,
-    );
+    launch!(gpu, add_block_starts, gpu.cubes_for(len);
+        &sums, &starts; len as u32);
     sums
 }
 

@@ -2,7 +2,7 @@
 
 use super::ewa::offset_from_camera;
 use super::vec3::{Vec3, dot, read3, vec3};
-use crate::backend::gpu::{Gpu, arg};
+use crate::backend::gpu::{Gpu, launch};
 use crate::splat::sh::{C0, C1, C2, C3};
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
@@ -225,19 +225,8 @@ pub(super) fn colours(
 ) -> CubeTensor {
     let count = means.meta.shape()[0];
     let out = gpu.floats([count, 3]);
-    eval_colours::launch(
-        &gpu.client,
-        gpu.cubes_for(count),
-        gpu.dim(),
-        arg(means),
-        arg(&harmonics.sh),
-        arg(radii),
-        arg(view),
-        arg(&out),
-        count as u32,
-        harmonics.stored,
-        harmonics.degree,
-    );
+    launch!(gpu, eval_colours, gpu.cubes_for(count);
+        means, &harmonics.sh, radii, view, &out; count as u32, harmonics.stored, harmonics.degree);
     out
 }
 
@@ -259,22 +248,9 @@ pub(super) fn backward(
 ) -> CubeTensor {
     let count = means.meta.shape()[0];
     let out = gpu.floats([count, harmonics.stored, 3]);
-    colours_backward::launch(
-        &gpu.client,
-        gpu.cubes_for(count),
-        gpu.dim(),
-        arg(means),
-        arg(&harmonics.sh),
-        arg(from.radii),
-        arg(view),
-        arg(from.values),
-        arg(from.d_values),
-        arg(&out),
-        arg(d_means),
-        count as u32,
-        (from.values.meta.num_elements() / count.max(1)) as u32,
-        harmonics.stored,
-        harmonics.degree,
-    );
+    launch!(gpu, colours_backward, gpu.cubes_for(count);
+        means, &harmonics.sh, from.radii, view, from.values, from.d_values, &out, d_means;
+        count as u32, (from.values.meta.num_elements() / count.max(1)) as u32, harmonics.stored,
+        harmonics.degree);
     out
 }

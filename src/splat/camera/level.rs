@@ -35,7 +35,7 @@ pub fn level_up(cameras: &[Camera]) -> DVec3 {
     } else {
         cameras.first().map(|c| -c.rotation.row(1))
     };
-    let own = some.and_then(DVec3::try_normalize).unwrap_or(DVec3::Z);
+    let mean_up = some.and_then(DVec3::try_normalize).unwrap_or(DVec3::Z);
 
     let mut spread = DMat3::ZERO;
     for right in cameras.iter().map(|c| c.rotation.row(0)) {
@@ -43,15 +43,17 @@ pub fn level_up(cameras: &[Camera]) -> DVec3 {
             DMat3::from_cols(right * right.x, right * right.y, right * right.z) * count.recip();
     }
     if !spread.is_finite() {
-        return own;
+        return mean_up;
     }
     let roll = Matrix3::from_column_slice(&spread.to_cols_array())
         .symmetric_eigenvalues()
         .min();
     if roll.is_nan() || roll > MAX_ROLL {
-        return own;
+        return mean_up;
     }
     let weight = (MEAN[0] / count.max(1.0)).max(MEAN[1]);
     let ridge = spread + DMat3::from_diagonal(DVec3::splat(weight));
-    (ridge.inverse() * own).try_normalize().unwrap_or(own)
+    (ridge.inverse() * mean_up)
+        .try_normalize()
+        .unwrap_or(mean_up)
 }

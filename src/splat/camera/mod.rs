@@ -135,13 +135,9 @@ impl Camera {
     /// Pixel coordinates and depth of a world point, or `None` when it is not in front of the camera.
     pub fn project(&self, world: DVec3) -> Option<(f64, f64, f64)> {
         let p = self.to_camera(world);
-        (p.z > 0.0).then(|| {
-            (
-                self.fx * p.x / p.z + self.cx,
-                self.fy * p.y / p.z + self.cy,
-                p.z,
-            )
-        })
+        let u = self.fx * p.x / p.z + self.cx;
+        let v = self.fy * p.y / p.z + self.cy;
+        (p.z > 0.0).then_some((u, v, p.z))
     }
 
     /// World direction (not normalised, z = 1 in camera axes) through pixel coordinates `(u, v)`.
@@ -152,10 +148,8 @@ impl Camera {
 
     /// The same camera with its image resampled to `width` x `height` pixels.
     pub fn resized(&self, width: usize, height: usize) -> Self {
-        let (sx, sy) = (
-            width as f64 / self.width as f64,
-            height as f64 / self.height as f64,
-        );
+        let sx = width as f64 / self.width as f64;
+        let sy = height as f64 / self.height as f64;
         Self {
             fx: self.fx * sx,
             cx: self.cx * sx,

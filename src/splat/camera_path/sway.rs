@@ -56,6 +56,6 @@ pub fn sway(cameras: &[Camera], scene_center: DVec3, count: usize) -> Result<Vec
     Ok((0..count).map(camera).collect())
 }
 
-fn mean(cameras: &[Camera], of: impl Fn(&Camera) -> DVec3) -> DVec3 {
-    cameras.iter().map(of).sum::<DVec3>() / cameras.len().max(1) as f64
+fn mean(cameras: &[Camera], value: impl Fn(&Camera) -> DVec3) -> DVec3 {
+    cameras.iter().map(value).sum::<DVec3>() / cameras.len().max(1) as f64
 }

@@ -54,11 +54,8 @@ pub(super) fn cameras(path: &Path, list: Value) -> Result<Vec<NamedCamera>> {
 
 impl Entry {
     fn camera(&self, path: &Path, place: &str) -> Result<Camera> {
-        let size = size(
-            path,
-            place,
-            [("width", self.width), ("height", self.height)],
-        )?;
+        let sides = [("width", self.width), ("height", self.height)];
+        let size = size(path, place, sides)?;
         let help = "correct the focal length";
         check_focal(path, &format!("{place}.fx"), self.fx, help)?;
         check_focal(path, &format!("{place}.fy"), self.fy, help)?;

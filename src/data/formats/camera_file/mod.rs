@@ -81,11 +81,8 @@ pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
 /// fields of the file.
 fn size(path: &Path, place: &str, sides: [(&str, f64); 2]) -> Result<[usize; 2]> {
     let [width, height] = sides.map(|(name, length)| {
-        side(
-            path,
-            format!("{place}.{name}").trim_start_matches('.'),
-            length,
-        )
+        let field = format!("{place}.{name}");
+        side(path, field.trim_start_matches('.'), length)
     });
     let size = [width?, height?];
     Limits::default().check_pixels(&path.join(place), size[0], size[1])?;

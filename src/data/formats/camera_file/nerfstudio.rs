@@ -57,15 +57,11 @@ pub(super) fn cameras(path: &Path, value: Value) -> Result<Vec<NamedCamera>> {
 impl Entry {
     fn camera(&self, path: &Path, place: &str, size: [usize; 2]) -> Result<Camera> {
         let fov = self.fov;
+        let help = "correct the field of view";
         ensure!(fov > 0.0 && fov < 180.0, path, "{place}.fov"; found "{fov:?}"; expected "vertical degrees above 0, below 180";
-            help "correct the field of view");
+            help "{help}");
         let focal = 0.5 * size[1] as f64 / (0.5 * fov.to_radians()).tan();
-        check_focal(
-            path,
-            &format!("{place}.fov"),
-            focal,
-            "correct the field of view",
-        )?;
+        check_focal(path, &format!("{place}.fov"), focal, help)?;
         let c2w = DMat4::from_cols_array(&self.camera_to_world).transpose();
         posed(path, &format!("{place}.camera_to_world"), &c2w, |pose| {
             Camera::centred([focal; 2], size).with_opengl_pose(pose)

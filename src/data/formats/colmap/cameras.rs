@@ -77,20 +77,12 @@ impl ModelCamera {
         let (focals, rest) = self.params.split_at(self.focals);
         let (center, distortion) = rest.split_at(2);
         for focal in focals {
-            check_focal(
-                path,
-                &format!("{place}: PARAMS, focal length"),
-                *focal,
-                HELP,
-            )?;
+            let field = format!("{place}: PARAMS, focal length");
+            check_focal(path, &field, *focal, HELP)?;
         }
         for center in center {
-            check_center(
-                path,
-                &format!("{place}: PARAMS, principal point"),
-                *center,
-                HELP,
-            )?;
+            let field = format!("{place}: PARAMS, principal point");
+            check_center(path, &field, *center, HELP)?;
         }
         ensure!(distortion.iter().all(|k| k.is_finite()), path, "{place}: PARAMS, distortion"; found "{distortion:?}";
             expected "finite numbers"; help "{HELP}");

@@ -44,13 +44,8 @@ pub(super) fn read(path: &Path, limits: &Limits) -> Result<Vec<PosedImage>> {
     let mut reader = Reader::open(path, "image", MIN_IMAGE_BYTES)?;
     // A model may have more images than a scene: they are thinned out later.
     let most = (limits.views as u64).saturating_mul(64);
-    check_limit(
-        path,
-        "images",
-        reader.count().unwrap_or(0),
-        most,
-        "split the model",
-    )?;
+    let count = reader.count().unwrap_or(0);
+    check_limit(path, "images", count, most, "split the model")?;
     let mut images = Vec::new();
     while reader.next()? {
         let place = reader.place();

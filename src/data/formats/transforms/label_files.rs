@@ -4,7 +4,7 @@ use super::schema;
 use super::sources::Sources;
 use crate::data::formats::folder::{Folder, Problems};
 use crate::data::formats::frame::{Frame, below};
-use crate::data::formats::label_folder::{drawn, file};
+use crate::data::formats::label_folder::{drawn, file, map};
 use crate::data::formats::mask_file::Masks;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -58,7 +58,7 @@ impl<'a> LabelFiles<'a> {
                 let files = in_folder(folder, &of_frame);
                 let usual = of_frame.pop();
                 let usual = usual.unwrap_or_else(|| with_png(Path::new(&frame.name)));
-                let raw = file_or_masks(&files).unwrap_or_else(|| folder.join(usual));
+                let raw = map(&files).unwrap_or_else(|| folder.join(usual));
                 (Some(raw), drawn(&files))
             }
         };
@@ -71,18 +71,6 @@ impl<'a> LabelFiles<'a> {
             ..frame
         }
     }
-}
-
-/// The first of `files` that is there, as a file or as a folder of masks with its name without extension. In side folders any file
-/// comes before any folder; here the likelier name does.
-fn file_or_masks(files: &[PathBuf]) -> Option<PathBuf> {
-    files.iter().find_map(|file| {
-        let masks = file.with_extension("");
-        if file.is_file() {
-            return Some(file.clone());
-        }
-        masks.is_dir().then_some(masks)
-    })
 }
 
 /// Possible files of a frame in a folder, the likeliest first: those of the paths that are `given` for its file, then those of its

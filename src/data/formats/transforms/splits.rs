@@ -30,12 +30,10 @@ impl Transforms {
         } else {
             return all(self.frames.len(), None);
         };
-        let tested = uses.iter().any(|(_, of)| *of == Some(Split::Test));
-        let split = |of: Use| of.or((!tested).then_some(Split::Test));
-        let frames = uses
-            .iter()
-            .filter_map(|&(i, of)| Some((i, Some(split(of)?))));
-        let frames: Splits = frames.collect();
+        let is_tested = uses.iter().any(|(_, used)| *used == Some(Split::Test));
+        let held_out = (!is_tested).then_some(Split::Test);
+        let split = |&(i, used): &(usize, Use)| Some((i, Some(used.or(held_out)?)));
+        let frames: Splits = uses.iter().filter_map(split).collect();
         let left_out = uses.len() - frames.len();
         if left_out > 0 {
             notices.push(format!(
@@ -48,7 +46,7 @@ impl Transforms {
     fn uses_by_frame(&self, problems: &mut Problems) -> Vec<(usize, Use)> {
         let mut uses = Vec::with_capacity(self.frames.len());
         for (i, frame) in self.frames.iter().enumerate() {
-            let of = match frame.split.as_deref() {
+            let used = match frame.split.as_deref() {
                 Some("train") => Some(Split::Train),
                 Some("val" | "validation" | "eval") => VALIDATION,
                 Some("test") => Some(Split::Test),
@@ -63,7 +61,7 @@ impl Transforms {
                     Some(Split::Train)
                 }
             };
-            uses.push((i, of));
+            uses.push((i, used));
         }
         uses
     }
@@ -73,11 +71,11 @@ impl Transforms {
         let plain = |file: &str| file.trim_start_matches("./").to_owned();
         let listed = self
             .lists()
-            .flat_map(|(of, files)| files.iter().map(move |file| (plain(file), of)));
-        let uses: HashMap<String, Use> = listed.collect();
+            .flat_map(|(used, files)| files.iter().map(move |file| (plain(file), used)));
+        let listed: HashMap<String, Use> = listed.collect();
         let frames = self.frames.iter().enumerate();
         let uses: Vec<_> = frames
-            .filter_map(|(i, f)| Some((i, *uses.get(&plain(&f.file_path))?)))
+            .filter_map(|(i, f)| Some((i, *listed.get(&plain(&f.file_path))?)))
             .collect();
         let unlisted = self.frames.len() - uses.len();
         if unlisted > 0 {
@@ -96,6 +94,6 @@ impl Transforms {
             (Some(Split::Test), &self.test_filenames),
         ];
         let given = lists.into_iter();
-        given.filter_map(|(of, files)| Some((of, files.as_ref()?)))
+        given.filter_map(|(used, files)| Some((used, files.as_ref()?)))
     }
 }

@@ -1,7 +1,7 @@
 //! PNG in the colours of ADE20K, RGB or indexed, as demonstrations of mmsegmentation and Mask2Former draw them. Class ids
 //! are ADE20K's own, 1 to 150; black is unlabelled.
 
-use super::Vocabulary;
+use super::{RawMap, Vocabulary};
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap, Segment};
 use crate::error::{Result, bail};
@@ -40,27 +40,16 @@ pub(super) fn matches(file: &ImageFile) -> bool {
 
 /// The vocabulary for a scene with the class table `classes`; `file` is named in errors.
 pub(super) fn vocabulary(file: &Path, classes: &Classes) -> Result<Vocabulary> {
-    let names: Vec<(u16, &str)> = (1..).zip(rows().map(|(name, _)| name)).collect();
-    Vocabulary::new(file, classes, &names)
+    Vocabulary::new(file, classes, (1..).zip(rows().map(|(name, _)| name)))
 }
 
-/// All classes as stuff: the maps tell no things apart.
-pub(super) fn stuff(ids: &[Option<u16>]) -> Vec<Segment> {
-    let segment = |&id| Segment {
-        id,
-        class: Some(id),
-        thing: false,
-    };
-    ids.iter().flatten().map(segment).collect()
-}
-
-/// The map in class ids of the scene, which are `class_ids` by class index.
+/// The map in class ids of the scene, which are `class_ids` by class index. All its segments are stuff: it tells no things apart.
 pub(super) fn decode(
     path: &Path,
     file: &ImageFile,
     class_ids: &[Option<u16>],
     ignore: u16,
-) -> Result<LabelMap> {
+) -> Result<RawMap> {
     if !matches!(file.png_color(), Some((_, 2 | 3 | 6))) {
         let found = file.png_color().map_or("JPEG", |_| "a grey PNG");
         bail!(path, "pixel format"; found "{found}";
@@ -78,5 +67,12 @@ pub(super) fn decode(
         }
         ids.push(class.and_then(|&class| class_ids[class]).unwrap_or(ignore));
     }
-    Ok(LabelMap { width, height, ids })
+    let map = LabelMap { width, height, ids };
+    let stuff = |&id| Segment {
+        id,
+        class: Some(id),
+        thing: false,
+    };
+    let segments = class_ids.iter().flatten().map(stuff).collect();
+    Ok(RawMap { map, segments })
 }

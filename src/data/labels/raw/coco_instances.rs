@@ -4,7 +4,7 @@
 
 use super::drawing::{self, Drawing, Point, Region, rectangle};
 use super::runs::Runs;
-use super::shape_file::{Picture, Shape, drawings};
+use super::shape_file::drawings;
 use super::{RawFile, Vocabulary};
 use crate::data::{Classes, Limits};
 use crate::error::{Result, bail, ensure, invalid};
@@ -78,63 +78,65 @@ pub(super) fn read(
     let file: File = drawing::read(path, expected)?;
     let indices = indices(path, &file.categories)?;
     // Ids of categories may begin at 0, which is unlabelled in a class table.
-    let names: Vec<(u16, &str)> = (1..)
-        .zip(&file.categories)
-        .map(|(id, category)| (id, category.name.as_str()))
-        .collect();
-    let mut vocabulary = Vocabulary::new(path, classes, &names)?;
+    let names = file.categories.iter().map(|category| &*category.name);
+    let mut vocabulary = Vocabulary::new(path, classes, (1..).zip(names))?;
     let mut images = HashMap::new();
     for (i, image) in file.images.iter().enumerate() {
         ensure!(images.insert(image.id, image).is_none(),
             path, "images[{i}].id"; found "{} twice", image.id; expected "each id once"; help "{DAMAGED_HELP}");
     }
-    let of_images = shapes(path, file.annotations, &images, &indices, limits)?;
-    let picture = |(id, shapes): (u64, Vec<Shape>)| {
-        let image: &Image = images[&id];
-        Picture {
-            name: &image.file_name,
-            size: image.width.zip(image.height),
-            shapes,
-        }
-    };
-    let pictures = of_images.into_iter().map(picture).collect();
-    let drawings = drawings(path, frames, pictures, &mut vocabulary)?;
+    let mut shapes = shapes(path, file.annotations, &images, &indices, limits)?;
+    shapes.sort_by(|a, b| b.area.total_cmp(&a.area));
+    let mut drawn: BTreeMap<u64, (&str, Drawing)> = BTreeMap::new();
+    for shape in shapes {
+        let image = shape.image;
+        let empty = || Drawing::new(path, image.width.zip(image.height));
+        let entry = drawn.entry(image.id);
+        let (_, drawing) = entry.or_insert_with(|| (&image.file_name, empty()));
+        drawing.add(&vocabulary, Some(shape.category), None, shape.region)?;
+    }
+    let drawings = drawings(path, frames, drawn.into_values(), &mut vocabulary)?;
     Ok((drawings, vocabulary))
 }
 
-/// The regions on each of the `images` by its id, the largest first. `indices` has the places of the categories.
-fn shapes(
+/// A region on an image.
+struct Shape<'a> {
+    image: &'a Image,
+    /// The place of its category.
+    category: usize,
+    area: f64,
+    region: Region,
+}
+
+/// The regions on the `images`, which have their ids. `indices` has the places of the categories.
+fn shapes<'a>(
     path: &Path,
     annotations: Vec<Annotation>,
-    images: &HashMap<u64, &Image>,
+    images: &HashMap<u64, &'a Image>,
     indices: &HashMap<u64, usize>,
     limits: &Limits,
-) -> Result<BTreeMap<u64, Vec<Shape>>> {
-    let mut of_images: BTreeMap<u64, Vec<(f64, Shape)>> = BTreeMap::new();
+) -> Result<Vec<Shape<'a>>> {
+    let mut shapes = Vec::new();
     for (i, annotation) in annotations.into_iter().enumerate() {
         let field = |key: &str| format!("annotations[{i}].{key}");
-        let (image, category) = (annotation.image_id, annotation.category_id);
-        let class = indices.get(&category).copied();
-        ensure!(class.is_some(), path, "{}", field("category_id"); found "{category}";
-            expected "one of the {} ids of categories", indices.len(); help "{DAMAGED_HELP}");
-        ensure!(images.contains_key(&image), path, "{}", field("image_id"); found "{image}";
-            expected "one of the {} ids of images", images.len(); help "{DAMAGED_HELP}");
+        let category = *indices.get(&annotation.category_id).ok_or_else(|| {
+            invalid!(path, "{}", field("category_id"); found "{}", annotation.category_id;
+                expected "one of the {} ids of categories", indices.len(); help "{DAMAGED_HELP}")
+        })?;
+        let image = *images.get(&annotation.image_id).ok_or_else(|| {
+            invalid!(path, "{}", field("image_id"); found "{}", annotation.image_id;
+                expected "one of the {} ids of images", images.len(); help "{DAMAGED_HELP}")
+        })?;
         if let Some(region) = annotation.region(path, field, limits)? {
-            let area = area(&region);
-            let group = None;
-            let shape = Shape {
-                class,
-                group,
+            shapes.push(Shape {
+                image,
+                category,
+                area: area(&region),
                 region,
-            };
-            of_images.entry(image).or_default().push((area, shape));
+            });
         }
     }
-    let sorted = |(image, mut shapes): (u64, Vec<(f64, Shape)>)| {
-        shapes.sort_by(|a, b| b.0.total_cmp(&a.0));
-        (image, shapes.into_iter().map(|(_, shape)| shape).collect())
-    };
-    Ok(of_images.into_iter().map(sorted).collect())
+    Ok(shapes)
 }
 
 impl Annotation {

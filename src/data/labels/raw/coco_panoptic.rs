@@ -67,7 +67,6 @@ pub(super) struct Panoptic {
     path: PathBuf,
     /// Segments of each map by its file stem.
     maps: HashMap<String, Segments>,
-    pub vocabulary: Vocabulary,
 }
 
 /// The JSON file of a folder of maps: beside it with its name, or within it.
@@ -92,7 +91,7 @@ fn stem(path: &Path) -> String {
 
 impl Panoptic {
     /// Reads the JSON file of the maps in `folder`, for a scene with the class table `classes`.
-    pub fn read(folder: &Path, classes: &Classes) -> Result<Self> {
+    pub fn read(folder: &Path, classes: &Classes) -> Result<(Self, Vocabulary)> {
         let path = find(folder).ok_or_else(|| {
             let [beside, within, other] = places(folder).map(|path| path.display().to_string());
             invalid!(folder, "panoptic JSON"; found "no such file"; expected "{beside}, {within} or {other}";
@@ -118,7 +117,8 @@ impl Panoptic {
         }
         ensure!(!names.is_empty(),
             &path, "categories"; found "none"; expected "the classes of the segments"; help "{DAMAGED_HELP}");
-        let vocabulary = Vocabulary::new(&path, classes, &names)?;
+        let count = names.len();
+        let vocabulary = Vocabulary::new(&path, classes, names)?;
         let mut maps = HashMap::new();
         for (i, annotation) in file.annotations.iter().enumerate() {
             let field = format!("annotations[{i}] ({})", annotation.file_name);
@@ -126,7 +126,7 @@ impl Panoptic {
             for (j, info) in annotation.segments_info.iter().enumerate() {
                 let index = *indices.get(&info.category_id).ok_or_else(|| {
                     invalid!(&path, "{field}.segments_info[{j}].category_id"; found "{}", info.category_id;
-                        expected "one of the {} ids of categories", names.len(); help "{DAMAGED_HELP}")
+                        expected "one of the {} ids of categories", count; help "{DAMAGED_HELP}")
                 })?;
                 let thing = file.categories[index]
                     .isthing
@@ -140,11 +140,7 @@ impl Panoptic {
             ensure!(before.is_none(), &path, "{field}"; found "a second annotation of this file";
                 expected "one for each file"; help "{DAMAGED_HELP}");
         }
-        Ok(Self {
-            path,
-            maps,
-            vocabulary,
-        })
+        Ok((Self { path, maps }, vocabulary))
     }
 
     /// The segments of a map, numbered from 1 on in the order of their ids. Those whose class the scene does not have
@@ -159,13 +155,9 @@ impl Panoptic {
         })?;
         let what = format!("segments of {}", stem(path));
         let most = u64::from(u16::MAX) - 1;
-        check_limit(
-            &self.path,
-            &what,
-            listed.len() as u64,
-            most,
-            "leave small segments out",
-        )?;
+        let count = listed.len() as u64;
+        let help = "leave small segments out";
+        check_limit(&self.path, &what, count, most, help)?;
         let mut numbers = HashMap::new();
         let mut segments = Vec::new();
         for ((&id, &(class, thing)), number) in listed.iter().zip(1..) {

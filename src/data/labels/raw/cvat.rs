@@ -4,7 +4,7 @@
 
 use super::drawing::{self, Drawing, Point, Region};
 use super::runs::Runs;
-use super::shape_file::{Picture, Shape, drawings};
+use super::shape_file::drawings;
 use super::shape_labels::ShapeLabels;
 use super::{RawFile, Vocabulary};
 use crate::data::{Classes, Limits};
@@ -55,24 +55,20 @@ pub(super) fn read(
         .collect::<Result<Vec<_>>>()?;
     let names = of_images.iter().flatten().map(|shape| shape.label);
     let mut labels = ShapeLabels::new(path, classes, names)?;
-    let mut pictures = Vec::new();
+    let mut drawn = Vec::new();
     for (image, mut shapes) in images.iter().zip(of_images) {
         if shapes.is_empty() {
             continue;
         }
         shapes.sort_by(|a, b| a.depth.total_cmp(&b.depth));
-        let shape = |shape: Labelled| Shape {
-            class: labels.place(shape.label),
-            group: shape.group,
-            region: shape.region,
-        };
-        pictures.push(Picture {
-            name: image.required("name")?,
-            size: Some(image.size()?),
-            shapes: shapes.into_iter().map(shape).collect(),
-        });
+        let name = image.required("name")?;
+        let mut drawing = Drawing::new(path, Some(image.size()?));
+        for shape in shapes {
+            labels.draw(&mut drawing, shape.label, shape.group, shape.region)?;
+        }
+        drawn.push((name, drawing));
     }
-    let drawings = drawings(path, frames, pictures, &mut labels.vocabulary)?;
+    let drawings = drawings(path, frames, drawn, &mut labels.vocabulary)?;
     Ok((drawings, labels.vocabulary))
 }
 
@@ -83,13 +79,8 @@ fn text(path: &Path) -> Result<String> {
     // Attributes have no < in them, and each has a sign of equality.
     let equals = |tag: &str| tag.bytes().filter(|byte| *byte == b'=').count() as u64;
     let most = text.split('<').map(equals).max().unwrap_or_default();
-    check_limit(
-        path,
-        "attributes of an element",
-        most,
-        MAX_ATTRIBUTES,
-        DAMAGED_HELP,
-    )?;
+    let what = "attributes of an element";
+    check_limit(path, what, most, MAX_ATTRIBUTES, DAMAGED_HELP)?;
     Ok(text)
 }
 
@@ -217,13 +208,8 @@ impl<'a> Element<'a> {
         };
         let points: Option<Vec<Point>> = text.split(';').map(point).collect();
         let points = points.filter(|points| points.len() > 2);
-        points.ok_or_else(|| {
-            self.error(
-                "points",
-                &format!("{text:?}"),
-                "x,y;x,y;.. of three points or more",
-            )
-        })
+        let expected = "x,y;x,y;.. of three points or more";
+        points.ok_or_else(|| self.error("points", &format!("{text:?}"), expected))
     }
 
     /// `polygon` turned about `center` by `rotation`, in degrees from x to y.

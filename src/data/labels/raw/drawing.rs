@@ -30,7 +30,7 @@ pub(super) enum Region {
 }
 
 /// The labels of a photo, in the order in which they are painted.
-pub(super) struct Drawing {
+pub(crate) struct Drawing {
     /// The file that it was read from.
     pub file: PathBuf,
     /// Size of the picture that it was drawn on, where the file gives it.
@@ -67,7 +67,7 @@ impl Drawing {
 
     /// Puts a region over the earlier ones: a segment of the class `index` of `vocabulary`, or of no class. Regions of one class and
     /// group are one segment.
-    pub fn add(
+    pub(super) fn add(
         &mut self,
         vocabulary: &Vocabulary,
         index: Option<usize>,
@@ -168,10 +168,8 @@ fn fill(
     // The first pixel whose centre is not before `edge`.
     let first = |edge: f64, most: usize| (edge - 0.5).ceil().clamp(0.0, most as f64) as usize;
     let ys = || polygon.iter().map(|point| point[1]);
-    let (top, bottom) = (
-        ys().fold(f64::INFINITY, f64::min),
-        ys().fold(f64::NEG_INFINITY, f64::max),
-    );
+    let top = ys().fold(f64::INFINITY, f64::min);
+    let bottom = ys().fold(f64::NEG_INFINITY, f64::max);
     let mut crossings = Vec::new();
     for y in first(top, height)..first(bottom, height) {
         let center = y as f64 + 0.5;

@@ -63,9 +63,8 @@ impl File {
             let Some(region) = shape.region(path, i)? else {
                 continue;
             };
-            let index = labels.place(&shape.label);
             let group = shape.group_id.as_ref().map(ToString::to_string);
-            drawing.add(&labels.vocabulary, index, group, region)?;
+            labels.draw(&mut drawing, &shape.label, group, region)?;
         }
         Ok(drawing)
     }

@@ -86,11 +86,16 @@ impl Vocabulary {
     ///
     /// # Errors
     /// No name is in the table.
-    fn new(file: &Path, classes: &Classes, names: &[(u16, &str)]) -> Result<Self> {
+    fn new<'a>(
+        file: &Path,
+        classes: &Classes,
+        names: impl IntoIterator<Item = (u16, &'a str)>,
+    ) -> Result<Self> {
+        let names: Vec<(u16, &str)> = names.into_iter().collect();
         if classes.is_empty() {
             return Ok(Self {
-                classes: Classes::from_names(0, names.iter().copied()),
                 ids: names.iter().map(|(id, _)| Some(*id)).collect(),
+                classes: Classes::from_names(0, names),
                 notice: None,
             });
         }
@@ -200,6 +205,8 @@ impl RawLabels {
         };
         let are_segments = options.association != Association::None;
         let folder = || folder(dir, options, first);
+        let limits = &options.limits;
+        let drawn = |(drawings, vocabulary)| (Source::Drawn(drawings), Some(vocabulary));
         let (source, vocabulary) = match format_of(dir, options, files) {
             RawFormat::Auto | RawFormat::Grey => match own_classes::table(dir, &folder()) {
                 Some(file) if !are_segments => {
@@ -209,27 +216,16 @@ impl RawLabels {
                 _ => (Source::Grey, None),
             },
             RawFormat::CocoPanoptic => {
-                let panoptic = coco_panoptic::Panoptic::read(&folder(), classes)?;
-                let vocabulary = panoptic.vocabulary.clone();
+                let (panoptic, vocabulary) = coco_panoptic::Panoptic::read(&folder(), classes)?;
                 (Source::Coco(panoptic), Some(vocabulary))
             }
             RawFormat::Ade20k => {
                 let vocabulary = ade20k::vocabulary(first, classes)?;
                 (Source::Ade20k(vocabulary.ids.clone()), Some(vocabulary))
             }
-            RawFormat::Labelme => {
-                let (drawings, vocabulary) = labelme::read(files, classes)?;
-                (Source::Drawn(drawings), Some(vocabulary))
-            }
-            RawFormat::CocoInstances => {
-                let (drawings, vocabulary) =
-                    coco_instances::read(first, files, classes, &options.limits)?;
-                (Source::Drawn(drawings), Some(vocabulary))
-            }
-            RawFormat::Cvat => {
-                let (drawings, vocabulary) = cvat::read(first, files, classes, &options.limits)?;
-                (Source::Drawn(drawings), Some(vocabulary))
-            }
+            RawFormat::Labelme => drawn(labelme::read(files, classes)?),
+            RawFormat::CocoInstances => drawn(coco_instances::read(first, files, classes, limits)?),
+            RawFormat::Cvat => drawn(cvat::read(first, files, classes, limits)?),
             RawFormat::Masks if are_segments => (Source::Masks, None),
             RawFormat::Masks => bail!(setting "data.association"; found "\"none\"";
                 expected "\"gaussians\", as raw labels are folders of masks, whose ids differ from view to view";
@@ -239,7 +235,7 @@ impl RawLabels {
         let score_ids = match &source {
             Source::Grey => Some(ids.collect()),
             Source::Named(own) => Some(own.ids.clone()),
-            Source::Coco(_) | Source::Ade20k(_) | Source::Masks | Source::Drawn(_) => None,
+            _ => None,
         };
         let raw = Self {
             source,
@@ -249,19 +245,8 @@ impl RawLabels {
         Ok((raw, vocabulary))
     }
 
-    /// Whether labels are shapes that somebody drew.
-    pub fn are_drawn(&self) -> bool {
-        self.drawings().is_some()
-    }
-
-    /// Whether somebody drew labels on the photo of this name.
-    pub fn has_drawing(&self, name: &str) -> bool {
-        self.drawings()
-            .is_some_and(|drawings| drawings.contains_key(name))
-    }
-
-    /// The shapes by the names of the frames.
-    fn drawings(&self) -> Option<&HashMap<String, Drawing>> {
+    /// The shapes by the names of the frames, where labels are shapes that somebody drew.
+    pub fn drawings(&self) -> Option<&HashMap<String, Drawing>> {
         match &self.source {
             Source::Drawn(drawings) => Some(drawings),
             _ => None,
@@ -280,14 +265,8 @@ impl RawLabels {
         if let Source::Masks = self.source {
             return masks::read(path, photo, limits, check_size).map(RawMap::from);
         }
-        let in_classes = |raw: RawMap| {
-            if self.are_segments {
-                raw
-            } else {
-                by_class(raw, classes)
-            }
-        };
         expect_file(path)?;
+        let in_classes = |raw| self.in_classes(raw, classes);
         if let Some(drawing) = self.drawings().and_then(|drawings| drawings.get(name)) {
             return drawing.paint(photo).map(in_classes);
         }
@@ -295,17 +274,8 @@ impl RawLabels {
         check_size(&file)?;
         match &self.source {
             Source::Coco(panoptic) => panoptic.decode(path, &file).map(in_classes),
-            Source::Ade20k(ids) => {
-                let map = ade20k::decode(path, &file, ids, classes.ignore)?;
-                let segments = self.are_segments.then(|| ade20k::stuff(ids));
-                let segments = segments.unwrap_or_default();
-                Ok(RawMap { map, segments })
-            }
-            Source::Named(own) => {
-                let mut map = LabelMap::decode(path, &file)?;
-                own.translate(path, &mut map, classes.ignore)?;
-                Ok(map.into())
-            }
+            Source::Ade20k(ids) => ade20k::decode(path, &file, ids, classes.ignore).map(in_classes),
+            Source::Named(own) => own.decode(path, &file, classes.ignore).map(RawMap::from),
             Source::Grey | Source::Masks | Source::Drawn(_) => {
                 let mut map = LabelMap::decode(path, &file)?;
                 if !self.are_segments {
@@ -315,6 +285,21 @@ impl RawLabels {
             }
         }
     }
+
+    /// A map of segments as a map of their classes, unless ids are segments.
+    fn in_classes(&self, raw: RawMap, classes: &Classes) -> RawMap {
+        if self.are_segments {
+            return raw;
+        }
+        let mut class_ids = vec![classes.ignore; 1 << 16];
+        for segment in &raw.segments {
+            class_ids[usize::from(segment.id)] = segment.class.unwrap_or(classes.ignore);
+        }
+        let mut map = raw.map;
+        let ids = map.ids.iter_mut();
+        ids.for_each(|id| *id = class_ids[usize::from(*id)]);
+        map.into()
+    }
 }
 
 impl From<LabelMap> for RawMap {
@@ -323,16 +308,4 @@ impl From<LabelMap> for RawMap {
         let segments = Vec::new();
         Self { map, segments }
     }
-}
-
-/// A map of segments as a map of their classes.
-fn by_class(RawMap { mut map, segments }: RawMap, classes: &Classes) -> RawMap {
-    let mut class_ids = vec![classes.ignore; 1 << 16];
-    for segment in &segments {
-        class_ids[usize::from(segment.id)] = segment.class.unwrap_or(classes.ignore);
-    }
-    map.ids
-        .iter_mut()
-        .for_each(|id| *id = class_ids[usize::from(*id)]);
-    map.into()
 }

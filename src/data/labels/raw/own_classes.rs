@@ -2,18 +2,16 @@
 
 use super::Vocabulary;
 use crate::data::labels::scores::ScoreIds;
+use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap};
 use crate::error::{Result, ensure};
 use std::path::{Path, PathBuf};
 
-/// The name of the table.
-const FILE: &str = "classes.json";
-
 /// The class table of a folder of maps, where it has one of its own. The maps of the scene folder `dir` itself are in the
 /// scene's table.
 pub(super) fn table(dir: &Path, maps: &Path) -> Option<PathBuf> {
-    let file = maps.join(FILE);
-    let is_scene = || crate::files::atomic::same_file(&file, &dir.join(FILE));
+    let file = maps.join(Classes::FILE);
+    let is_scene = || crate::files::atomic::same_file(&file, &dir.join(Classes::FILE));
     (file.is_file() && !is_scene()).then_some(file)
 }
 
@@ -33,28 +31,25 @@ impl OwnClasses {
         let own = Classes::read(file)?;
         ensure!(!own.is_empty(), file, "classes"; found "no class"; expected "the classes of the maps beside it";
             help "list them, or remove the file");
-        let names: Vec<(u16, &str)> = own
-            .entries
-            .iter()
-            .map(|class| (class.id, class.name.as_str()))
-            .collect();
-        let mut vocabulary = Vocabulary::new(file, classes, &names)?;
+        let names = own.entries.iter().map(|class| (class.id, &*class.name));
+        let mut vocabulary = Vocabulary::new(file, classes, names)?;
         if classes.is_empty() {
             vocabulary.classes = own.clone();
         }
-        let matched = names.iter().zip(&vocabulary.ids);
+        let matched = own.entries.iter().zip(&vocabulary.ids);
         let ids = matched
-            .filter_map(|((id, _), class)| Some((*id, (*class)?)))
+            .filter_map(|(class, id)| Some((class.id, (*id)?)))
             .collect();
         Ok((Self { classes: own, ids }, vocabulary))
     }
 
-    /// Replaces the ids of a map by the scene's; classes that the scene lacks become `unlabelled`.
-    pub fn translate(&self, path: &Path, map: &mut LabelMap, unlabelled: u16) -> Result<()> {
+    /// The map in class ids of the scene; classes that the scene lacks become `unlabelled`.
+    pub fn decode(&self, path: &Path, file: &ImageFile, unlabelled: u16) -> Result<LabelMap> {
+        let mut map = LabelMap::decode(path, file)?;
         map.check_ids(path, &self.classes, "")?;
         for id in &mut map.ids {
             *id = self.ids.get(id).copied().unwrap_or(unlabelled);
         }
-        Ok(())
+        Ok(map)
     }
 }

@@ -19,15 +19,11 @@ pub(super) struct Runs {
 impl Runs {
     /// Runs along the columns of a picture of this size, as COCO has them. `None` where they do not fill it.
     pub fn of_columns(picture: (usize, usize), counts: Vec<u64>) -> Option<Self> {
-        let (corner, size, by_rows) = ((0, 0), picture, false);
-        let runs = Self {
-            picture,
-            corner,
-            size,
-            by_rows,
-            counts,
-        };
-        runs.fit().then_some(runs)
+        let runs = Self::of_rows(picture, (0, 0), picture, counts)?;
+        Some(Self {
+            by_rows: false,
+            ..runs
+        })
     }
 
     /// Runs along the rows of a box, as CVAT has them. `None` where they do not fill it, or where it is not within the picture.
@@ -37,12 +33,11 @@ impl Runs {
         size: (usize, usize),
         counts: Vec<u64>,
     ) -> Option<Self> {
-        let by_rows = true;
         let runs = Self {
             picture,
             corner,
             size,
-            by_rows,
+            by_rows: true,
             counts,
         };
         runs.fit().then_some(runs)

@@ -1,16 +1,16 @@
 //! One file with the shapes of all photos: where it is, and which photos its pictures are.
 
-use super::drawing::{Drawing, Region};
+use super::drawing::Drawing;
 use super::{RawFile, Vocabulary, coco_instances};
 use crate::config::RawFormat;
-use crate::data::{LoadOptions, MapGeometry};
+use crate::data::{Classes, LoadOptions, MapGeometry};
 use crate::error::{Result, ensure};
 use crate::files::{extension, names};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 /// JSON files in a folder of labels that are something else.
-const OTHER_FILES: [&str; 3] = ["classes.json", "label.json", MapGeometry::FILE];
+const OTHER_FILES: [&str; 3] = [Classes::FILE, "label.json", MapGeometry::FILE];
 /// The file of CVAT's own export.
 const CVAT_FILE: &str = "annotations.xml";
 /// The folder of the file of COCO in exports.
@@ -33,23 +33,23 @@ impl ShapeFile {
     pub fn find(dir: &Path, options: &LoadOptions) -> Option<Self> {
         let named = dir.join(options.raw_labels.as_deref()?);
         let found = if named.is_file() {
-            let is_cvat = match options.raw_format {
-                RawFormat::Cvat => true,
-                RawFormat::Auto => extension(&named) == "xml",
-                _ => false,
+            let format = match options.raw_format {
+                RawFormat::Auto if extension(&named) == "xml" => RawFormat::Cvat,
+                RawFormat::Cvat => RawFormat::Cvat,
+                _ => RawFormat::CocoInstances,
             };
-            Self::new(named, is_cvat, false)
+            Self::new(named, format, false)
         } else if options.raw_format != RawFormat::CocoInstances && named.join(CVAT_FILE).is_file()
         {
-            Self::new(named.join(CVAT_FILE), true, true)
+            Self::new(named.join(CVAT_FILE), RawFormat::Cvat, true)
         } else {
-            let inner = named.join(COCO_FOLDER);
-            let in_export = || Some(Self::new(only_json(&inner)?, false, true));
-            let found = only_json(&named).map(|path| Self::new(path, false, false));
-            found.or_else(in_export)?
+            let coco = |folder: &Path, is_export| {
+                let file = only_json(folder)?;
+                Some(Self::new(file, RawFormat::CocoInstances, is_export))
+            };
+            coco(&named, false).or_else(|| coco(&named.join(COCO_FOLDER), true))?
         };
-        let fits =
-            matches!(options.raw_format, RawFormat::Auto) || options.raw_format == found.format;
+        let fits = [RawFormat::Auto, found.format].contains(&options.raw_format);
         fits.then_some(found)
     }
 
@@ -63,12 +63,7 @@ impl ShapeFile {
                 || is_coco && coco_instances::are_in(&self.path))
     }
 
-    fn new(path: PathBuf, is_cvat: bool, is_export: bool) -> Self {
-        let format = if is_cvat {
-            RawFormat::Cvat
-        } else {
-            RawFormat::CocoInstances
-        };
+    fn new(path: PathBuf, format: RawFormat, is_export: bool) -> Self {
         Self {
             path,
             format,
@@ -88,47 +83,27 @@ fn only_json(folder: &Path) -> Option<PathBuf> {
     }
 }
 
-/// A picture with shapes.
-pub(super) struct Picture<'a> {
-    pub name: &'a str,
-    /// Where the file gives it.
-    pub size: Option<(usize, usize)>,
-    /// In the order in which they are painted.
-    pub shapes: Vec<Shape>,
-}
-
-/// A region with the place of its class in the vocabulary.
-pub(super) struct Shape {
-    pub class: Option<usize>,
-    pub group: Option<String>,
-    pub region: Region,
-}
-
-/// The drawings of those `frames` of which the file at `path` has `pictures`, by their names. The notice of `vocabulary` gets a
-/// sentence on other pictures.
+/// The drawings on those images in the file at `path` that are photos of `frames`, by the names of these. `drawn` has each with the
+/// file name of its image. The notice of `vocabulary` gets a sentence on other images.
 ///
 /// # Errors
-/// No picture is a photo of the scene, or two are the same one; a photo has too many shapes.
-pub(super) fn drawings(
+/// No image is a photo of the scene, or two are the same one.
+pub(super) fn drawings<'a>(
     path: &Path,
     frames: &[RawFile],
-    pictures: Vec<Picture<'_>>,
+    drawn: impl IntoIterator<Item = (&'a str, Drawing)>,
     vocabulary: &mut Vocabulary,
 ) -> Result<HashMap<String, Drawing>> {
     let photos = Photos::new(frames);
     let mut drawings = HashMap::new();
     let mut others = 0;
-    for picture in pictures {
-        let Some(frame) = photos.frame(picture.name) else {
+    for (image, drawing) in drawn {
+        let Some(frame) = photos.frame(image) else {
             others += 1;
             continue;
         };
-        let mut drawing = Drawing::new(path, picture.size);
-        for shape in picture.shapes {
-            drawing.add(vocabulary, shape.class, shape.group, shape.region)?;
-        }
         ensure!(drawings.insert(frame.name.to_owned(), drawing).is_none(),
-            path, "images"; found "{} and another image of this photo", picture.name;
+            path, "images"; found "{image} and another image of this photo";
             expected "one for each photo"; help "export the shapes again");
     }
     ensure!(!drawings.is_empty(),

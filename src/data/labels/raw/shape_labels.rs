@@ -1,6 +1,7 @@
 //! The labels that somebody gave to shapes.
 
 use super::Vocabulary;
+use super::drawing::{Drawing, Region};
 use crate::data::Classes;
 use crate::data::labels::classes::{is_void, plain};
 use crate::error::{Result, ensure};
@@ -40,22 +41,23 @@ impl ShapeLabels {
         ensure!(!labels.is_empty(),
             file, "shapes"; found "none with a label"; expected "the outlines of objects, with their classes";
             help "draw polygons and save them");
-        check_limit(
-            file,
-            "labels",
-            labels.len() as u64,
-            MAX_LABELS,
-            "use fewer labels",
-        )?;
-        let names: Vec<(u16, &str)> = (1..).zip(labels.values().copied()).collect();
+        let count = labels.len() as u64;
+        check_limit(file, "labels", count, MAX_LABELS, "use fewer labels")?;
         Ok(Self {
-            vocabulary: Vocabulary::new(file, classes, &names)?,
+            vocabulary: Vocabulary::new(file, classes, (1..).zip(labels.values().copied()))?,
             places: labels.into_keys().zip(0..).collect(),
         })
     }
 
-    /// The place of a label in the vocabulary; `None` where it means unlabelled.
-    pub fn place(&self, label: &str) -> Option<usize> {
-        self.places.get(&plain(label)).copied()
+    /// Puts a region with a label, which may mean unlabelled, over the earlier ones of `drawing`.
+    pub fn draw(
+        &self,
+        drawing: &mut Drawing,
+        label: &str,
+        group: Option<String>,
+        region: Region,
+    ) -> Result<()> {
+        let class = self.places.get(&plain(label)).copied();
+        drawing.add(&self.vocabulary, class, group, region)
     }
 }

@@ -3,20 +3,19 @@
 use crate::data::Limits;
 use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files::{atomic, check_limit};
+use flate2::Compression;
+use flate2::bufread::ZlibDecoder;
 use flate2::write::ZlibEncoder;
-use flate2::{Compression, Decompress, FlushDecompress, Status};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::path::Path;
 
 /// Key of the metadata: `Header` as JSON.
 const KEY: &str = "coseg scores 1";
 /// Most bytes of the names, shapes and metadata in front of the tensors.
 const HEADER: u64 = 1 << 16;
-/// Bytes by which the memory of the content grows.
-const CHUNK: usize = 1 << 16;
 /// What to do about a file that is damaged.
 const DAMAGED_HELP: &str = "delete it and run `coseg label` again, or copy it again";
 
@@ -144,13 +143,8 @@ impl ScoreMap {
     fn check(&self, path: &Path, limits: &Limits) -> Result<()> {
         let cells = (self.width as u64).saturating_mul(self.height as u64);
         let values = cells.saturating_mul(self.classes as u64);
-        check_limit(
-            path,
-            "scores",
-            values,
-            limits.image_pixels,
-            "store fewer classes of each cell",
-        )?;
+        let help = "store fewer classes of each cell";
+        check_limit(path, "scores", values, limits.image_pixels, help)?;
         let lengths = [self.ids.len(), self.probabilities.len()];
         ensure!(values > 0 && lengths.map(|n| n as u64) == [values; 2], path, "tensors";
             found "{lengths:?} values of {} classes, {}x{} cells", self.classes, self.width, self.height;
@@ -192,24 +186,16 @@ fn inflate(path: &Path, limits: &Limits) -> Result<Vec<u8>> {
     check_limit(path, "bytes", size.len(), most, help)?;
     let file = crate::files::read(path)?;
     let damaged = |found: String| invalid!(path, "compressed data"; found "{found}"; expected "a complete file of scores"; help "{DAMAGED_HELP}");
-    let mut decoder = Decompress::new(true);
+    let mut stream = ZlibDecoder::new(&file[..]);
     let mut bytes = Vec::new();
-    let mut status = Status::Ok;
-    while status != Status::StreamEnd {
-        bytes.reserve(CHUNK);
-        let rest = &file[decoder.total_in() as usize..];
-        let more = decoder.decompress_vec(rest, &mut bytes, FlushDecompress::None);
-        status = more.map_err(|e| damaged(e.to_string()))?;
-        check_limit(path, "bytes", bytes.len() as u64, most, help)?;
-        // There is room: it is the input that has ended.
-        if status == Status::BufError {
-            return Err(damaged(format!("{} bytes without the end", file.len())));
-        }
-    }
-    if decoder.total_in() != file.len() as u64 {
-        return Err(damaged("more behind the end".to_owned()));
-    }
-    Ok(bytes)
+    let mut content = stream.by_ref().take(most.saturating_add(1));
+    let read = content.read_to_end(&mut bytes);
+    read.map_err(|e| damaged(e.to_string()))?;
+    check_limit(path, "bytes", bytes.len() as u64, most, help)?;
+    let is_whole = stream.get_ref().is_empty();
+    is_whole
+        .then_some(bytes)
+        .ok_or_else(|| damaged("more behind the end".to_owned()))
 }
 
 /// Bytes and shape of a tensor of three dimensions.

@@ -57,14 +57,12 @@ impl Placement {
     /// Where a point of the view lies on the photo, as shares of its width and height.
     fn shares(&self, x: f64, y: f64) -> [f64; 2] {
         let [width, height] = self.photo.map(|n| n as f64);
-        let mut point = (
-            x / self.view[0] as f64 * width,
-            y / self.view[1] as f64 * height,
-        );
+        let mut x = x / self.view[0] as f64 * width;
+        let mut y = y / self.view[1] as f64 * height;
         if let Some(undistortion) = &self.undistortion {
-            point = undistortion.source(point.0, point.1);
+            (x, y) = undistortion.source(x, y);
         }
-        [point.0 / width, point.1 / height]
+        [x / width, y / height]
     }
 }
 
