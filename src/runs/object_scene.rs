@@ -225,24 +225,14 @@ impl ObjectScene {
         editing.finish("--edits")
     }
 
-    /// Writes a scene made from this one, with `classes` as classes.json and a copy of the cameras beside it.
+    /// Writes a scene made from this one, with its classes as classes.json and a copy of the cameras beside it.
     ///
     /// # Errors
     /// As [`write_scene`].
-    pub fn write(
-        &self,
-        out: &Path,
-        gaussians: &Gaussians,
-        labels: &[u16],
-        classes: &Classes,
-    ) -> Result<()> {
-        write_scene(
-            out,
-            &self.path,
-            (gaussians, self.ply.origin),
-            Some(labels),
-            classes,
-        )
+    pub fn write(&self, out: &Path, edited: &Edited) -> Result<()> {
+        let gaussians = (&edited.gaussians, self.ply.origin);
+        let labels = Some(&edited.labels[..]);
+        write_scene(out, &self.path, gaussians, labels, &edited.classes)
     }
 
     /// Corners of a box around the objects called `what`, world units.
