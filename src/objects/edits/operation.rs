@@ -149,11 +149,7 @@ impl Operation {
                 check_near(editing, "shift", *shift)?;
                 let motion = match turn {
                     Some(turn) => turn.then(editing, *shift, origin)?,
-                    None => Motion {
-                        rotation: DQuat::IDENTITY,
-                        pivot: DVec3::ZERO,
-                        translation: *shift,
-                    },
+                    None => Motion::shift(*shift),
                 };
                 editing.displace(&editing.rows(*object), &motion);
             }
