@@ -44,10 +44,8 @@ impl AssociateArgs {
         let settings = Settings::from(&config.raster);
         let device = self.input.backend.open()?;
         let (mut scene, ply) = self.input.read(&config, &device, &["labels"])?;
-        let found = associate(&ply.gaussians, &mut scene, &config, &mut Bars::default())?;
-        let Some(Associated { counts, semantics }) = found else {
-            return Ok(());
-        };
+        let Associated { counts, semantics } =
+            associate(&ply.gaussians, &mut scene, &config, &mut Bars::default())?;
         terminal::say(&format!(
             "{} segments of training views: {} objects; {} segments are in no object, {} are divided",
             counts.segments, counts.objects, counts.dropped, counts.divided

@@ -22,7 +22,6 @@ use crate::segmentation::randla::parameter;
 use burn::module::{Module, Param};
 use burn::nn::Linear;
 use burn::tensor::{Device, Tensor};
-use std::ops::ControlFlow;
 use std::time::Instant;
 
 /// Channels of a Gaussian's feature.
@@ -78,26 +77,19 @@ impl Distilled {
 }
 
 /// Trains a feature field on the 2D features of all training photos: the mean absolute difference of decoded blended features and
-/// the maps of all four scales, read bilinearly at the drawn pixels. None where `progress` stops it.
+/// the maps of all four scales, read bilinearly at the drawn pixels.
 ///
 /// Differences from the original: its maps have one scale, and it renders whole images.
 ///
 /// # Errors
-/// Those of [`Reduction::fit`]; [`crate::Error::NonFinite`] for a loss or gradient that is not finite.
-pub fn distil(
-    inputs: &Inputs,
-    device: &Device,
-    progress: &mut dyn Progress,
-) -> Result<Option<Distilled>> {
+/// Those of [`Reduction::fit`]; [`crate::Error::NonFinite`] for a loss or gradient that is not finite; [`crate::Error::Stopped`].
+pub fn distil(inputs: &Inputs, device: &Device, progress: &mut dyn Progress) -> Result<Distilled> {
     let clock = Instant::now();
     let config = inputs.config;
     let mut advance = || go_on(progress);
     let features = &config.features;
     let seed = config.seed;
-    let reduction = Reduction::fit(inputs.scene, features, seed, inputs.device, &mut advance)?;
-    let ControlFlow::Continue(mut reduction) = reduction else {
-        return Ok(None);
-    };
+    let mut reduction = Reduction::fit(inputs.scene, features, seed, inputs.device, &mut advance)?;
     let maps: Vec<ViewFeatures> = reduction.training_views().collect::<Result<_>>()?;
     let views = inputs.scene.split(Split::Train);
     let targets: Vec<(&View, ViewFeatures)> = views.zip(maps).collect();
@@ -145,15 +137,13 @@ pub fn distil(
             loss,
             gaussians: count,
         });
-        if progress.stop() {
-            return Ok(None);
-        }
+        go_on(progress)?;
     }
     progress.event(&Event::Finished);
-    Ok(Some(Distilled {
+    Ok(Distilled {
         field,
         seconds: clock.elapsed().as_secs_f64(),
-    }))
+    })
 }
 
 /// The maps of all scales at the pixels of `sample`, `[P, 4 dimensions]`.

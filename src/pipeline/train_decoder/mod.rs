@@ -284,12 +284,11 @@ impl<M: IdentityModel> Training<M> {
         self.model.identities(module)
     }
 
-    /// Trains by `plan` from the checkpoint, or from the start without one, to the end or until `progress` stops it. Returns
-    /// whether it reached the end.
+    /// Trains by `plan` from the checkpoint, or from the start without one, to the end.
     ///
     /// # Errors
     /// Those of [`Training::step`]; the last checkpoint stays as it was. Those of reading or writing the checkpoint;
-    /// [`Error::Config`] and [`Error::Input`] when it was made from other settings or data.
+    /// [`Error::Config`] and [`Error::Input`] when it was made from other settings or data; [`Error::Stopped`].
     pub fn run(
         &mut self,
         views: &mut TrainingViews,
@@ -297,7 +296,7 @@ impl<M: IdentityModel> Training<M> {
         schedule: &TrainingSchedule,
         evaluate: Evaluate<M>,
         progress: &mut dyn Progress,
-    ) -> Result<bool> {
+    ) -> Result<()> {
         self.resume(plan, schedule)?;
         self.earlier_seconds = self.seconds;
         progress.event(&Event::Started {
@@ -332,11 +331,11 @@ impl<M: IdentityModel> Training<M> {
                 self.save(&schedule.provenance, path)?;
             }
         }
-        let finished = self.iteration >= plan.iterations;
-        if finished {
-            progress.event(&Event::Finished);
+        if self.iteration < plan.iterations {
+            return Err(Error::Stopped);
         }
-        Ok(finished)
+        progress.event(&Event::Finished);
+        Ok(())
     }
 
     /// A new point of the curve.

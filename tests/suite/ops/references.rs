@@ -110,8 +110,7 @@ fn stage_two(config: &Config) -> StageTwo {
     let (scene, gaussians, labels, _folder) = crate::support::plates::loaded();
     let (device, settings) = (crate::support::device(), Settings::default());
     let lifted = LiftedFeatures::of_views(&scene, &gaussians, config, &device, &mut Silent)
-        .expect("features")
-        .expect("not stopped");
+        .expect("features");
     let gaussians = gaussians.select(&lifted.kept);
     let kept = lifted.kept.iter();
     let labels = kept.map(|&i| labels[i as usize]).collect();
