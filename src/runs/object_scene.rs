@@ -299,15 +299,8 @@ impl ObjectScene {
     }
 
     fn is_called(&self, id: u16, what: &str) -> bool {
-        let Some(name) = self.name(id) else {
-            return false;
-        };
         let class = self.classes.index(id).map(|i| &self.classes.entries[i]);
-        let is_numbered = class.is_some_and(|class| class.object_of.is_some_and(|of| of.thing));
-        let class = name
-            .rsplit_once(' ')
-            .filter(|(_, number)| is_numbered && number.parse::<u32>().is_ok());
-        name == what || class.is_some_and(|(class, _)| class == what)
+        self.name(id) == Some(what) || class.is_some_and(|class| class.base_name() == what)
     }
 }
 

@@ -143,6 +143,15 @@ impl Class {
             object_of: None,
         }
     }
+
+    /// The name without the number of a thing: `chair` for `chair 2`.
+    pub fn base_name(&self) -> &str {
+        let is_thing = self.object_of.is_some_and(|of| of.thing);
+        match self.name.rsplit_once(' ') {
+            Some((base, number)) if is_thing && number.parse::<u32>().is_ok() => base,
+            _ => &self.name,
+        }
+    }
 }
 
 /// A name of a class as it is compared.
