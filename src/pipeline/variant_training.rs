@@ -24,28 +24,20 @@ pub(super) fn plan(variant: Variant, inputs: &Inputs) -> Result<TrainingPlan> {
         _ if variant.trains_decoder() => LabelLoss::from_config(config)?,
         _ => LabelLoss::Ce,
     };
-    let plan = TrainingPlan::new(config, loss, inputs.config.seed);
-    Ok(match variant {
-        Variant::Grouping => TrainingPlan {
-            blend: Blend::Logits,
+    let mut plan = TrainingPlan::new(config, loss, inputs.config.seed);
+    match variant {
+        Variant::Grouping => {
+            plan.config.blend = Blend::Logits;
+            plan.config.reduction = Reduction::Mean;
             // The original divides cross-entropy by its value for a uniform prediction.
-            lambda: [
-                1.0 / (inputs.scene.classes.len().max(2) as f64).ln(),
-                Grouping::LAMBDA_3D,
-            ],
-            reduction: Reduction::Mean,
-            ..plan
-        },
-        Variant::Distilled => TrainingPlan {
-            blend: Blend::Logits,
-            ..plan
-        },
-        Variant::PanopticLifting => TrainingPlan {
-            blend: Blend::Probabilities,
-            ..plan
-        },
-        _ => plan,
-    })
+            let uniform = (inputs.scene.classes.len().max(2) as f64).ln();
+            plan.lambda = [1.0 / uniform, Grouping::LAMBDA_3D];
+        }
+        Variant::Distilled => plan.config.blend = Blend::Logits,
+        Variant::PanopticLifting => plan.config.blend = Blend::Probabilities,
+        _ => {}
+    }
+    Ok(plan)
 }
 
 /// When `variant` is evaluated and saved.
@@ -125,7 +117,7 @@ pub fn decoder_training<'a>(
         decoder = decoder.with_silent_start();
     }
     // Not `plan.warmup`: a variant under cross-entropy has no warm-up, and is averaged over the same steps as the others.
-    let average_from = (config.warmup * plan.iterations as f64) as usize;
+    let average_from = (config.warmup * plan.config.iterations as f64) as usize;
     let adam = Adam::new(config.lr, config.average.then_some(average_from));
     Training::new(model, decoder, adam, classes)
 }

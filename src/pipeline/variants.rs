@@ -253,14 +253,14 @@ impl<'a> StageTwo<'a> {
         drop(decoded);
         let schedule = TrainingSchedule {
             variant: "fine-tuning",
-            eval_every: plan.iterations,
+            eval_every: plan.config.iterations,
             checkpoint: None,
             ..schedule(outcome.variant, self.inputs, self.checkpoints)?
         };
         let tuned = self.trained(outcome.variant, training, plan, &schedule, progress)?;
         outcome.identities = tuned.identities;
         outcome.scores = tuned.scores;
-        outcome.fine_tuning_steps = Some(plan.iterations);
+        outcome.fine_tuning_steps = Some(plan.config.iterations);
         outcome.seconds += tuned.seconds;
         outcome.learnable_bytes += tuned.learnable_bytes;
         Ok(outcome)
@@ -303,7 +303,7 @@ impl<'a> StageTwo<'a> {
             let identities = identities(training)?;
             let scores = held_out.score(&identities)?;
             let miou = scores.miou();
-            if training.iteration() == plan.iterations {
+            if training.iteration() == plan.config.iterations {
                 last = Some((identities, scores));
             }
             Ok(miou)

@@ -228,7 +228,7 @@ impl<M: IdentityModel> Training<M> {
         plan: &TrainingPlan,
     ) -> Result<f32> {
         let mut rng = stream(plan.seed, Purpose::Pixels, self.iteration as u64);
-        let sample = views.sample(view, plan.pixel_share, &mut rng)?;
+        let sample = views.sample(view, plan.config.pixel_share, &mut rng)?;
         if sample.pixels.is_empty() {
             return Ok(0.0);
         }
@@ -236,7 +236,7 @@ impl<M: IdentityModel> Training<M> {
         let decoded = self
             .model
             .decode(&self.module, view, visible, self.iteration)?;
-        let scores = sample.blended(decoded.scores.clone(), plan.blend)?;
+        let scores = sample.blended(decoded.scores.clone(), plan.config.blend)?;
         let coseg = self.coseg_loss(plan, &scores, &sample)?;
         let rendered = Rendered {
             view,
@@ -302,10 +302,10 @@ impl<M: IdentityModel> Training<M> {
         progress.event(&Event::Started {
             stage: schedule.variant,
             done: self.iteration,
-            iterations: plan.iterations,
+            iterations: plan.config.iterations,
         });
         let mut stop = false;
-        while self.iteration < plan.iterations && !stop {
+        while self.iteration < plan.config.iterations && !stop {
             let clock = Instant::now();
             let loss = f64::from(self.step(views, plan)?);
             self.seconds += clock.elapsed().as_secs_f64();
@@ -318,7 +318,7 @@ impl<M: IdentityModel> Training<M> {
                 gaussians: schedule.gaussians,
             });
             stop = progress.stop();
-            let end = iteration == plan.iterations;
+            let end = iteration == plan.config.iterations;
             let due = |every: usize| end || iteration.is_multiple_of(every.max(1));
             // No point for a stop: the curve of a resumed run is that of an uninterrupted one.
             if due(schedule.eval_every) {
@@ -331,7 +331,7 @@ impl<M: IdentityModel> Training<M> {
                 self.save(&schedule.provenance, path)?;
             }
         }
-        if self.iteration < plan.iterations {
+        if self.iteration < plan.config.iterations {
             return Err(Error::Stopped);
         }
         progress.event(&Event::Finished);

@@ -189,10 +189,8 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
         config.segmentation.warmup = 0.5;
         config.segmentation.iterations = 40;
         config.segmentation.lr = 1e-2;
-        let plan = TrainingPlan {
-            iterations,
-            ..TrainingPlan::new(&config.segmentation, LabelLoss::Ce, 0)
-        };
+        let mut plan = TrainingPlan::new(&config.segmentation, LabelLoss::Ce, 0);
+        plan.config.iterations = iterations;
         let (scene, gaussians, settings) = (&scene, &gaussians, Settings::default());
         let inputs = Inputs {
             settings,
