@@ -9,7 +9,7 @@ use coseg::data::formats::transforms;
 use coseg::data::{MapGeometry, Split};
 use coseg::error::Result;
 use coseg::objects::{color_apart, vote};
-use coseg::pipeline::{Associated, HeldOut, Inputs, associate};
+use coseg::pipeline::{Associated, HeldOut, SegmentationInputs, associate};
 use coseg::raster::Settings;
 use coseg::splat::ply;
 
@@ -80,9 +80,9 @@ impl AssociateArgs {
             out.display()
         ));
 
-        let inputs = Inputs {
+        let inputs = SegmentationInputs {
             semantics: semantics.as_ref(),
-            ..Inputs::new(&scene, &ply.gaussians, &config, &device)
+            ..SegmentationInputs::new(&scene, &ply.gaussians, &config, &device)
         };
         let views = HeldOut::new(&inputs);
         held_out::print(&views.score_raw().0, "held-out views, maps");

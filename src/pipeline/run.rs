@@ -2,7 +2,6 @@
 
 use super::associate::{Associated, AssociationCounts, associate};
 use super::corrections;
-use super::encode::Inputs;
 use super::evaluate::score_images;
 use super::lift::{Pruned, lift};
 use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
@@ -10,6 +9,7 @@ use super::requirements::{
     check_networks, check_scores, has_raw_labels, least_count, score_tables,
 };
 use super::resolve::resolved;
+use super::segmentation_inputs::SegmentationInputs;
 use super::variant_outcome::VariantOutcome;
 use super::variants::train_variants;
 use crate::config::{Association, Config, Variant};
@@ -276,12 +276,12 @@ impl Outcome {
         self.correct(files, device, progress)?;
         let config = &self.config;
         let clock = Instant::now();
-        let inputs = Inputs {
+        let inputs = SegmentationInputs {
             lifted: lifted.features,
             semantics: self.semantics.as_ref(),
             corrections: self.corrections.as_ref(),
             scores_fields: scored == Scored::LabelsAndFeatures,
-            ..Inputs::new(&self.scene, &self.gaussians, config, device)
+            ..SegmentationInputs::new(&self.scene, &self.gaussians, config, device)
         };
         let trained = train_variants(&inputs, &files.checkpoints, progress)?;
         if let Some(lifted) = &inputs.lifted {

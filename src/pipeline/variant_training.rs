@@ -1,7 +1,7 @@
 //! Training of a variant: its loss, its schedule, its provenance, and its decoder before the first step.
 
-use super::encode::Inputs;
 use super::rivals::Grouping;
+use super::segmentation_inputs::SegmentationInputs;
 use super::train_decoder::{
     Adam, DecoderInput, DecoderModel, DecoderPlan, Training, TrainingPlan, TrainingSchedule,
 };
@@ -17,7 +17,7 @@ use std::path::Path;
 const GJS_DROPOUT: f64 = 0.2;
 
 /// How `variant` is trained.
-pub(super) fn plan(variant: Variant, inputs: &Inputs) -> Result<TrainingPlan> {
+pub(super) fn plan(variant: Variant, inputs: &SegmentationInputs) -> Result<TrainingPlan> {
     let config = &inputs.config.segmentation;
     let loss = match variant {
         Variant::OursCe => LabelLoss::Ce,
@@ -46,7 +46,7 @@ pub(super) fn plan(variant: Variant, inputs: &Inputs) -> Result<TrainingPlan> {
 /// [`crate::Error::Io`] when the file of the point encoder's weights cannot be read.
 pub(super) fn schedule(
     variant: Variant,
-    inputs: &Inputs,
+    inputs: &SegmentationInputs,
     checkpoints: &Path,
 ) -> Result<TrainingSchedule> {
     let config = &inputs.config.segmentation;
@@ -65,7 +65,7 @@ pub(super) fn schedule(
 }
 
 /// What the training of `variant` follows from.
-fn provenance(variant: Variant, inputs: &Inputs) -> Result<Provenance> {
+fn provenance(variant: Variant, inputs: &SegmentationInputs) -> Result<Provenance> {
     let decoder = variant.trains_decoder();
     let features = decoder || variant.reads_image_features();
     let mut provenance =
@@ -92,7 +92,7 @@ pub fn decoder_training<'a>(
     plan: &TrainingPlan,
     input: &'a DecoderInput,
     prior: Option<Vec<f32>>,
-    inputs: &'a Inputs,
+    inputs: &'a SegmentationInputs,
     views: usize,
 ) -> Training<DecoderModel<'a>> {
     let config: &SegmentationConfig = &inputs.config.segmentation;

@@ -1,10 +1,11 @@
 //! The variants of the label table: what each is, and its training and scoring.
 
-use super::encode::{Encodings, Inputs, encode, spatial_of};
+use super::encode::{Encodings, encode, spatial_of};
 use super::evaluate::{FieldScores, HeldOut, HeldOutScores};
 use super::fine_tuning::fine_tuning;
 use super::label_evidence::{LabelEvidence, VOTE_FLOOR, once};
 use super::rivals::{Codes, Grouping, LinearHead, PanopticLifting, distil};
+use super::segmentation_inputs::SegmentationInputs;
 use super::train_decoder::{
     Adam, IdentityModel, Logits, PerGaussian, Training, TrainingPlan, TrainingSchedule,
     TrainingViews,
@@ -38,7 +39,7 @@ pub struct TrainedVariants {
 /// # Errors
 /// Those of training, of the encoder's weights, and of checkpoints; [`crate::Error::Stopped`].
 pub fn train_variants(
-    inputs: &Inputs,
+    inputs: &SegmentationInputs,
     checkpoints: &Path,
     progress: &mut dyn Progress,
 ) -> Result<TrainedVariants> {
@@ -84,7 +85,7 @@ pub fn train_variants(
 
 /// What the variants share.
 struct StageTwo<'a> {
-    inputs: &'a Inputs<'a>,
+    inputs: &'a SegmentationInputs<'a>,
     /// With autodiff.
     device: Device,
     checkpoints: &'a Path,
@@ -100,7 +101,7 @@ struct StageTwo<'a> {
 }
 
 impl<'a> StageTwo<'a> {
-    fn new(inputs: &'a Inputs<'a>, checkpoints: &'a Path) -> Self {
+    fn new(inputs: &'a SegmentationInputs<'a>, checkpoints: &'a Path) -> Self {
         Self {
             inputs,
             device: inputs.device.clone().autodiff(),

@@ -1,7 +1,7 @@
 //! Feature 3DGS (Zhou et al. 2024): a feature for each Gaussian, distilled from 2D feature maps by rendering.
 
-use super::super::encode::Inputs;
 use super::super::evaluate::FieldScores;
+use super::super::segmentation_inputs::SegmentationInputs;
 use super::super::train_decoder::{
     Adam, DecodedScores, IdentityModel, TrainingViews, ViewSample, identities, parameter_gradients,
     view_at,
@@ -64,7 +64,7 @@ impl Distilled {
     ///
     /// # Errors
     /// As [`FieldScores::of_field`].
-    pub fn scores(&self, inputs: &Inputs) -> Result<FieldScores> {
+    pub fn scores(&self, inputs: &SegmentationInputs) -> Result<FieldScores> {
         let field = self.field.valid();
         let channels = SCALES * inputs.config.features.dimensions;
         let features = |visible: &[u32], pixels: &_| field.at(visible, pixels);
@@ -83,7 +83,11 @@ impl Distilled {
 ///
 /// # Errors
 /// Those of [`Reduction::fit`]; [`crate::Error::NonFinite`] for a loss or gradient that is not finite; [`crate::Error::Stopped`].
-pub fn distil(inputs: &Inputs, device: &Device, progress: &mut dyn Progress) -> Result<Distilled> {
+pub fn distil(
+    inputs: &SegmentationInputs,
+    device: &Device,
+    progress: &mut dyn Progress,
+) -> Result<Distilled> {
     let clock = Instant::now();
     let config = inputs.config;
     let mut advance = || go_on(progress);
@@ -178,7 +182,7 @@ impl LinearHead {
     }
 
     /// Random weights, on an autodiff `device`.
-    pub fn random(inputs: &Inputs, device: &Device) -> Linear {
+    pub fn random(inputs: &SegmentationInputs, device: &Device) -> Linear {
         let classes = inputs.scene.classes.len();
         linear(CHANNELS, classes, &mut first_parameters(inputs), device)
     }

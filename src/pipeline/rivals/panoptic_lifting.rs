@@ -1,6 +1,6 @@
 //! The losses of Panoptic Lifting (Siddiqui et al. 2023) on classes of Gaussians.
 
-use super::super::encode::Inputs;
+use super::super::segmentation_inputs::SegmentationInputs;
 use super::super::train_decoder::{DecodedScores, IdentityModel, Logits, PerGaussian, Rendered};
 use crate::backend::device::{read, upload};
 use crate::config::Blend;
@@ -41,7 +41,7 @@ struct Segments {
 
 impl<'a> PanopticLifting<'a> {
     /// Of the labelled views of `inputs`.
-    pub fn new(inputs: &Inputs<'a>) -> Self {
+    pub fn new(inputs: &SegmentationInputs<'a>) -> Self {
         let scene = inputs.scene;
         let views: Vec<_> = scene.labelled().collect();
         let iterations = inputs.config.segmentation.iterations as f64;

@@ -8,7 +8,7 @@ use coseg::data::{LabelMap, Split};
 use coseg::objects::{Identities, LabelMaps, RenderOptions, Renderer, Votes, vote};
 use coseg::ops::{CustomOp, with_references};
 use coseg::pipeline::train_decoder::{DecoderModel, Training, TrainingPlan};
-use coseg::pipeline::{Inputs, LiftedFeatures, decoder_training, encode};
+use coseg::pipeline::{LiftedFeatures, SegmentationInputs, decoder_training, encode};
 use coseg::progress::Silent;
 use coseg::raster::{Settings, SplatTensors};
 use coseg::reconstruction::{Trainer, TrainerState};
@@ -114,10 +114,10 @@ fn stage_two(config: &Config) -> StageTwo {
     let gaussians = gaussians.select(&lifted.kept);
     let kept = lifted.kept.iter();
     let labels = kept.map(|&i| labels[i as usize]).collect();
-    let inputs = Inputs {
+    let inputs = SegmentationInputs {
         lifted: Some(lifted),
         settings,
-        ..Inputs::new(&scene, &gaussians, config, &device)
+        ..SegmentationInputs::new(&scene, &gaussians, config, &device)
     };
     let plan = TrainingPlan::new(&config.segmentation, LabelLoss::Ce, 0);
     let encodings = encode(&inputs, &config.spatial).expect("encoded");
