@@ -108,11 +108,7 @@ impl EvalArgs {
 
 /// The true labels of a scene must be of the classes of the run.
 fn same_classes(scene: &Classes, run: &Classes) -> Result<()> {
-    let named = |classes: &Classes| {
-        let names = classes.entries.iter().map(|c| (c.id, c.name.clone()));
-        names.collect::<Vec<_>>()
-    };
-    ensure!(scene.is_empty() || run.is_empty() || named(scene) == named(run),
+    ensure!(scene.is_empty() || run.is_empty() || scene.has_names_of(run),
         argument "--data"; found "{} classes, not those of the run", scene.len();
         expected "the {} classes of the run", run.len();
         help "give the scene that was trained on, or one with the same classes.json");

@@ -83,13 +83,13 @@ impl FromPhotosArgs {
         };
         let made = capture.make(&self.out, &mut Bars::default())?;
         let out = &self.out;
-        let by = made.poses.unwrap_or_default();
+        let solver = made.poses.unwrap_or_default();
         let masks = match made.masks {
             0 => String::new(),
             some => format!(" ({some} with masks)"),
         };
         terminal::say(&format!(
-            "{}: {} photos{masks}, poses by {by}",
+            "{}: {} photos{masks}, poses by {solver}",
             out.display(),
             made.photos
         ));

@@ -91,7 +91,7 @@ impl SelectArgs {
     fn seeds(&self, scene: &ObjectScene) -> Result<Vec<u32>> {
         let frames = read_cameras(&cameras_path(self.cameras.as_deref(), &scene.path)?, None)?;
         let settings = Settings::from(&rendering_beside(&scene.path).raster);
-        let under = |(frame, &pixel): (&String, &[usize; 2])| {
+        let gaussian_below = |(frame, &pixel): (&String, &[usize; 2])| {
             let NamedCamera { name, camera, .. } = frame_with_pixel(&frames, frame, pixel)?;
             let camera = camera.moved(-scene.ply.origin);
             let projected = Projected::new(&scene.ply.gaussians.splats(), &camera, &settings)?;
@@ -101,6 +101,10 @@ impl SelectArgs {
                     expected "a pixel that Gaussians cover by half"; help "point at the middle of the thing")
             })
         };
-        self.frames.iter().zip(&self.pixels).map(under).collect()
+        self.frames
+            .iter()
+            .zip(&self.pixels)
+            .map(gaussian_below)
+            .collect()
     }
 }

@@ -29,12 +29,13 @@ impl Growth {
     /// If there is no seed, or one is not below N.
     pub fn new(regions: &Regions, seeds: &[u32]) -> Self {
         assert!(!seeds.is_empty(), "a selection grows from a seed");
-        let of = &regions.superpoints.of;
-        let seeds: Vec<u32> = seeds.iter().map(|&seed| of[seed as usize]).collect();
+        let superpoints = &regions.superpoints.of;
+        let seeds = seeds.iter().map(|&seed| superpoints[seed as usize]);
+        let seeds: Vec<u32> = seeds.collect();
         let reached = regions.reached(&seeds);
         Self {
             proposed: regions.propose(&seeds),
-            thresholds: of.iter().map(|&s| reached[s as usize]).collect(),
+            thresholds: superpoints.iter().map(|&s| reached[s as usize]).collect(),
         }
     }
 

@@ -97,12 +97,12 @@ impl Outcome {
 
     /// The variant whose identities the scene stores: `ours` where it was trained, else the last with identities.
     pub fn stored(&self) -> Option<(&VariantOutcome, &Identities)> {
-        let with = |row: &VariantOutcome| row.identities.is_some();
+        let has_identities = |row: &VariantOutcome| row.identities.is_some();
         let row = self
             .rows
             .iter()
-            .find(|r| r.variant == Variant::Ours && with(r));
-        let row = row.or_else(|| self.rows.iter().rfind(|r| with(r)))?;
+            .find(|r| r.variant == Variant::Ours && has_identities(r));
+        let row = row.or_else(|| self.rows.iter().rfind(|r| has_identities(r)))?;
         Some((row, row.identities.as_ref()?))
     }
 

@@ -186,18 +186,18 @@ impl ObjectScene {
                 ids.push(None);
                 continue;
             }
-            let there = self
+            let known = self
                 .classes
                 .entries
                 .iter()
                 .find(|class| class.name == *name);
             let free = || (1..=u16::MAX).find(|id| !editing.is_known(*id));
-            let id = there.map_or_else(free, |class| Some(class.id));
+            let id = known.map_or_else(free, |class| Some(class.id));
             let Some(id) = id else {
                 bail!(argument "{flag}"; found "a scene with all labels in use"; expected "a free label";
                     help "name an object that is there");
             };
-            if there.is_none() {
+            if known.is_none() {
                 editing.entry(id).name = (*name).to_owned();
                 made.insert(id);
             }
@@ -241,10 +241,10 @@ impl ObjectScene {
     /// As [`ObjectScene::find`].
     pub fn bounds(&self, what: &str, flag: &str) -> Result<(DVec3, DVec3)> {
         let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        let around = |(low, high): (DVec3, DVec3), object: &Object| {
+        let extended = |(low, high): (DVec3, DVec3), object: &Object| {
             (low.min(object.low), high.max(object.high))
         };
-        let (low, high) = self.find(what, flag)?.into_iter().fold(none, around);
+        let (low, high) = self.find(what, flag)?.into_iter().fold(none, extended);
         Ok((low + self.ply.origin, high + self.ply.origin))
     }
 

@@ -55,6 +55,12 @@ impl Classes {
         self.index(id).map_or("void", |i| &self.entries[i].name)
     }
 
+    /// Whether both tables have the same ids with the same names.
+    pub fn has_names_of(&self, other: &Self) -> bool {
+        let mut pairs = self.entries.iter().zip(&other.entries);
+        self.len() == other.len() && pairs.all(|(a, b)| a.id == b.id && a.name == b.name)
+    }
+
     /// The labels of `count` unlabelled Gaussians.
     pub fn unlabelled(&self, count: usize) -> Vec<u16> {
         vec![self.ignore; count]

@@ -1,7 +1,7 @@
 //! The operations of a file of edits.
 
+use super::Editing;
 use crate::error::{Result, ensure, invalid};
-use crate::objects::Editing;
 use crate::splat::Motion;
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
