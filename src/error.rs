@@ -5,7 +5,8 @@
 //! [`Error::Argument`] - pass something else to the command or the function; [`Error::Missing`] - name another path;
 //! [`Error::Program`] - see what the other program says;
 //! [`Error::Io`] - look at the path; [`Error::Limit`] - the request does not fit, the numbers are in the message;
-//! [`Error::NonFinite`] - training met a NaN or an infinity, and where; [`Error::Device`] - the backend is not usable.
+//! [`Error::NonFinite`] - training met a NaN or an infinity, and where; [`Error::Device`] - the backend is not usable;
+//! [`Error::Stopped`] - make the same call again to continue.
 
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -181,6 +182,9 @@ pub enum Error {
         /// What the user can do.
         help: String,
     },
+    /// [`Progress::stop`](crate::progress::Progress::stop) ended the work. Files of what is done stay; the same call continues.
+    #[error("stopped")]
+    Stopped,
     /// The compute device is missing or refused the work.
     #[error("device {device}: {reason}; {help}")]
     Device {

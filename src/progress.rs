@@ -1,10 +1,10 @@
 //! Progress of a running stage, as events for its caller.
 
 use crate::data::Scene;
+use crate::error::{Error, Result};
 use crate::metrics::ImageScores;
 use crate::splat::Gaussians;
 use serde::{Deserialize, Serialize};
-use std::ops::ControlFlow;
 
 /// An event of a stage; iterations count from 1.
 #[derive(Clone, Debug, PartialEq)]
@@ -96,7 +96,7 @@ pub trait Progress {
     /// Called after each event.
     fn event(&mut self, event: &Event);
 
-    /// Whether to end the run. Called after each iteration, after each view of features, unprojection and association, and
+    /// Whether to end the run with [`Error::Stopped`]. Called after each iteration, after each view of features, unprojection and association, and
     /// between the parts of a run. A resumed run continues training from a checkpoint, and repeats a stage that learns nothing.
     fn stop(&mut self) -> bool {
         false
@@ -131,8 +131,11 @@ impl<'p> Viewing<'p> {
         Self { progress, done: 0 }
     }
 
-    /// Reports `more` views, and asks whether to continue.
-    pub fn advance(&mut self, more: usize) -> ControlFlow<()> {
+    /// Reports `more` views.
+    ///
+    /// # Errors
+    /// As [`go_on`].
+    pub fn advance(&mut self, more: usize) -> Result<()> {
         if more > 0 {
             self.done += more;
             self.progress.event(&Event::Viewed { done: self.done });
@@ -147,12 +150,14 @@ impl<'p> Viewing<'p> {
 }
 
 /// Asks whether to continue.
-pub(crate) fn go_on(progress: &mut dyn Progress) -> ControlFlow<()> {
+///
+/// # Errors
+/// [`Error::Stopped`] where not.
+pub(crate) fn go_on(progress: &mut dyn Progress) -> Result<()> {
     if progress.stop() {
-        ControlFlow::Break(())
-    } else {
-        ControlFlow::Continue(())
+        return Err(Error::Stopped);
     }
+    Ok(())
 }
 
 /// Ignores all events.

@@ -291,14 +291,19 @@ fn digest_photos(scene: &Scene) -> Sha256 {
     let parts = scene.views.par_iter().map(|view| {
         digest_view(view, |hash| {
             view.image.identify(hash);
-            let mask = view.mask.iter().flat_map(|mask| mask.words());
-            mask.for_each(|word| hash.update(word.to_le_bytes()));
+            digest_mask(view, hash);
         })
     });
     let mut digest = joined(&parts.collect::<Vec<_>>());
     digest.update(f32::to_bytes(scene.points.positions.as_flattened()));
     digest.update(f32::to_bytes(scene.points.colors.as_flattened()));
     digest
+}
+
+/// The pixels that the mask of a view uses, where it has one.
+pub(crate) fn digest_mask(view: &View, hash: &mut Sha256) {
+    let mask = view.mask.iter().flat_map(|mask| mask.words());
+    mask.for_each(|word| hash.update(word.to_le_bytes()));
 }
 
 /// Class ids, and of every training view with raw labels its name, split, camera, labels, corrections and scores.
@@ -357,7 +362,8 @@ fn joined(parts: &[[u8; 32]]) -> Sha256 {
     Sha256::new().chain_update(parts.as_flattened())
 }
 
-fn digest_gaussians(g: &Gaussians) -> Sha256 {
+/// All parameters of `g`.
+pub(crate) fn digest_gaussians(g: &Gaussians) -> Sha256 {
     let mut hash = Sha256::new();
     hash.update(format!("{} {}\n", g.len(), g.sh_degree));
     let parts = [

@@ -4,7 +4,7 @@ use crate::progress::Callback;
 use crate::scene::Scene;
 use crate::{arguments, raised};
 use coseg::backend::device;
-use coseg::error::{Result, ensure};
+use coseg::error::{Error, Result, ensure};
 use coseg::files::own;
 use coseg::report::Command;
 use coseg::runs;
@@ -72,8 +72,14 @@ fn in_folder(
         };
         runs::train(&run, &config, command, &device, progress)
     });
-    let trained = trained.inspect_err(|_| own::remove_empty(run.path()))?;
-    Ok((!trained.outcome.stopped).then(|| run.path().to_owned()))
+    match trained {
+        Ok(_) => Ok(Some(run.path().to_owned())),
+        Err(Error::Stopped) => Ok(None),
+        Err(error) => {
+            own::remove_empty(run.path());
+            Err(error)
+        }
+    }
 }
 
 /// Refuses arguments that a resumed run does not take.

@@ -6,7 +6,7 @@ use crate::config::Budget;
 use crate::config::Variant;
 use crate::error::{Error, Result};
 use crate::metrics::ImageScores;
-use crate::pipeline::Inputs;
+use crate::pipeline::SegmentationInputs;
 use crate::pipeline::lift::lift;
 use crate::pipeline::variants::train_variants;
 use crate::progress::{Event, Progress};
@@ -104,9 +104,9 @@ fn stage_two(
         return Ok(());
     };
     let [features, unprojection] = lifted.seconds;
-    let inputs = Inputs {
+    let inputs = SegmentationInputs {
         lifted: lifted.features,
-        ..Inputs::new(scene, &lifted.gaussians, &config, device)
+        ..SegmentationInputs::new(scene, &lifted.gaussians, &config, device)
     };
     let folder = tempfile::tempdir().map_err(|e| Error::io(std::env::temp_dir(), "create", e))?;
     train_variants(&inputs, folder.path(), &mut clock)?;

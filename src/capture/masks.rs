@@ -13,7 +13,6 @@ use image::{DynamicImage, GrayImage, ImageFormat};
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::io::Cursor;
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 /// The masks of a folder, by their photos.
@@ -46,8 +45,8 @@ impl Masks {
     /// Reads the masks of `photos` before anything is written. A warning tells of masks that may be turned.
     ///
     /// # Errors
-    /// [`Error::Input`] for a mask of other proportions, or one that cannot be read; [`Error::Io`].
-    pub fn check(&self, photos: &Photos, progress: &mut dyn Progress) -> Result<ControlFlow<()>> {
+    /// [`Error::Input`] for a mask of other proportions, or one that cannot be read; [`Error::Io`]; [`Error::Stopped`].
+    pub fn check(&self, photos: &Photos, progress: &mut dyn Progress) -> Result<()> {
         let masked = |photo| Some((photo, self.of(photo)?));
         let masked: Vec<(&Photo, &Path)> = photos.all.iter().filter_map(masked).collect();
         let mut viewing = Viewing::begin(progress, "masks", masked.len());
@@ -56,9 +55,7 @@ impl Masks {
                 let upright = turned(photo.size, photos.turn(photo));
                 decode(file, photo.size, upright).map(drop)
             }))?;
-            if viewing.advance(some.len()).is_break() {
-                return Ok(ControlFlow::Break(()));
-            }
+            viewing.advance(some.len())?;
         }
         viewing.end();
         let untraced = masked
@@ -71,7 +68,7 @@ impl Masks {
                 first.path.display()
             );
         }
-        Ok(ControlFlow::Continue(()))
+        Ok(())
     }
 
     /// The mask of `photo`, where one is given.

@@ -16,7 +16,6 @@ use crate::progress::Progress;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::fs;
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 /// Says what the scene folder was made from, and how far that came.
@@ -64,14 +63,13 @@ struct Room {
 
 impl Capture<'_> {
     /// Makes the scene folder `out`: photos without EXIF orientation in `images`, or frames of the video, their masks in `masks`, and
-    /// COLMAP models in `sparse`. A folder that was begun is continued: steps that are done are not done again. `None` where
-    /// `progress` stopped it.
+    /// COLMAP models in `sparse`. A folder that was begun is continued: steps that are done are not done again.
     ///
     /// # Errors
     /// [`Error::Missing`] for the source or a program that is not there; [`Error::Argument`] for a folder with other files, or one
     /// made from other photos; [`Error::Input`] for photos of several sizes or that cannot be placed, and for masks of other
-    /// proportions; [`Error::Program`]; [`Error::Io`].
-    pub fn make(&self, out: &Path, progress: &mut dyn Progress) -> Result<Option<Made>> {
+    /// proportions; [`Error::Program`]; [`Error::Io`]; [`Error::Stopped`].
+    pub fn make(&self, out: &Path, progress: &mut dyn Progress) -> Result<Made> {
         let photos = self.photos()?;
         let masks = self.masks(photos.as_deref())?;
         let input = self.input(photos.as_deref(), masks.as_ref())?;
@@ -82,40 +80,31 @@ impl Capture<'_> {
         let solver = solver.transpose()?;
         let photos = photos.filter(|_| made.photos == 0).map(Photos::look);
         let photos = photos.transpose()?;
-        if let (Some(masks), Some(photos)) = (&masks, &photos)
-            && masks.check(photos, progress)?.is_break()
-        {
-            return Ok(None);
+        if let (Some(masks), Some(photos)) = (&masks, &photos) {
+            masks.check(photos, progress)?;
         }
         made.source = files::absolute(self.source)?;
         made.input = input;
         atomic::write_json(&room.record, &made)?;
         if made.photos == 0 {
             let photos = match photos {
-                Some(photos) => Some(photos),
+                Some(photos) => photos,
                 None => self.video_frames(&room, progress)?,
             };
-            let Some(photos) = photos else {
-                return Ok(None);
-            };
             let with_masks = masks.as_ref().map(|masks| (masks, &*room.masks));
-            if photos.copy(with_masks, &room.images, progress)?.is_break() {
-                return Ok(None);
-            }
+            photos.copy(with_masks, &room.images, progress)?;
             made.photos = photos.all.len();
             made.masks = masks.map_or(0, |masks| masks.0.len());
             atomic::write_json(&room.record, &made)?;
         }
         if let Some(solver) = solver {
-            if room.solve(&solver, &made, progress)?.is_break() {
-                return Ok(None);
-            }
+            room.solve(&solver, &made, progress)?;
             made.poses = Some(solver.to_string());
             atomic::write_json(&room.record, &made)?;
         }
         // What stays does no harm.
         let _ = fs::remove_dir_all(&room.work);
-        Ok(Some(made))
+        Ok(made)
     }
 
     /// The photos of a folder; `None` for a video.
@@ -130,15 +119,13 @@ impl Capture<'_> {
         is_folder.then(|| photos::list(self.source)).transpose()
     }
 
-    /// Frames of the video, in the working folder. `None` where `progress` stopped it.
-    fn video_frames(&self, room: &Room, progress: &mut dyn Progress) -> Result<Option<Photos>> {
+    /// Frames of the video, in the working folder.
+    fn video_frames(&self, room: &Room, progress: &mut dyn Progress) -> Result<Photos> {
         let folder = room.work.join("frames");
         make_empty(&folder)?;
         let video = files::absolute(self.source)?;
-        if video::frames(&video, self.frames, &folder, progress)?.is_break() {
-            return Ok(None);
-        }
-        Photos::look(photos::list(&folder)?).map(Some)
+        video::frames(&video, self.frames, &folder, progress)?;
+        Photos::look(photos::list(&folder)?)
     }
 
     /// The masks of the photos, where they are given.
@@ -203,12 +190,7 @@ impl Room {
     }
 
     /// Finds the poses of its photos.
-    fn solve(
-        &self,
-        solver: &Solver,
-        made: &Made,
-        progress: &mut dyn Progress,
-    ) -> Result<ControlFlow<()>> {
+    fn solve(&self, solver: &Solver, made: &Made, progress: &mut dyn Progress) -> Result<()> {
         let place = Place {
             images: &self.images,
             masks: (made.masks > 0).then_some(&*self.masks),

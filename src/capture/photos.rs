@@ -10,7 +10,6 @@ use crate::progress::{Progress, Viewing};
 use image::metadata::Orientation;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 /// The photos in `dir`, sorted by name.
@@ -125,13 +124,13 @@ impl Photos {
     /// the folder that comes with `masks`.
     ///
     /// # Errors
-    /// [`Error::Input`] where a photo or its mask cannot be read; [`Error::Io`].
+    /// [`Error::Input`] where a photo or its mask cannot be read; [`Error::Io`]; [`Error::Stopped`].
     pub fn copy(
         &self,
         masks: Option<(&Masks, &Path)>,
         out: &Path,
         progress: &mut dyn Progress,
-    ) -> Result<ControlFlow<()>> {
+    ) -> Result<()> {
         let limits = Limits::default();
         let mut viewing = Viewing::begin(progress, "photos", self.all.len());
         for some in self.all.chunks(rayon::current_num_threads()) {
@@ -144,11 +143,9 @@ impl Photos {
                 let name = file_name(&photo.path).unwrap_or_default();
                 atomic::write_bytes(out.join(name), &copy)
             }))?;
-            if viewing.advance(some.len()).is_break() {
-                return Ok(ControlFlow::Break(()));
-            }
+            viewing.advance(some.len())?;
         }
         viewing.end();
-        Ok(ControlFlow::Continue(()))
+        Ok(())
     }
 }

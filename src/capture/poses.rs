@@ -5,7 +5,6 @@ use crate::error::{Error, Result, ensure};
 use crate::files::{self, atomic, names};
 use crate::progress::{Progress, Viewing};
 use std::fmt;
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -119,25 +118,17 @@ impl Solver {
     /// Finds the poses of `photos` photos.
     ///
     /// # Errors
-    /// [`Error::Program`] where COLMAP fails; [`Error::Input`] where it places no photo; [`Error::Io`].
-    pub fn run(
-        &self,
-        place: &Place<'_>,
-        photos: usize,
-        progress: &mut dyn Progress,
-    ) -> Result<ControlFlow<()>> {
+    /// [`Error::Program`] where COLMAP fails; [`Error::Input`] where it places no photo; [`Error::Io`]; [`Error::Stopped`].
+    pub fn run(&self, place: &Place<'_>, photos: usize, progress: &mut dyn Progress) -> Result<()> {
         let sparse = place.work.join("sparse");
         super::make_empty(&sparse)?;
         let blocks = photos.div_ceil(BLOCK).pow(2);
         for (step, length) in [(FEATURES, photos), (MATCHES, blocks), (POSES, photos)] {
             let mut viewing = Viewing::begin(progress, step.name, length);
             let mut command = self.command(step, place);
-            let done = program::run(&mut command, HELP, &mut viewing, |line| {
+            program::run(&mut command, HELP, &mut viewing, |line| {
                 usize::from(line.contains(step.done))
             })?;
-            if done.is_break() {
-                return Ok(done);
-            }
             viewing.end();
         }
         let models = names(&sparse, |_, path| path.is_dir());
@@ -150,7 +141,7 @@ impl Solver {
                 atomic::write_bytes(place.models.join(model).join(&name), &bytes)?;
             }
         }
-        Ok(ControlFlow::Continue(()))
+        Ok(())
     }
 }
 

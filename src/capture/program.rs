@@ -4,7 +4,6 @@ use crate::error::{Error, Result, clipped};
 use crate::progress::Viewing;
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
-use std::ops::ControlFlow;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::time::Duration;
@@ -18,13 +17,14 @@ const PATIENCE: Duration = Duration::from_millis(100);
 /// program is ended, with all that it started.
 ///
 /// # Errors
-/// [`Error::Program`] with its last lines where it fails; [`Error::Missing`] where it is not installed; `help` says what to do.
+/// [`Error::Program`] with its last lines where it fails; [`Error::Missing`] where it is not installed; `help` says what to do;
+/// [`Error::Stopped`].
 pub(super) fn run(
     command: &mut Command,
     help: &str,
     viewing: &mut Viewing<'_>,
     mut done: impl FnMut(&str) -> usize,
-) -> Result<ControlFlow<()>> {
+) -> Result<()> {
     let program = command.get_program().to_string_lossy().into_owned();
     command.stdin(Stdio::null());
     // One pipe for both, so that the last lines are the last ones.
@@ -58,9 +58,7 @@ pub(super) fn run(
             Err(RecvTimeoutError::Timeout) => 0,
             Err(RecvTimeoutError::Disconnected) => break,
         };
-        if viewing.advance(more).is_break() {
-            return Ok(ControlFlow::Break(()));
-        }
+        viewing.advance(more)?;
     }
     let status = running.0.wait();
     let status = status.map_err(|e| Error::io(&program, "wait for", e))?;
@@ -76,7 +74,7 @@ pub(super) fn run(
             help: help.to_owned(),
         });
     }
-    Ok(ControlFlow::Continue(()))
+    Ok(())
 }
 
 /// A program with all that it started, which end when this is dropped.

@@ -4,7 +4,6 @@ use super::program;
 use crate::error::{Result, ensure};
 use crate::progress::{Progress, Silent, Viewing};
 use std::ffi::OsString;
-use std::ops::ControlFlow;
 use std::path::Path;
 use std::process::Command;
 
@@ -25,27 +24,24 @@ pub(super) fn frames(
     count: usize,
     out: &Path,
     progress: &mut dyn Progress,
-) -> Result<ControlFlow<()>> {
+) -> Result<()> {
     let mut length = Length::default();
     let mut probe = ffmpeg(video);
     probe.args(["-t", "0", "-f", "null", "-"]);
     let mut silent = Silent;
     let mut viewing = Viewing::begin(&mut silent, "video", 0);
-    let _ = program::run(&mut probe, HELP, &mut viewing, |line| length.read(line))?;
+    program::run(&mut probe, HELP, &mut viewing, |line| length.read(line))?;
 
     let mut sharpness: Vec<f64> = Vec::new();
     let mut measure = ffmpeg(video);
     measure.args(["-vf", SHARPNESS, "-f", "null", "-"]);
     let mut viewing = Viewing::begin(progress, "sharpness", length.frames());
-    let measured = program::run(&mut measure, HELP, &mut viewing, |line| {
+    program::run(&mut measure, HELP, &mut viewing, |line| {
         let value = line.strip_prefix("lavfi.signalstats.YAVG=");
         let value: Option<f64> = value.and_then(|value| value.parse().ok());
         sharpness.extend(value);
         usize::from(value.is_some())
     })?;
-    if measured.is_break() {
-        return Ok(measured);
-    }
     viewing.end();
     ensure!(sharpness.len() > 1, video, "frames"; found "{}", sharpness.len(); expected "two or more";
         help "give a longer video, or a folder of photos");
@@ -59,13 +55,11 @@ pub(super) fn frames(
     write.args(["-r", "30", "-q:v", "2", "-f", "image2", "frame_%04d.jpg"]);
     let mut viewing = Viewing::begin(progress, "frames", chosen.len());
     let is_frame = |line: &str| line.contains("showinfo") && line.contains(" pts:");
-    let written = program::run(&mut write, HELP, &mut viewing, |line| {
+    program::run(&mut write, HELP, &mut viewing, |line| {
         usize::from(is_frame(line))
     })?;
-    if written.is_continue() {
-        viewing.end();
-    }
-    Ok(written)
+    viewing.end();
+    Ok(())
 }
 
 /// ffmpeg on the frames of `video`.

@@ -9,7 +9,7 @@ use coseg::data::formats::transforms;
 use coseg::data::{MapGeometry, Split};
 use coseg::error::Result;
 use coseg::objects::{color_apart, vote};
-use coseg::pipeline::{Associated, HeldOut, Inputs, associate};
+use coseg::pipeline::{Associated, HeldOut, SegmentationInputs, associate};
 use coseg::raster::Settings;
 use coseg::splat::ply;
 
@@ -44,10 +44,8 @@ impl AssociateArgs {
         let settings = Settings::from(&config.raster);
         let device = self.input.backend.open()?;
         let (mut scene, ply) = self.input.read(&config, &device, &["labels"])?;
-        let found = associate(&ply.gaussians, &mut scene, &config, &mut Bars::default())?;
-        let Some(Associated { counts, semantics }) = found else {
-            return Ok(());
-        };
+        let Associated { counts, semantics } =
+            associate(&ply.gaussians, &mut scene, &config, &mut Bars::default())?;
         terminal::say(&format!(
             "{} segments of training views: {} objects; {} segments are in no object, {} are divided",
             counts.segments, counts.objects, counts.dropped, counts.divided
@@ -82,9 +80,9 @@ impl AssociateArgs {
             out.display()
         ));
 
-        let inputs = Inputs {
+        let inputs = SegmentationInputs {
             semantics: semantics.as_ref(),
-            ..Inputs::new(&scene, &ply.gaussians, &config, &device)
+            ..SegmentationInputs::new(&scene, &ply.gaussians, &config, &device)
         };
         let views = HeldOut::new(&inputs);
         held_out::print(&views.score_raw().0, "held-out views, maps");

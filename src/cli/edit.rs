@@ -1,6 +1,6 @@
 //! `coseg edit`: objects of a labelled scene kept, removed, turned, moved and painted; edits of the viewer applied.
 
-use super::object_scene::{ObjectSceneArgs, OutArgs};
+use super::object_scene::EditedSceneArgs;
 use super::terminal;
 use super::values::numbers;
 use clap::Args;
@@ -35,9 +35,7 @@ Examples:
 #[command(after_help = HELP)]
 pub struct EditArgs {
     #[command(flatten)]
-    input: ObjectSceneArgs,
-    #[command(flatten)]
-    out: OutArgs,
+    scene: EditedSceneArgs,
     /// Apply the edits that the viewer saved
     #[arg(long, value_name = "FILE.json", conflicts_with_all = ["keep", "remove", "turn", "moves"])]
     edits: Option<PathBuf>,
@@ -98,13 +96,13 @@ impl EditArgs {
             help "say what to change; `coseg edit --help` has examples");
         // Edits may be the first labels of a scene.
         let mut scene = if self.edits.is_some() {
-            self.input.read_or_unlabelled()?
+            self.scene.from.read_or_unlabelled()?
         } else {
-            self.input.read()?
+            self.scene.from.read()?
         };
         let gaussians = std::mem::take(&mut scene.ply.gaussians);
         let editing = Editing::new(gaussians, scene.labels.clone(), scene.classes.clone());
-        let (edited, done) = match &self.edits {
+        let (mut edited, done) = match &self.edits {
             Some(file) => {
                 let edits = Edits::read(file)?;
                 (
@@ -114,15 +112,13 @@ impl EditArgs {
             }
             None => objects.apply(&scene, editing)?,
         };
-        let out = self.out.check(&self.input, &scene, &edited.classes)?;
-        let mut gaussians = edited.gaussians;
         if self.paint {
             let classes = &edited.classes;
             let color = |&id: &u16| classes.legend_color(id).map(|v| f32::from(v) / 255.0);
             let colors: Vec<_> = edited.labels.iter().map(color).collect();
-            gaussians = gaussians.painted(&colors);
+            edited.gaussians = edited.gaussians.painted(&colors);
         }
-        scene.write(&out, &gaussians, &edited.labels, &edited.classes)?;
+        let out = self.scene.write(&scene, &edited)?;
         let (left, all) = (edited.labels.len(), scene.labels.len());
         let mut said = format!("{}: {left} of {all} Gaussians", out.display());
         let painted = self

@@ -8,7 +8,7 @@ use coseg::data::{Classes, Limits, Split};
 use coseg::error::{Result, ensure};
 use coseg::metrics::ImageScores;
 use coseg::objects::Semantics;
-use coseg::pipeline::{HeldOut, Inputs, Pictures, load_scene, stored_corrections};
+use coseg::pipeline::{HeldOut, Pictures, SegmentationInputs, load_scene, stored_corrections};
 use coseg::report::{TestScores, VariantScores};
 use coseg::runs::{RunFolder, SCENE, identities_beside};
 use coseg::splat::ply;
@@ -62,9 +62,9 @@ impl EvalArgs {
         }
         scene.classes = classes;
         let device = open_cpu()?;
-        let inputs = Inputs {
+        let inputs = SegmentationInputs {
             semantics: semantics.as_ref(),
-            ..Inputs::new(&scene, &ply.gaussians, &config, &device)
+            ..SegmentationInputs::new(&scene, &ply.gaussians, &config, &device)
         };
         // Before the work.
         let identities =
@@ -108,11 +108,7 @@ impl EvalArgs {
 
 /// The true labels of a scene must be of the classes of the run.
 fn same_classes(scene: &Classes, run: &Classes) -> Result<()> {
-    let named = |classes: &Classes| {
-        let names = classes.entries.iter().map(|c| (c.id, c.name.clone()));
-        names.collect::<Vec<_>>()
-    };
-    ensure!(scene.is_empty() || run.is_empty() || named(scene) == named(run),
+    ensure!(scene.is_empty() || run.is_empty() || scene.has_names_of(run),
         argument "--data"; found "{} classes, not those of the run", scene.len();
         expected "the {} classes of the run", run.len();
         help "give the scene that was trained on, or one with the same classes.json");
@@ -129,7 +125,7 @@ fn stored_row(config: &Config) -> Option<Variant> {
 }
 
 /// Scores of the rendered colours of each held-out view.
-fn image_scores(inputs: &Inputs) -> Result<BTreeMap<String, ImageScores>> {
+fn image_scores(inputs: &SegmentationInputs) -> Result<BTreeMap<String, ImageScores>> {
     let bar = terminal::bar("eval", inputs.scene.split(Split::Test).count() as u64);
     let pictures = Pictures::new(inputs.gaussians, inputs.config, inputs.device)?;
     let views = inputs.scene.split(Split::Test).map(|view| {

@@ -14,7 +14,6 @@ use coseg::error::Result;
 use coseg::files::lock::Lock;
 use coseg::files::own;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 /// The folder of the labels, in the scene folder.
 const LABELS: &str = "labels_segmenter";
@@ -65,41 +64,32 @@ pub struct FromPhotosArgs {
 }
 
 impl FromPhotosArgs {
-    /// Makes the scene folder, unless it is stopped.
-    pub fn run(self) -> Result<ExitCode> {
+    /// Makes the scene folder.
+    pub fn run(self) -> Result<()> {
         if self.segmenter.is_none() {
             self.labelling.expect_none()?;
         }
         interrupt::watch();
-        let done = {
-            let _lock = Lock::new(&self.out)?;
-            self.make().inspect_err(|_| own::remove_empty(&self.out))?
-        };
-        if !done {
-            return Ok(interrupt::stopped("the same command continues"));
-        }
-        Ok(ExitCode::SUCCESS)
+        let _lock = Lock::new(&self.out)?;
+        self.make().inspect_err(|_| own::remove_empty(&self.out))
     }
 
-    /// False where it was stopped.
-    fn make(&self) -> Result<bool> {
+    fn make(&self) -> Result<()> {
         let capture = Capture {
             source: &self.source,
             masks: self.masks.as_deref(),
             frames: self.frames,
             python: self.python.as_deref(),
         };
-        let Some(made) = capture.make(&self.out, &mut Bars::default())? else {
-            return Ok(false);
-        };
+        let made = capture.make(&self.out, &mut Bars::default())?;
         let out = &self.out;
-        let by = made.poses.unwrap_or_default();
+        let solver = made.poses.unwrap_or_default();
         let masks = match made.masks {
             0 => String::new(),
             some => format!(" ({some} with masks)"),
         };
         terminal::say(&format!(
-            "{}: {} photos{masks}, poses by {by}",
+            "{}: {} photos{masks}, poses by {solver}",
             out.display(),
             made.photos
         ));
@@ -108,16 +98,11 @@ impl FromPhotosArgs {
         check(out, &options, false)?;
         if let Some(model) = &self.segmenter {
             let scene = (out.as_path(), &options);
-            if self
-                .labelling
-                .label(scene, model, BEST, &out.join(LABELS))?
-                .stopped
-            {
-                return Ok(false);
-            }
+            let labels = out.join(LABELS);
+            self.labelling.label(scene, model, BEST, &labels)?;
         }
         next(out, self.segmenter.is_some());
-        Ok(true)
+        Ok(())
     }
 }
 

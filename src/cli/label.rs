@@ -8,7 +8,6 @@ use coseg::error::{Error, Result, ensure};
 use coseg::files::lock::Lock;
 use coseg::segmenter::{ClassFile, Contract, Job, Labelled, Network, label_scene};
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 /// Classes of each cell that scores keep.
 pub const BEST: usize = 5;
@@ -112,17 +111,14 @@ impl SegmenterArgs {
 }
 
 impl LabelArgs {
-    /// Labels the photos, unless it is stopped.
-    pub fn run(self) -> Result<ExitCode> {
+    /// Labels the photos.
+    pub fn run(self) -> Result<()> {
         let config = self.settings.load(Some(&self.data))?;
         let options = LoadOptions::from(&config);
         interrupt::watch();
         let scene = (self.data.as_path(), &options);
         let best = usize::from(self.best);
         let done = self.segmenter.label(scene, &self.model, best, &self.out)?;
-        if done.stopped {
-            return Ok(interrupt::stopped("the same command continues"));
-        }
         terminal::say(&format!(
             "{}: {} photos, {} labelled before; {} classes; use it with --set data.raw_labels={}",
             self.out.display(),
@@ -134,6 +130,6 @@ impl LabelArgs {
                 .unwrap_or_else(|_| self.out.clone())
                 .display()
         ));
-        Ok(ExitCode::SUCCESS)
+        Ok(())
     }
 }

@@ -167,9 +167,9 @@ impl Command {
         own::guard(&[&[name], others].concat());
         let done = match self {
             Self::Train(args) => return args.run(),
-            Self::Label(args) => return args.run(),
-            Self::FromPhotos(args) => return args.run(),
             Self::Compare(args) => return args.run(),
+            Self::Label(args) => args.run(),
+            Self::FromPhotos(args) => args.run(),
             Self::Data(args) => args.run(),
             Self::Eval(args) => args.run(),
             Self::Render(args) => args.run(),
@@ -188,7 +188,11 @@ impl Command {
             Self::Bench(args) => args.run(),
             Self::Completions(args) => args.run(),
         };
-        done.map(|()| ExitCode::SUCCESS)
+        match done {
+            Ok(()) => Ok(ExitCode::SUCCESS),
+            Err(Error::Stopped) => Ok(interrupt::stopped("the same command continues")),
+            Err(error) => Err(error),
+        }
     }
 }
 

@@ -5,6 +5,7 @@ use clap::Args;
 use coseg::data::Classes;
 use coseg::error::Result;
 use coseg::files::extension;
+use coseg::objects::Edited;
 use coseg::runs::{ObjectScene, read_scene, scene_output, scene_path};
 use std::path::PathBuf;
 
@@ -37,9 +38,11 @@ impl ObjectSceneArgs {
     }
 }
 
-/// Arguments that name what a command writes.
+/// Arguments that name a scene, and where the one that a command makes of it is written.
 #[derive(Args, Debug)]
-pub struct OutArgs {
+pub struct EditedSceneArgs {
+    #[command(flatten)]
+    pub from: ObjectSceneArgs,
     /// PLY file to write, or a folder for a scene.ply
     #[arg(long, value_name = "FILE.ply|DIR")]
     out: PathBuf,
@@ -48,7 +51,7 @@ pub struct OutArgs {
     force: bool,
 }
 
-impl OutArgs {
+impl EditedSceneArgs {
     /// The folder that the scene is written into.
     pub fn folder(&self) -> PathBuf {
         if self.out.is_dir() || extension(&self.out).is_empty() {
@@ -57,29 +60,19 @@ impl OutArgs {
         self.out.with_file_name("")
     }
 
-    /// The .ply file to write, where a scene with labels of `classes` may be written there, see [`scene_output`]. Says so if it is
-    /// written over.
-    pub fn check(
-        &self,
-        input: &ObjectSceneArgs,
-        scene: &ObjectScene,
-        classes: &Classes,
-    ) -> Result<PathBuf> {
-        let out = self.file(input, scene, classes)?;
+    /// The .ply file to write, where a scene with labels of `classes` may be written there, see [`scene_output`].
+    pub fn file(&self, scene: &ObjectScene, classes: &Classes) -> Result<PathBuf> {
+        let inputs = (scene.path.as_path(), self.from.classes.as_deref());
+        scene_output(&self.out, self.force, inputs, classes)
+    }
+
+    /// Writes what was made of `scene`, and returns the .ply file. Says so if that is written over.
+    pub fn write(&self, scene: &ObjectScene, edited: &Edited) -> Result<PathBuf> {
+        let out = self.file(scene, &edited.classes)?;
         if out.is_file() {
             terminal::note(&format!("writing over {}", out.display()));
         }
+        scene.write(&out, edited)?;
         Ok(out)
-    }
-
-    /// The same, without a word.
-    pub fn file(
-        &self,
-        input: &ObjectSceneArgs,
-        scene: &ObjectScene,
-        classes: &Classes,
-    ) -> Result<PathBuf> {
-        let inputs = (scene.path.as_path(), input.classes.as_deref());
-        scene_output(&self.out, self.force, inputs, classes)
     }
 }

@@ -6,8 +6,7 @@ use clap::{ArgGroup, Args};
 use coseg::data::Classes;
 use coseg::error::{Result, ensure};
 use coseg::pipeline::{Keep, prune, score_images};
-use coseg::runs::{CLASSES, classes_beside, copy_cameras, scene_path, write_classes};
-use coseg::splat::ply;
+use coseg::runs::{SCENE, classes_beside, scene_path, write_scene};
 
 const HELP: &str = "\
 Measures what each Gaussian adds to the pictures of the training views, and leaves out those that add least. Works on scenes of
@@ -43,7 +42,10 @@ impl PruneArgs {
         let device = self.input.backend.open()?;
         let (scene, ply) = self.input.read(&config, &device, &[])?;
         let from = scene_path(&self.input.scene)?;
-        let classes = classes_beside(&from, None)?;
+        let classes = match &ply.labels {
+            Some(_) => classes_beside(&from, None)?,
+            None => Classes::default(),
+        };
         ensure!(!ply.gaussians.is_empty(), &from, "element vertex"; found "no Gaussian"; expected "one or more";
             help "name a scene that is not empty");
         let pruning = prune(&ply.gaussians, &scene, keep, &config, &device)?;
@@ -52,15 +54,9 @@ impl PruneArgs {
             let kept = pruning.kept.iter().map(|&i| labels[i as usize]);
             kept.collect::<Vec<u16>>()
         });
-        let path = self.input.out.join("scene.ply");
-        ply::write(&path, &gaussians, ply.origin, labels.as_deref())?;
-        let classes = if labels.is_some() {
-            classes
-        } else {
-            Classes::default()
-        };
-        write_classes(&classes, &self.input.out.join(CLASSES))?;
-        copy_cameras(&from, &path)?;
+        let path = self.input.out.join(SCENE);
+        let scene_of = (&gaussians, ply.origin);
+        write_scene(&path, &from, scene_of, labels.as_deref(), &classes)?;
         terminal::say(&format!(
             "{}: {} of {} Gaussians, PSNR of training views {:.2} dB, {:.2} dB before",
             path.display(),

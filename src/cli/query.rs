@@ -2,7 +2,7 @@
 
 use super::export::safe;
 use super::frame_files::{Format, FrameFiles, write_npy};
-use super::object_scene::{ObjectSceneArgs, OutArgs};
+use super::object_scene::EditedSceneArgs;
 use super::{BackendArgs, Settings, terminal, values};
 use clap::{Args, ValueEnum};
 use coseg::backend::device::open_cpu;
@@ -52,9 +52,7 @@ Examples:
 #[command(after_help = HELP)]
 pub struct QueryArgs {
     #[command(flatten)]
-    input: ObjectSceneArgs,
-    #[command(flatten)]
-    out: OutArgs,
+    scene: EditedSceneArgs,
     /// Scene folder: photos and cameras [default: that of the run]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -98,11 +96,11 @@ enum ActivationArg {
 impl QueryArgs {
     /// Lifts, compares, selects and writes.
     pub fn run(self) -> Result<()> {
-        let scene = self.input.read_or_unlabelled()?;
+        let scene = self.scene.from.read_or_unlabelled()?;
         let config = self.config(&scene.path)?;
         let folder = self.folder(&config)?;
         self.check(&config)?;
-        self.out.file(&self.input, &scene, &scene.classes)?;
+        self.scene.file(&scene, &scene.classes)?;
         let phrases = self.phrases()?;
         for (text, name) in self.texts.iter().enumerate() {
             ensure!(!self.others(text, &phrases).is_empty(), argument "--negative"; found "{name}, which is a --text";
@@ -113,7 +111,7 @@ impl QueryArgs {
         let device = self.backend.open()?;
         let gaussians = &scene.ply.gaussians;
         compare_with_photos(&scene.path, gaussians, &photos, &config, &device)?;
-        let cache = self.out.folder().join(LIFTED);
+        let cache = self.scene.folder().join(LIFTED);
         let lifted = LiftedMaps {
             folder,
             scene: &photos,
@@ -180,7 +178,7 @@ impl QueryArgs {
         ensure!(different.len() == names.len() && !different.contains(LIFTED), argument "--text"; found "{}", self.texts.join(", ");
             expected "texts that differ in the letters and digits of their first 50 characters, and none called {LIFTED}";
             help "leave one out");
-        let out = self.out.folder();
+        let out = self.scene.folder();
         let folders: Vec<PathBuf> = names.iter().map(|name| out.join(name)).collect();
         let lifted = out.join(LIFTED);
         let all = folders.iter().chain([&lifted]).map(PathBuf::as_path);
@@ -274,10 +272,9 @@ impl QueryArgs {
             .map(|(text, rows)| (text.as_str(), &rows[..]))
             .collect();
         let (ids, edited) = scene.named(&objects, "--text")?;
-        let out = self.out.check(&self.input, scene, &edited.classes)?;
-        scene.write(&out, &edited.gaussians, &edited.labels, &edited.classes)?;
+        let out = self.scene.write(scene, &edited)?;
         for (((text, rows), id), relevancy) in objects.iter().zip(ids).zip(relevancies) {
-            let folder = self.out.folder().join(safe(text));
+            let folder = self.scene.folder().join(safe(text));
             write_npy(&folder.join("relevancy.npy"), &[relevancy.len()], relevancy)?;
             let most = largest(relevancy);
             let selected = match id {
@@ -308,7 +305,7 @@ impl QueryArgs {
             let frame = renderer.frame(camera)?;
             for (text, relevancy) in self.texts.iter().zip(relevancies) {
                 let files = FrameFiles {
-                    folder: &self.out.folder().join(safe(text)),
+                    folder: &self.scene.folder().join(safe(text)),
                     name,
                     format: self.format,
                 };

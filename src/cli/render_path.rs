@@ -114,11 +114,13 @@ impl PathArgs {
                 Orbit { radius, ..orbit }.frames(&keys[0], count)?
             }
         };
-        let named = |(i, camera)| NamedCamera {
+        let numbered = |(i, camera)| NamedCamera {
             name: format!("{PREFIX}{i:04}"),
             split: Split::Train,
             camera,
         };
-        Ok(Some(cameras.into_iter().enumerate().map(named).collect()))
+        Ok(Some(
+            cameras.into_iter().enumerate().map(numbered).collect(),
+        ))
     }
 }

@@ -1,6 +1,6 @@
 //! `coseg select`: a thing that a few pixels show becomes an object with a name.
 
-use super::object_scene::{ObjectSceneArgs, OutArgs};
+use super::object_scene::EditedSceneArgs;
 use super::{terminal, values};
 use clap::Args;
 use coseg::data::{NamedCamera, read_cameras};
@@ -29,9 +29,7 @@ Examples:
 #[command(after_help = HELP)]
 pub struct SelectArgs {
     #[command(flatten)]
-    input: ObjectSceneArgs,
-    #[command(flatten)]
-    out: OutArgs,
+    scene: EditedSceneArgs,
     /// Cameras, as `coseg render` takes them [default: cameras.json beside the scene]
     #[arg(long, value_name = "FILE.json|DIR")]
     cameras: Option<PathBuf>,
@@ -61,7 +59,7 @@ impl SelectArgs {
         ensure!(self.frames.len() == self.pixels.len(), argument "--pixel"; found "{} pixels", self.pixels.len();
             expected "one for each --frame, of which there are {}", self.frames.len();
             help "give --frame and --pixel once for each pixel");
-        let scene = self.input.read_or_unlabelled()?;
+        let scene = self.scene.from.read_or_unlabelled()?;
         let seeds = self.seeds(&scene)?;
         terminal::note("dividing the scene into regions");
         let growth = Growth::new(&Regions::new(&scene.ply.gaussians)?, &seeds);
@@ -73,9 +71,8 @@ impl SelectArgs {
             .flatten()
             .next()
             .unwrap_or(scene.classes.ignore);
-        let out = self.out.check(&self.input, &scene, &edited.classes)?;
-        scene.write(&out, &edited.gaussians, &edited.labels, &edited.classes)?;
-        let own = |row: &&u32| {
+        let out = self.scene.write(&scene, &edited)?;
+        let changes_over = |row: &&u32| {
             let label = scene.labels[**row as usize];
             label != id && label != scene.classes.ignore
         };
@@ -85,7 +82,7 @@ impl SelectArgs {
             rows.len(),
             scene.labels.len(),
             self.name,
-            rows.iter().filter(own).count(),
+            rows.iter().filter(changes_over).count(),
         ));
         Ok(())
     }
@@ -94,7 +91,7 @@ impl SelectArgs {
     fn seeds(&self, scene: &ObjectScene) -> Result<Vec<u32>> {
         let frames = read_cameras(&cameras_path(self.cameras.as_deref(), &scene.path)?, None)?;
         let settings = Settings::from(&rendering_beside(&scene.path).raster);
-        let under = |(frame, &pixel): (&String, &[usize; 2])| {
+        let gaussian_below = |(frame, &pixel): (&String, &[usize; 2])| {
             let NamedCamera { name, camera, .. } = frame_with_pixel(&frames, frame, pixel)?;
             let camera = camera.moved(-scene.ply.origin);
             let projected = Projected::new(&scene.ply.gaussians.splats(), &camera, &settings)?;
@@ -104,6 +101,10 @@ impl SelectArgs {
                     expected "a pixel that Gaussians cover by half"; help "point at the middle of the thing")
             })
         };
-        self.frames.iter().zip(&self.pixels).map(under).collect()
+        self.frames
+            .iter()
+            .zip(&self.pixels)
+            .map(gaussian_below)
+            .collect()
     }
 }

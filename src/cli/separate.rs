@@ -1,10 +1,10 @@
 //! `coseg separate`: things of one label that do not touch become objects of their own.
 
-use super::object_scene::{ObjectSceneArgs, OutArgs};
+use super::object_scene::EditedSceneArgs;
 use super::terminal;
 use clap::Args;
 use coseg::error::Result;
-use coseg::objects::Separation;
+use coseg::objects::{Edited, Separation};
 
 const HELP: &str = "\
 A scene that was trained on classes has one label for all chairs. Gaussians of one label that touch, directly or through
@@ -22,9 +22,7 @@ Examples:
 #[command(after_help = HELP)]
 pub struct SeparateArgs {
     #[command(flatten)]
-    input: ObjectSceneArgs,
-    #[command(flatten)]
-    out: OutArgs,
+    scene: EditedSceneArgs,
     /// Separate only these labels, ids or names [default: all]
     #[arg(long, value_name = "OBJECT,...", value_delimiter = ',')]
     only: Vec<String>,
@@ -42,20 +40,24 @@ pub struct SeparateArgs {
 impl SeparateArgs {
     /// Separates and writes.
     pub fn run(self) -> Result<()> {
-        let scene = self.input.read()?;
+        let mut scene = self.scene.from.read()?;
         let only = scene.ids(&self.only, "--only")?;
         let wanted = |id: u16| self.only.is_empty() || only.contains(&id);
         let mut rules = Separation::default();
         rules.smallest = self.smallest.unwrap_or(rules.smallest);
         rules.fewest = self.fewest.unwrap_or(rules.fewest);
         rules.level = self.level.unwrap_or(rules.level);
-        let gaussians = &scene.ply.gaussians;
-        let found = rules.apply(gaussians, &scene.labels, &scene.classes, wanted)?;
-        let out = self.out.check(&self.input, &scene, &found.classes)?;
-        scene.write(&out, gaussians, &found.labels, &found.classes)?;
+        let gaussians = std::mem::take(&mut scene.ply.gaussians);
+        let separated = rules.apply(&gaussians, &scene.labels, &scene.classes, wanted)?;
+        let edited = Edited {
+            gaussians,
+            labels: separated.labels,
+            classes: separated.classes,
+        };
+        let out = self.scene.write(&scene, &edited)?;
         let before = scene.objects.len();
         let mut after = before;
-        for (id, pieces) in &found.pieces {
+        for (id, pieces) in &separated.pieces {
             after += pieces.len() - 1;
             let name = scene.name(*id);
             let name = name.map_or_else(|| format!("label {id}"), str::to_owned);

@@ -7,7 +7,7 @@ use super::{BackendArgs, Settings, interrupt, or_usage_error, terminal};
 use clap::Args;
 use coseg::config::Config;
 use coseg::data::LoadOptions;
-use coseg::error::{Result, bail};
+use coseg::error::{Error, Result, bail};
 use coseg::files::own;
 use coseg::pipeline::{Outcome, VariantOutcome};
 use coseg::progress::Progress;
@@ -128,9 +128,7 @@ impl TrainArgs {
             run.path().display()
         ));
         interrupt::watch();
-        if self.label(run, &mut config)? {
-            return Ok(interrupt::stopped("the same command continues"));
-        }
+        self.label(run, &mut config)?;
         if let Some(edits) = &self.corrections {
             let count = correct(run, edits, &config)?;
             terminal::note(&format!("Gaussians with corrected labels: {count}"));
@@ -141,11 +139,13 @@ impl TrainArgs {
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };
         let mut progress = self.progress(&config)?;
-        let trained = train(run, &config, command, &device, &mut *progress)?;
-        if trained.outcome.stopped {
-            let line = self.resume_line(run);
-            return Ok(interrupt::stopped(&format!("resume with: {line}")));
-        }
+        let trained = match train(run, &config, command, &device, &mut *progress) {
+            Err(Error::Stopped) => {
+                let line = self.resume_line(run);
+                return Ok(interrupt::stopped(&format!("resume with: {line}")));
+            }
+            trained => trained?,
+        };
         summary(&trained.outcome);
         terminal::say(&format!("report: {}", run.file(REPORT).display()));
         terminal::say(&viewer_line(run, trained.page_bytes));
@@ -170,10 +170,10 @@ impl TrainArgs {
         Ok(Box::new(Bars::default()))
     }
 
-    /// Labels the photos by the segmenter, if one is given; its labels become the raw ones. True where it was stopped.
-    fn label(&self, run: &RunFolder, config: &mut Config) -> Result<bool> {
+    /// Labels the photos by the segmenter, if one is given; its labels become the raw ones.
+    fn label(&self, run: &RunFolder, config: &mut Config) -> Result<()> {
         let Some(model) = &self.segmenter else {
-            return self.labelling.expect_none().map(|()| false);
+            return self.labelling.expect_none();
         };
         let Some(dir) = &config.data.dir else {
             bail!(argument "--segmenter"; found "the built-in room";
@@ -181,10 +181,10 @@ impl TrainArgs {
         };
         let labels = run.path().join("labels");
         let scene = (dir.as_path(), &LoadOptions::from(&*config));
-        let done = self.labelling.label(scene, model, BEST, &labels)?;
+        self.labelling.label(scene, model, BEST, &labels)?;
         let labels = labels.canonicalize().unwrap_or(labels);
         config.data.raw_labels = labels.display().to_string();
-        Ok(done.stopped)
+        Ok(())
     }
 
     /// The run folder and the settings. Faults of the options end the program as clap does.

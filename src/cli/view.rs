@@ -101,8 +101,8 @@ impl ViewArgs {
     #[cfg(feature = "serve")]
     fn serve(&self, path: &Path) -> Result<()> {
         terminal::reading(path);
-        let beside = || path.with_file_name("edits.json");
-        let edits = self.edits.clone().unwrap_or_else(beside);
+        let edits_beside = || path.with_file_name("edits.json");
+        let edits = self.edits.clone().unwrap_or_else(edits_beside);
         ensure!(extension(&edits) == "json", argument "--edits"; found "{}", edits.display();
             expected "a .json file"; help "end the name in .json");
         self.with_viewer(path, |viewer| {

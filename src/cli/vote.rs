@@ -4,7 +4,7 @@ use super::labelled::LabelledArgs;
 use super::{held_out, terminal};
 use clap::Args;
 use coseg::error::Result;
-use coseg::pipeline::{HeldOut, Inputs};
+use coseg::pipeline::{HeldOut, SegmentationInputs};
 use coseg::runs::{check_vote, vote};
 use coseg::splat::ply;
 
@@ -45,7 +45,7 @@ impl VoteArgs {
             path.display(),
             ids.len() - unseen
         ));
-        let inputs = Inputs::new(&scene, &ply.gaussians, &config, &device);
+        let inputs = SegmentationInputs::new(&scene, &ply.gaussians, &config, &device);
         let views = HeldOut::new(&inputs);
         let scores = views.score(&identities)?;
         held_out::print(&scores, &format!("{} held-out views", views.len()));

@@ -6,11 +6,11 @@ use super::stage_one::SharedGaussians;
 use super::{Cell, CellId, Figures};
 use crate::config::Config;
 use crate::data::{self, LoadOptions, Scene, Split, View};
-use crate::error::{Result, bail, ensure};
+use crate::error::{Error, Result, bail, ensure};
 use crate::files::lock::Lock;
 use crate::files::own;
 use crate::pipeline::{self, Scored, load_scene};
-use crate::progress::{Event, Progress};
+use crate::progress::{Event, Progress, go_on};
 use crate::provenance::Provenance;
 use crate::random::{Purpose, stream};
 use burn::tensor::Device;
@@ -68,14 +68,15 @@ pub fn run(
     let is_finished = |id: &CellId| id.file(&options.out).exists();
     let is_missing = |id: &CellId| options.wants(id) && !is_finished(id);
     // Finished ones first, so that a table is refused before hours of training.
-    let done = comparison.visit(is_finished, Comparison::read)?
-        && comparison.visit(is_missing, Comparison::train)?;
+    let read = comparison.visit(is_finished, Comparison::read);
+    let done = read.and_then(|()| comparison.visit(is_missing, Comparison::train));
+    let stopped = match done {
+        Err(Error::Stopped) => true,
+        done => done.map(|()| false)?,
+    };
     let mut cells = comparison.cells;
     cells.sort_by(|a, b| a.id.cmp(&b.id));
-    Ok(Finished {
-        cells,
-        stopped: !done,
-    })
+    Ok(Finished { cells, stopped })
 }
 
 fn check_options(plan: &Plan, options: &Options) -> Result<()> {
@@ -125,12 +126,12 @@ struct Comparison<'a> {
 
 impl<'a> Comparison<'a> {
     /// Calls `work` with the cells that `chosen` accepts, those of one scene, labels and seed together, and with the scene that they
-    /// are trained on. False where it was stopped.
+    /// are trained on.
     fn visit(
         &mut self,
         chosen: impl Fn(&CellId) -> bool,
-        work: impl Fn(&mut Self, Vec<Job<'a>>, &Scene) -> Result<bool>,
-    ) -> Result<bool> {
+        work: impl Fn(&mut Self, Vec<Job<'a>>, &Scene) -> Result<()>,
+    ) -> Result<()> {
         let plan = self.plan;
         for scene in &plan.scenes {
             let mut shared = None;
@@ -141,22 +142,19 @@ impl<'a> Comparison<'a> {
                 if rows.is_empty() {
                     continue;
                 }
-                if shared.is_none() {
-                    let of = SharedGaussians::of;
-                    shared = of(scene, plan, self.options, self.device, self.progress)?;
-                }
-                let Some(gaussians) = &shared else {
-                    return Ok(false);
+                let (options, device) = (self.options, self.device);
+                let made = match shared.take() {
+                    Some(made) => made,
+                    None => SharedGaussians::of(scene, plan, options, device, self.progress)?,
                 };
+                let gaussians = &*shared.insert(made);
                 let loaded = self.load(scene, labels, seed)?;
                 let job = |row: &'a Row| self.job((scene, labels, row, seed), &loaded, gaussians);
                 let jobs = rows.into_iter().map(job).collect::<Result<_>>()?;
-                if !work(self, jobs, &loaded)? {
-                    return Ok(false);
-                }
+                work(self, jobs, &loaded)?;
             }
         }
-        Ok(true)
+        Ok(())
     }
 
     /// The scene under a kind of labels, with raw labels of as many training photos as these keep.
@@ -201,28 +199,27 @@ impl<'a> Comparison<'a> {
     }
 
     /// Keeps finished cells that are of the plan.
-    fn read(&mut self, jobs: Vec<Job<'a>>, _: &Scene) -> Result<bool> {
+    fn read(&mut self, jobs: Vec<Job<'a>>, _: &Scene) -> Result<()> {
         let options = self.options;
         let commit = (!options.keep_cells).then_some(&*options.commit);
         for job in jobs {
             let cell = read_cell(&options.out, &job.id, &job.provenance, commit)?;
             self.cells.push(cell);
         }
-        Ok(true)
+        Ok(())
     }
 
-    /// Trains cells. False where it was stopped.
-    fn train(&mut self, jobs: Vec<Job<'a>>, scene: &Scene) -> Result<bool> {
+    /// Trains cells.
+    fn train(&mut self, jobs: Vec<Job<'a>>, scene: &Scene) -> Result<()> {
         for group in grouped(jobs) {
-            if self.progress.stop() || !self.train_group(&group, scene)? {
-                return Ok(false);
-            }
+            go_on(self.progress)?;
+            self.train_group(&group, scene)?;
         }
-        Ok(true)
+        Ok(())
     }
 
-    /// Trains cells of equal settings in one run, and writes each. False where it was stopped.
-    fn train_group(&mut self, jobs: &[Job<'a>], scene: &Scene) -> Result<bool> {
+    /// Trains cells of equal settings in one run, and writes each.
+    fn train_group(&mut self, jobs: &[Job<'a>], scene: &Scene) -> Result<()> {
         let first = &jobs[0];
         let names: Vec<&str> = jobs.iter().map(|job| &*job.row.name).collect();
         let id = &first.id;
@@ -246,9 +243,6 @@ impl<'a> Comparison<'a> {
             self.device,
             self.progress,
         )?;
-        if outcome.stopped {
-            return Ok(false);
-        }
         for job in jobs {
             let row = outcome
                 .rows
@@ -275,8 +269,7 @@ impl<'a> Comparison<'a> {
             self.cells.push(cell);
         }
         // Its checkpoints are as large as the scene, and have served.
-        own::remove_folder(&folder)?;
-        Ok(true)
+        own::remove_folder(&folder)
     }
 }
 

@@ -24,8 +24,7 @@ pub(super) struct SharedGaussians {
 }
 
 impl SharedGaussians {
-    /// Those of `scene`, trained first or taken from the file that `options` name, unless that is done. None where `progress` stopped
-    /// it.
+    /// Those of `scene`, trained first or taken from the file that `options` name, unless that is done.
     ///
     /// # Errors
     /// [`crate::Error::Input`] for Gaussians of other settings or photos, or from another file; those of [`pipeline::run`].
@@ -35,7 +34,7 @@ impl SharedGaussians {
         options: &Options,
         device: &Device,
         progress: &mut dyn Progress,
-    ) -> Result<Option<Self>> {
+    ) -> Result<Self> {
         let folder = options.out.join("scenes").join(&scene.name);
         let record = folder.join("stage_one.json");
         let named = options.gaussians.get(&scene.name);
@@ -47,9 +46,6 @@ impl SharedGaussians {
             progress.event(&Event::Begun(format!("{}: Gaussians", scene.name)));
             let config = settings(plan, scene, named.as_deref())?;
             let outcome = pipeline::run(&config, &folder, device, progress)?;
-            if outcome.stopped {
-                return Ok(None);
-            }
             let done = Record {
                 given: named,
                 commit: options.commit.clone(),
@@ -65,7 +61,7 @@ impl SharedGaussians {
         }
         let file = folder.join("scene.ply");
         let gaussians = ply::read(&file, &Limits::default())?.gaussians;
-        Ok(Some(Self { file, gaussians }))
+        Ok(Self { file, gaussians })
     }
 }
 

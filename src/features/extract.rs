@@ -8,7 +8,6 @@ use crate::random::{self, Purpose};
 use burn::tensor::Device;
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
-use std::ops::ControlFlow;
 
 /// Cells per scale that the PCA is fitted on at most, in equal seeded shares of all training views.
 pub const PCA_CELLS: usize = 100_000;
@@ -47,18 +46,18 @@ pub struct Reduction<'a> {
 
 impl<'a> Reduction<'a> {
     /// Fits a PCA per scale to the training views. It reads at most [`PCA_CELLS`] cells per scale, drawn with `seed`. Networks run
-    /// on `device`. Calls `viewed` after each view, and stops when that breaks.
+    /// on `device`. Calls `viewed` after each view.
     ///
     /// # Errors
     /// [`crate::Error::Config`] for unusable settings; [`crate::Error::Argument`] for a scene without training views; those of
-    /// [`Extractor::open`] and [`Extractor::maps`]. A cache that cannot be written only gives a warning.
-    pub fn fit<B>(
+    /// [`Extractor::open`], [`Extractor::maps`] and `viewed`. A cache that cannot be written only gives a warning.
+    pub fn fit(
         scene: &'a Scene,
         config: &'a FeatureConfig,
         seed: u64,
         device: &Device,
-        viewed: &mut dyn FnMut() -> ControlFlow<B>,
-    ) -> Result<ControlFlow<B, Self>> {
+        viewed: &mut dyn FnMut() -> Result<()>,
+    ) -> Result<Self> {
         ensure!(config.dimensions != 0, setting "features.dimensions"; found "0"; expected "1 or more";
             help "64 is the usual choice");
         let extractor = Extractor::open(config, device)?;
@@ -91,9 +90,7 @@ impl<'a> Reduction<'a> {
                 }
                 kept_bytes += maps.iter().map(|m| 4 * m.data.len()).sum::<usize>();
                 kept.push((kept_bytes <= MAX_KEPT_BYTES).then_some(maps));
-                if let ControlFlow::Break(stop) = viewed() {
-                    return Ok(ControlFlow::Break(stop));
-                }
+                viewed()?;
             }
         }
         let Some(moments) = moments else {
@@ -109,16 +106,15 @@ impl<'a> Reduction<'a> {
         }
         let reductions = moments.map(|m| Pca::fit(&m, config.dimensions));
         let content = key.unwrap_or_else(|| format!("imported {:x}", imported.finalize()));
-        let name = extractor.name.clone();
-        Ok(ControlFlow::Continue(Self {
-            name,
+        Ok(Self {
+            name: extractor.name.clone(),
             reductions,
             content,
             extractor,
             config,
             train,
             kept,
-        }))
+        })
     }
 
     /// Reduced maps of the training views in the scene's order, computed a few at a time. Releases the unreduced maps.

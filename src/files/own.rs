@@ -130,8 +130,8 @@ fn is_recorded(path: &Path) -> Result<bool> {
     let digest = super::sha256(path)?;
     let lines = read(folder(path))?;
     let commands = with_known(|known| known.commands.clone());
-    let mut own = commands.iter().map(|command| line(path, &digest, command));
-    Ok(own.any(|line| lines.contains(&line)))
+    let mut recorded = commands.iter().map(|command| line(path, &digest, command));
+    Ok(recorded.any(|line| lines.contains(&line)))
 }
 
 /// Removes the temporary files in `folder` that killed processes left there.

@@ -76,6 +76,21 @@ pub struct Picked {
     pub point: DVec3,
 }
 
+/// The Gaussians that a pixel (column, row) of the image of `projected` shows, and the `alpha' T` of each.
+///
+/// # Panics
+/// If the pixel is outside the image.
+pub(super) fn shares_of_pixel(projected: &Projected<f32>, [x, y]: [usize; 2]) -> Vec<(u32, f32)> {
+    let [width, height] = projected.size();
+    assert!(
+        x < width && y < height,
+        "pixel {x}, {y} of an image of {width} x {height}"
+    );
+    let weights = projected.weights(&[(y * width + x) as u32]);
+    let (rows, values) = weights.row(0);
+    rows.iter().copied().zip(values.iter().copied()).collect()
+}
+
 /// The object at a pixel (column, row) of the image of `projected`; `None` where no Gaussian contributes.
 ///
 /// # Panics
@@ -84,21 +99,14 @@ pub fn pick(
     projected: &Projected<f32>,
     gaussians: &Gaussians,
     labels: &[u16],
-    [x, y]: [usize; 2],
+    pixel: [usize; 2],
 ) -> Option<Picked> {
-    let [width, height] = projected.size();
-    assert!(
-        x < width && y < height,
-        "pick: pixel {x}, {y} of an image of {width} x {height}"
-    );
     assert!(
         labels.len() == gaussians.len() && labels.len() == projected.len(),
         "one label for each Gaussian"
     );
-    let weights = projected.weights(&[(y * width + x) as u32]);
     let mut sums: BTreeMap<u16, (f64, DVec3)> = BTreeMap::new();
-    let (rows, values) = weights.row(0);
-    for (&row, &weight) in rows.iter().zip(values) {
+    for (row, weight) in shares_of_pixel(projected, pixel) {
         let weight = f64::from(weight);
         let sum = sums.entry(labels[row as usize]).or_default();
         sum.0 += weight;

@@ -4,8 +4,6 @@ mod association;
 mod borders;
 mod calibration;
 mod coloring;
-mod corrections;
-mod editing;
 mod edits;
 mod identities;
 mod inventory;
@@ -25,9 +23,10 @@ pub use self::association::{Association, Group, associate};
 pub use self::borders::{BlockObjects, JoinedObjects, join_objects};
 pub use self::calibration::{Calibration, LabelErrors};
 pub use self::coloring::color_apart;
-pub use self::corrections::Corrections;
-pub use self::editing::{Edited, Editing};
-pub use self::edits::{Edits, NewObject, Operation, Turn, VERSION as EDITS_VERSION, is_name};
+pub use self::edits::{
+    Corrections, Edited, Editing, Edits, NewObject, Operation, Turn, VERSION as EDITS_VERSION,
+    is_name,
+};
 pub use self::identities::Identities;
 pub use self::inventory::{Object, Picked, inventory, pick};
 pub use self::label_maps::LabelMaps;

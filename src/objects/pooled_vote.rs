@@ -123,16 +123,16 @@ pub fn pooled_vote(
     let rows = scores.par_chunks_exact_mut(classes.max(1));
     let rows = rows.zip(refined.table.par_chunks_exact(classes.max(1)));
     rows.enumerate().for_each(|(gaussian, (scores, votes))| {
-        let mut own = vec![0.0; classes];
-        let voted = add_shares(&mut own, votes);
-        let mut shares: Vec<f64> = own.iter().map(|share| OWN * share).collect();
+        let mut own_shares = vec![0.0; classes];
+        let voted = add_shares(&mut own_shares, votes);
+        let mut shares: Vec<f64> = own_shares.iter().map(|share| OWN * share).collect();
         for (pooled, superpoints) in pooled.iter().zip(&superpoints) {
             let row = pooled.row(superpoints.of[gaussian]);
             shares.iter_mut().zip(row).for_each(|(s, p)| *s += p);
         }
         calibration.apply(&mut shares);
         let pooling = if voted { pooling } else { 1.0 };
-        for ((score, p), own) in scores.iter_mut().zip(shares).zip(own) {
+        for ((score, p), own) in scores.iter_mut().zip(shares).zip(own_shares) {
             *score = (pooling * p + (1.0 - pooling) * own) as f32;
         }
     });

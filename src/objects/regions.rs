@@ -61,7 +61,7 @@ impl Regions {
 
 /// Colour and normal of each Gaussian as they enter a mean.
 fn appearances(gaussians: &Gaussians, graph: &SurfaceGraph) -> Vec<[f64; WIDTH]> {
-    let of = |([r, g, b], n): ([f32; 3], &glam::DVec3)| {
+    let appearance = |([r, g, b], n): ([f32; 3], &glam::DVec3)| {
         let [r, g, b] = [r, g, b].map(f64::from);
         let normal = [
             n.x * n.x,
@@ -75,7 +75,7 @@ fn appearances(gaussians: &Gaussians, graph: &SurfaceGraph) -> Vec<[f64; WIDTH]>
         [r, g, b, xx, yy, zz, xy, xz, yz]
     };
     let colors = gaussians.base_colors().into_iter();
-    colors.zip(graph.normals()).map(of).collect()
+    colors.zip(graph.normals()).map(appearance).collect()
 }
 
 /// A region while the tree grows.

@@ -1,5 +1,6 @@
 //! Selection of one thing by a few of its Gaussians: it grows over the tree of [`Regions`].
 
+use super::inventory::shares_of_pixel;
 use super::largest::first_largest;
 use super::regions::Regions;
 use crate::raster::Projected;
@@ -28,12 +29,13 @@ impl Growth {
     /// If there is no seed, or one is not below N.
     pub fn new(regions: &Regions, seeds: &[u32]) -> Self {
         assert!(!seeds.is_empty(), "a selection grows from a seed");
-        let of = &regions.superpoints.of;
-        let seeds: Vec<u32> = seeds.iter().map(|&seed| of[seed as usize]).collect();
+        let superpoints = &regions.superpoints.of;
+        let seeds = seeds.iter().map(|&seed| superpoints[seed as usize]);
+        let seeds: Vec<u32> = seeds.collect();
         let reached = regions.reached(&seeds);
         Self {
             proposed: regions.propose(&seeds),
-            thresholds: of.iter().map(|&s| reached[s as usize]).collect(),
+            thresholds: superpoints.iter().map(|&s| reached[s as usize]).collect(),
         }
     }
 
@@ -93,19 +95,11 @@ impl Regions {
 ///
 /// # Panics
 /// If the pixel is outside the image.
-pub fn seed([x, y]: [usize; 2], projected: &Projected<f32>) -> Option<u32> {
-    let [width, height] = projected.size();
-    assert!(
-        x < width && y < height,
-        "seed: pixel {x}, {y} of an image of {width} x {height}"
-    );
-    let weights = projected.weights(&[(y * width + x) as u32]);
-    let (rows, values) = weights.row(0);
-    let covered: f32 = values.iter().sum();
-    let most = rows
-        .iter()
-        .zip(values)
-        .max_by(|a, b| a.1.total_cmp(b.1).then(b.0.cmp(a.0)));
-    most.filter(|_| covered >= MIN_COVERAGE)
-        .map(|(row, _)| *row)
+pub fn seed(pixel: [usize; 2], projected: &Projected<f32>) -> Option<u32> {
+    let shares = shares_of_pixel(projected, pixel);
+    let covered: f32 = shares.iter().map(|(_, share)| share).sum();
+    let most = shares
+        .into_iter()
+        .max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
+    most.filter(|_| covered >= MIN_COVERAGE).map(|(row, _)| row)
 }

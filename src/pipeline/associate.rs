@@ -34,8 +34,8 @@ pub struct Associated {
     pub semantics: Option<Semantics>,
 }
 
-/// Makes the objects that the segments of `scene` show its raw labels and its classes. None where `progress` stopped it. Nothing
-/// is stored: a resumed run finds the same objects again.
+/// Makes the objects that the segments of `scene` show its raw labels and its classes. Nothing is stored: a resumed run finds the
+/// same objects again.
 ///
 /// # Errors
 /// As [`objects::associate`].
@@ -44,16 +44,13 @@ pub fn associate(
     scene: &mut Scene,
     config: &Config,
     progress: &mut dyn Progress,
-) -> Result<Option<Associated>> {
+) -> Result<Associated> {
     let clock = Instant::now();
     let settings = Settings::from(&config.raster);
     let steps = Association::steps(scene, &config.association);
     let mut viewing = Viewing::begin(progress, "association", steps);
     let advance = &mut |views| viewing.advance(views);
     let found = objects::associate(gaussians, scene, &config.association, &settings, advance)?;
-    let Some(found) = found else {
-        return Ok(None);
-    };
     viewing.end();
     let mut counts = AssociationCounts {
         segments: found.segments,
@@ -66,5 +63,5 @@ pub fn associate(
     let semantics = Semantics::of(scene);
     found.apply(scene);
     counts.seconds = clock.elapsed().as_secs_f64();
-    Ok(Some(Associated { counts, semantics }))
+    Ok(Associated { counts, semantics })
 }

@@ -13,10 +13,10 @@ use burn::tensor::Device;
 use std::path::Path;
 
 /// Gives the training views of `scene` the labels of `corrections`, which belong to it and to `gaussians`, and the scene their class
-/// table. False where `progress` stopped it.
+/// table.
 ///
 /// # Errors
-/// As [`Corrections::correct`].
+/// As [`Corrections::correct`]; [`crate::Error::Stopped`].
 pub(super) fn apply(
     corrections: &Corrections,
     scene: &mut Scene,
@@ -24,7 +24,7 @@ pub(super) fn apply(
     config: &Config,
     device: &Device,
     progress: &mut dyn Progress,
-) -> Result<bool> {
+) -> Result<()> {
     scene.classes = corrections.classes().clone();
     let maps = corrections.maps(config.segmentation.min_coverage as f32);
     let splats = SplatTensors::new(gaussians, device);
@@ -34,12 +34,10 @@ pub(super) fn apply(
     let views = scene.views.iter_mut();
     for view in views.filter(|view| view.split == Split::Train) {
         corrections.correct(view, &maps, &splats, &settings)?;
-        if viewing.advance(1).is_break() {
-            return Ok(false);
-        }
+        viewing.advance(1)?;
     }
     viewing.end();
-    Ok(true)
+    Ok(())
 }
 
 /// Stores `corrections` in the run folder `out`, in which stage two then begins anew. None are withdrawn. The same ones again change

@@ -1,84 +1,19 @@
 //! Encoding of a run: the frozen point encoder over the Gaussians (Eq. 6), joined with their lifted features.
 
-use super::lift::LiftedFeatures;
-use super::train_decoder::{DecoderInput, Encoded, TrainingViews};
+use super::segmentation_inputs::SegmentationInputs;
+use super::train_decoder::{DecoderInput, Encoded};
 use crate::backend::device::upload;
 use crate::config::{Config, Encode, SpatialConfig, SpatialSource, Variant};
-use crate::data::{Scene, Split};
+use crate::data::Split;
 use crate::error::{Result, bail};
-use crate::objects::{Corrections, Semantics};
-use crate::raster::{Projected, Settings};
+use crate::raster::Projected;
 use crate::segmentation::encoder::{self, Cloud, Encoding, load_spatial, metres_per_unit};
 use crate::segmentation::pyramid::{Pyramid, Standardisation, Switches};
 use crate::splat::camera::spread;
-use crate::splat::{Gaussians, rows_where};
-use burn::tensor::Device;
+use crate::splat::rows_where;
 
 /// Scale (zero-based) whose image features the single-scale variant reads.
 const SINGLE_SCALE: usize = 0;
-
-/// The inputs of stage two.
-pub struct Inputs<'a> {
-    /// The scene.
-    pub scene: &'a Scene,
-    /// Its Gaussians, after attendance pruning.
-    pub gaussians: &'a Gaussians,
-    /// Lifted image features; absent where nothing reads them.
-    pub lifted: Option<LiftedFeatures>,
-    /// What the classes of objects are scored against, after association.
-    pub semantics: Option<&'a Semantics>,
-    /// Labels that a person corrected, if any.
-    pub corrections: Option<&'a Corrections>,
-    /// Whether feature fields are scored.
-    pub scores_fields: bool,
-    /// Settings of the run.
-    pub config: &'a Config,
-    /// Blending constants.
-    pub settings: Settings,
-    /// Device without autodiff.
-    pub device: &'a Device,
-}
-
-impl<'a> Inputs<'a> {
-    /// Inputs for `gaussians`, without lifted features, semantics, corrections and scores of feature fields.
-    pub fn new(
-        scene: &'a Scene,
-        gaussians: &'a Gaussians,
-        config: &'a Config,
-        device: &'a Device,
-    ) -> Self {
-        Self {
-            scene,
-            gaussians,
-            lifted: None,
-            semantics: None,
-            corrections: None,
-            scores_fields: false,
-            config,
-            settings: Settings::from(&config.raster),
-            device,
-        }
-    }
-
-    /// Makes corrected labels those of `scores`, `[N, C]`.
-    pub(super) fn correct(&self, scores: &mut [f32]) {
-        if let Some(corrections) = self.corrections {
-            corrections.fix(scores, &self.scene.classes);
-        }
-    }
-
-    /// The labelled training views.
-    pub fn training_views(&self) -> TrainingViews<'a> {
-        TrainingViews::new(
-            self.gaussians,
-            self.scene.split(Split::Train),
-            &self.scene.classes,
-            self.settings,
-            &self.config.segmentation,
-            self.device,
-        )
-    }
-}
 
 /// Spatial features of the Gaussians, from local to global.
 pub struct Encodings {
@@ -101,7 +36,7 @@ struct EncodedView {
 ///
 /// # Errors
 /// Those of the encoder's weights and of [`encoder::encode`].
-pub fn encode(inputs: &Inputs, spatial: &SpatialConfig) -> Result<Encodings> {
+pub fn encode(inputs: &SegmentationInputs, spatial: &SpatialConfig) -> Result<Encodings> {
     let gaussians = inputs.gaussians;
     let seed = inputs.config.seed;
     let (encoder, weights) = load_spatial(spatial, seed, inputs.device)?;
@@ -155,7 +90,11 @@ impl Encodings {
     ///
     /// # Errors
     /// [`crate::Error::Argument`] for a variant that reads image features where none were lifted.
-    pub fn decoder_input(&self, variant: Variant, inputs: &Inputs) -> Result<DecoderInput> {
+    pub fn decoder_input(
+        &self,
+        variant: Variant,
+        inputs: &SegmentationInputs,
+    ) -> Result<DecoderInput> {
         let switches = Switches {
             image: variant != Variant::NoImageFeatures,
             spatial: variant != Variant::NoSpatial,
@@ -190,7 +129,7 @@ fn join(
     encoding: &Encoding,
     points: Vec<u32>,
     switches: Switches,
-    inputs: &Inputs,
+    inputs: &SegmentationInputs,
 ) -> Result<Encoded> {
     let image = |scale: usize, rows: &[u32]| {
         let Some(features) = &inputs.lifted else {

@@ -18,13 +18,13 @@ const REACH: f64 = 5.0;
 /// learning rate, which is returned too.
 pub(super) fn fine_tuning(plan: &TrainingPlan, views: usize) -> (TrainingPlan, f64) {
     let iterations = views.max(STEPS);
-    let plan = TrainingPlan {
+    let mut plan = TrainingPlan {
         loss: LabelLoss::Ce,
         warmup: 0,
         least_recall: 0.0,
-        iterations,
-        decay: false,
         ..plan.clone()
     };
+    plan.config.iterations = iterations;
+    plan.config.lr_decay = false;
     (plan, REACH / iterations as f64)
 }

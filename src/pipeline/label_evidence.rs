@@ -1,6 +1,6 @@
 //! What raw labels say of the Gaussians before anything is trained: votes, and what decoders make of them.
 
-use super::encode::Inputs;
+use super::segmentation_inputs::SegmentationInputs;
 use crate::config::{Association, Prior};
 use crate::data::Split;
 use crate::error::Result;
@@ -13,13 +13,13 @@ pub(super) const VOTE_FLOOR: f32 = 0.002;
 
 /// The votes of a scene, counted when they are first asked for.
 pub(super) struct LabelEvidence<'a> {
-    inputs: &'a Inputs<'a>,
+    inputs: &'a SegmentationInputs<'a>,
     votes: OnceCell<Votes>,
     pooled: OnceCell<PooledVote>,
 }
 
 impl<'a> LabelEvidence<'a> {
-    pub fn new(inputs: &'a Inputs<'a>) -> Self {
+    pub fn new(inputs: &'a SegmentationInputs<'a>) -> Self {
         Self {
             inputs,
             votes: OnceCell::new(),
@@ -78,7 +78,7 @@ impl<'a> LabelEvidence<'a> {
 ///
 /// # Errors
 /// Those of [`vote`].
-pub(crate) fn votes(inputs: &Inputs) -> Result<Votes> {
+pub(crate) fn votes(inputs: &SegmentationInputs) -> Result<Votes> {
     let (scene, gaussians, settings) = (inputs.scene, inputs.gaussians, &inputs.settings);
     let train = scene.split(Split::Train);
     vote(gaussians, train, &scene.classes, settings, inputs.device)
@@ -88,7 +88,7 @@ pub(crate) fn votes(inputs: &Inputs) -> Result<Votes> {
 ///
 /// # Errors
 /// Those of [`refined_vote`] and [`pooled_vote`].
-pub(crate) fn pooled(inputs: &Inputs, votes: &Votes) -> Result<PooledVote> {
+pub(crate) fn pooled(inputs: &SegmentationInputs, votes: &Votes) -> Result<PooledVote> {
     let (scene, gaussians, settings) = (inputs.scene, inputs.gaussians, &inputs.settings);
     let train = scene.split(Split::Train);
     let mut refined = refined_vote(gaussians, train, &scene.classes, settings, inputs.device)?;

@@ -6,12 +6,11 @@ use crate::data::{Scene, Split};
 use crate::error::Result;
 use crate::features::{FeatureColors, Reduction, SCALES};
 use crate::metrics::ImageScores;
-use crate::progress::{Progress, Viewing};
+use crate::progress::{Progress, Viewing, go_on};
 use crate::raster::Settings;
 use crate::segmentation::unprojection::{attended, unproject};
 use crate::splat::{Gaussians, rows_where};
 use burn::tensor::Device;
-use std::ops::ControlFlow;
 use std::time::Instant;
 
 /// A larger share of pruned Gaussians is warned of; trained scenes lose a thousandth.
@@ -34,31 +33,26 @@ pub struct LiftedFeatures {
 }
 
 impl LiftedFeatures {
-    /// Extracts and unprojects features of the training views, a few views at a time. None where `progress` stops it.
+    /// Extracts and unprojects features of the training views, a few views at a time.
     ///
     /// # Errors
-    /// Those of the extractor and of the unprojection.
+    /// Those of the extractor and of the unprojection; [`crate::Error::Stopped`].
     pub fn of_views(
         scene: &Scene,
         gaussians: &Gaussians,
         config: &Config,
         device: &Device,
         progress: &mut dyn Progress,
-    ) -> Result<Option<Self>> {
+    ) -> Result<Self> {
         let clock = Instant::now();
         let views = scene.split(Split::Train).count();
         let mut viewing = Viewing::begin(progress, "features", views);
         let features = &config.features;
         let seed = config.seed;
         let advance = &mut || viewing.advance(1);
-        let reduction = Reduction::fit(scene, features, seed, device, advance)?;
-        let ControlFlow::Continue(mut reduction) = reduction else {
-            return Ok(None);
-        };
+        let mut reduction = Reduction::fit(scene, features, seed, device, advance)?;
         viewing.end();
-        if progress.stop() {
-            return Ok(None);
-        }
+        go_on(progress)?;
         let extraction = clock.elapsed().as_secs_f64();
         let clock = Instant::now();
         let name = reduction.name.clone();
@@ -73,23 +67,20 @@ impl LiftedFeatures {
             device,
             &mut || viewing.advance(1),
         )?;
-        let ControlFlow::Continue(lifted) = lifted else {
-            return Ok(None);
-        };
         viewing.end();
         let kept = rows_where(&lifted.keep, |keep| *keep);
         let dimensions = features.dimensions;
         let mut rows = lifted.features;
         rows.iter_mut()
             .for_each(|rows| keep_rows(rows, &kept, dimensions));
-        Ok(Some(Self {
+        Ok(Self {
             lifted: rows,
             kept,
             dimensions,
             name,
             content,
             seconds: [extraction, clock.elapsed().as_secs_f64()],
-        }))
+        })
     }
 
     /// Colours of the kept Gaussians by their features.
@@ -147,10 +138,10 @@ pub(crate) struct Lifted {
 
 /// Lifts image features of the training views onto `gaussians`, and prunes those that too few pixels show. Pruning is the same
 /// whichever variants follow, so that they compare over the same Gaussians. Features are extracted only where they are read.
-/// `test` are the held-out scores of `gaussians`. None where `progress` stops it.
+/// `test` are the held-out scores of `gaussians`.
 ///
 /// # Errors
-/// Those of [`LiftedFeatures::of_views`], of [`attended`] and of [`score_images`].
+/// Those of [`LiftedFeatures::of_views`], of [`attended`] and of [`score_images`]; [`crate::Error::Stopped`].
 pub(crate) fn lift(
     gaussians: &Gaussians,
     scene: &Scene,
@@ -158,12 +149,9 @@ pub(crate) fn lift(
     config: &Config,
     device: &Device,
     progress: &mut dyn Progress,
-) -> Result<Option<Lifted>> {
+) -> Result<Lifted> {
     let (features, counted, seconds) = if reads_features(config) {
         let features = LiftedFeatures::of_views(scene, gaussians, config, device, progress)?;
-        let Some(features) = features else {
-            return Ok(None);
-        };
         let seconds = features.seconds;
         (Some(features), Vec::new(), seconds)
     } else {
@@ -171,9 +159,7 @@ pub(crate) fn lift(
         let counted = count(scene, gaussians, config, device, progress)?;
         (None, counted, [0.0, clock.elapsed().as_secs_f64()])
     };
-    if progress.stop() {
-        return Ok(None);
-    }
+    go_on(progress)?;
     let kept = features.as_ref().map_or(&counted, |lifted| &lifted.kept);
     let (before, after) = (gaussians.len(), kept.len());
     let removed = before - after;
@@ -191,7 +177,7 @@ pub(crate) fn lift(
             config.unprojection.attendance
         );
     }
-    Ok(Some(Lifted {
+    Ok(Lifted {
         gaussians,
         features,
         pruned: Pruned {
@@ -201,7 +187,7 @@ pub(crate) fn lift(
             scores_after,
         },
         seconds,
-    }))
+    })
 }
 
 /// Indices of the Gaussians that enough pixels show, counted without features.

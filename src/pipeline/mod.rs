@@ -7,7 +7,7 @@
 //! [`run`] calls the steps in order; each has a file of its name. `variants` trains and scores the lines of the label table,
 //! `rivals` has the methods of other papers among them, `evaluate` holds the scores, `initial_scene` reads Gaussians of another trainer,
 //! `requirements` checks what stage two needs before stage one starts, `resolve` decides what the scene decides, `corrections` has labels
-//! that a person corrected.
+//! that a person corrected, `segmentation_inputs` is what all of stage two works on.
 
 pub mod train_decoder;
 
@@ -26,6 +26,7 @@ mod requirements;
 mod resolve;
 mod rivals;
 mod run;
+mod segmentation_inputs;
 mod suggest;
 mod variant_outcome;
 pub(crate) mod variant_training;
@@ -33,13 +34,14 @@ pub(crate) mod variants;
 
 pub use self::associate::{Associated, AssociationCounts, associate};
 pub use self::corrections::{store_corrections, stored_corrections};
-pub use self::encode::{Encodings, Inputs, encode};
+pub use self::encode::{Encodings, encode};
 pub use self::evaluate::{FieldScores, HeldOut, HeldOutScores, Pictures, score_images};
 pub use self::initial_scene::compare_with_photos;
 pub use self::lift::{LiftedFeatures, Pruned};
 pub use self::prune::{Keep, Pruning, prune};
 pub use self::query::LiftedMaps;
 pub use self::run::{Outcome, Scored, Seconds, load_scene, run, run_on};
+pub use self::segmentation_inputs::SegmentationInputs;
 pub use self::suggest::{Suggestion, suggest};
 pub use self::variant_outcome::VariantOutcome;
 pub use self::variant_training::decoder_training;

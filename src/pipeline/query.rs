@@ -1,20 +1,20 @@
 //! Features of other programs on Gaussians, all channels of them, compared with phrases.
 
-use crate::checkpoint::{Checkpoint, Scalar};
+use crate::checkpoint::Checkpoint;
 use crate::config::{Config, Resolution};
 use crate::data::{Scene, Split, View};
-use crate::error::{Error, Result, ensure, invalid};
+use crate::error::{Error, Result, bail, ensure};
 use crate::features::{FeatureMap, import};
 use crate::files::own;
 use crate::objects::Similarities;
+use crate::provenance::{digest_gaussians, digest_mask};
 use crate::raster::Settings;
 use crate::segmentation::unprojection::LiftedViews;
 use crate::splat::Gaussians;
 use burn::tensor::Device;
-use sha2::{Digest, Sha256};
+use sha2::Digest;
 use std::ops::Range;
 use std::path::Path;
-use std::time::SystemTime;
 
 /// Kind of the cached files, and part of their names. Raise its number when the arithmetic changes.
 const KIND: &str = "lifted features 1";
@@ -51,10 +51,8 @@ impl LiftedMaps<'_> {
     ) -> Result<Vec<Similarities>> {
         let views: Vec<&View> = self.scene.split(Split::Train).collect();
         let Some(first) = views.first() else {
-            return Err(
-                invalid!(argument "data"; found "no training view in {}", self.scene.name; expected "one or more";
-                help "correct the splits"),
-            );
+            bail!(argument "data"; found "no training view in {}", self.scene.name; expected "one or more";
+                help "correct the splits");
         };
         let channels = phrases.first().map_or(0, Vec::len);
         let scales = self.maps(first, channels, None)?.len();
@@ -137,18 +135,7 @@ impl LiftedMaps<'_> {
 
     /// What the lifted features depend on. Maps count by name, length and time of their files: reading them takes as long as lifting.
     fn key(&self, views: &[&View]) -> Result<String> {
-        let mut hash = Sha256::new();
-        let Gaussians {
-            means,
-            log_scales,
-            rotations,
-            opacity_logits,
-            ..
-        } = self.gaussians;
-        hash.update(f32::to_bytes(means.as_flattened()));
-        hash.update(f32::to_bytes(log_scales.as_flattened()));
-        hash.update(f32::to_bytes(rotations.as_flattened()));
-        hash.update(f32::to_bytes(opacity_logits));
+        let mut hash = digest_gaussians(self.gaussians);
         let is_image = self.config.unprojection.resolution == Resolution::Image;
         let settings = Settings::from(&self.config.raster);
         hash.update(format!(
@@ -158,21 +145,12 @@ impl LiftedMaps<'_> {
         for view in views {
             hash.update(format!("{} {:?}\n", view.name, view.camera));
             for path in import::found(self.folder, &view.name) {
-                let there = path
-                    .metadata()
-                    .map_err(|e| Error::io(&path, "look at", e))?;
-                let time = there.modified().ok();
-                let time = time.and_then(|time| time.duration_since(SystemTime::UNIX_EPOCH).ok());
-                hash.update(format!("{:?} {} {time:?}\n", path.file_name(), there.len()));
+                let file = path.metadata();
+                let file = file.map_err(|e| Error::io(&path, "look at", e))?;
+                let (size, time) = (file.len(), file.modified().ok());
+                hash.update(format!("{:?} {size} {time:?}\n", path.file_name()));
             }
-            if let Some(mask) = &view.mask {
-                let pixels = mask.width() * view.camera.height;
-                hash.update(
-                    (0..pixels)
-                        .map(|pixel| u8::from(mask.uses(pixel)))
-                        .collect::<Vec<_>>(),
-                );
-            }
+            digest_mask(view, &mut hash);
         }
         Ok(format!("{:x}", hash.finalize()))
     }

@@ -88,7 +88,7 @@ impl RunFiles {
 /// Gaussians from the photos of `scene`. Writes checkpoints and `scene.ply`.
 ///
 /// # Errors
-/// Those of the initial scene, of training, and of files; an unusable initial scene leaves no run folder behind.
+/// Those of the initial scene, of training, and of files; [`Error::Stopped`]; an unusable initial scene leaves no run folder behind.
 pub(crate) fn reconstruct(
     scene: &Scene,
     config: &Config,
@@ -114,6 +114,9 @@ pub(crate) fn reconstruct(
     // The scene of a finished run stays until there is another result.
     if result.new || !files.scene.exists() {
         ply::write(&files.scene, &result.gaussians, scene.origin, None)?;
+    }
+    if !result.complete {
+        return Err(Error::Stopped);
     }
     result.seconds = clock.elapsed().as_secs_f64() + result.earlier;
     Ok(result)

@@ -2,7 +2,6 @@
 
 use super::associate::{Associated, AssociationCounts, associate};
 use super::corrections;
-use super::encode::Inputs;
 use super::evaluate::score_images;
 use super::lift::{Pruned, lift};
 use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
@@ -10,6 +9,7 @@ use super::requirements::{
     check_networks, check_scores, has_raw_labels, least_count, score_tables,
 };
 use super::resolve::resolved;
+use super::segmentation_inputs::SegmentationInputs;
 use super::variant_outcome::VariantOutcome;
 use super::variants::train_variants;
 use crate::config::{Association, Config, Variant};
@@ -19,7 +19,7 @@ use crate::features::FeatureColors;
 use crate::memory;
 use crate::metrics::ImageScores;
 use crate::objects::{Corrections, Identities, Semantics};
-use crate::progress::{CurvePoint, Progress, Review};
+use crate::progress::{CurvePoint, Progress, Review, go_on};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
@@ -75,9 +75,6 @@ pub struct Outcome {
     pub seconds: Seconds,
     /// The settings as they ran, with the chosen variants where none were named.
     pub config: Config,
-    /// Whether `progress` stopped the run. Later results are empty then, the variant in training has no identities, and
-    /// half-built Gaussians have no scores. [`run`] resumes it.
-    pub stopped: bool,
 }
 
 impl Outcome {
@@ -100,12 +97,12 @@ impl Outcome {
 
     /// The variant whose identities the scene stores: `ours` where it was trained, else the last with identities.
     pub fn stored(&self) -> Option<(&VariantOutcome, &Identities)> {
-        let with = |row: &VariantOutcome| row.identities.is_some();
+        let has_identities = |row: &VariantOutcome| row.identities.is_some();
         let row = self
             .rows
             .iter()
-            .find(|r| r.variant == Variant::Ours && with(r));
-        let row = row.or_else(|| self.rows.iter().rfind(|r| with(r)))?;
+            .find(|r| r.variant == Variant::Ours && has_identities(r));
+        let row = row.or_else(|| self.rows.iter().rfind(|r| has_identities(r)))?;
         Some((row, row.identities.as_ref()?))
     }
 
@@ -138,11 +135,11 @@ fn load(config: &Config, options: &LoadOptions) -> Result<Scene> {
     }
 }
 
-/// Runs the pipeline on the scene that `config` names, until `progress` stops it: reconstruct, associate, lift, and for each
-/// variant encode, decode and score. Checkpoints lie in `out/checkpoint`; a run that finds its own there resumes.
+/// Runs the pipeline on the scene that `config` names: reconstruct, associate, lift, and for each variant encode, decode and score.
+/// Checkpoints lie in `out/checkpoint`; a run that finds its own there resumes.
 ///
 /// # Errors
-/// Those of loading, of both stages, and of writing. Files written before stay.
+/// Those of loading, of both stages, and of writing; [`crate::Error::Stopped`]. Files written before stay.
 pub fn run(
     config: &Config,
     out: &Path,
@@ -169,7 +166,7 @@ pub enum Scored {
 /// As [`run`], on a scene that was loaded before. Scores what `scored` says.
 ///
 /// # Errors
-/// Those of both stages, and of writing. Files written before stay.
+/// Those of both stages, and of writing; [`crate::Error::Stopped`]. Files written before stay.
 pub fn run_on(
     scene: Scene,
     config: &Config,
@@ -195,51 +192,43 @@ pub fn run_on(
     check_scores(least_count(&scene, config), &scene, config)?;
     progress.scene(&scene);
     let reconstruction = reconstruct(&scene, config, &files, device, progress)?;
-    let complete = reconstruction.complete;
     let mut outcome = Outcome::new(scene, config, reconstruction);
     outcome.corrections = corrections;
-    // A run that is stopped ends without delay.
-    let finished = complete && {
-        outcome.test = score_images(&outcome.gaussians, &outcome.scene, config, device)?;
-        outcome.associate(progress)? && outcome.segment(scored, &files, device, progress)?
-    };
-    outcome.stopped = !finished;
+    outcome.test = score_images(&outcome.gaussians, &outcome.scene, config, device)?;
+    outcome.associate(progress)?;
+    outcome.segment(scored, &files, device, progress)?;
     outcome.seconds.total += start.elapsed().as_secs_f64();
     Ok(outcome)
 }
 
 impl Outcome {
-    /// Makes segments of single views objects, where settings ask for it. False where `progress` stopped it.
-    fn associate(&mut self, progress: &mut dyn Progress) -> Result<bool> {
+    /// Makes segments of single views objects, where settings ask for it.
+    fn associate(&mut self, progress: &mut dyn Progress) -> Result<()> {
         if !has_segments(&self.scene, &self.config) {
-            return Ok(true);
+            return Ok(());
         }
-        if progress.stop() {
-            return Ok(false);
-        }
-        let found = associate(&self.gaussians, &mut self.scene, &self.config, progress)?;
-        let Some(Associated { counts, semantics }) = found else {
-            return Ok(false);
-        };
+        go_on(progress)?;
+        let Associated { counts, semantics } =
+            associate(&self.gaussians, &mut self.scene, &self.config, progress)?;
         self.association = Some(counts);
         self.semantics = semantics;
         progress.scene(&self.scene);
-        Ok(true)
+        Ok(())
     }
 
-    /// Puts the corrections of the run folder into the scene. False where `progress` stopped it.
+    /// Puts the corrections of the run folder into the scene.
     fn correct(
         &mut self,
         files: &RunFiles,
         device: &Device,
         progress: &mut dyn Progress,
-    ) -> Result<bool> {
+    ) -> Result<()> {
         let Some(corrections) = &self.corrections else {
-            return Ok(true);
+            return Ok(());
         };
         let (scene, gaussians) = (&mut self.scene, &self.gaussians);
         corrections.check(gaussians, &scene.classes, &files.corrections())?;
-        let done = corrections::apply(
+        corrections::apply(
             corrections,
             scene,
             gaussians,
@@ -247,28 +236,24 @@ impl Outcome {
             device,
             progress,
         )?;
-        if done {
-            progress.scene(&self.scene);
-        }
-        Ok(done)
+        progress.scene(&self.scene);
+        Ok(())
     }
 
-    /// Stage two: lifts features, trains the variants and scores them. False where `progress` stopped it.
+    /// Stage two: lifts features, trains the variants and scores them.
     fn segment(
         &mut self,
         scored: Scored,
         files: &RunFiles,
         device: &Device,
         progress: &mut dyn Progress,
-    ) -> Result<bool> {
+    ) -> Result<()> {
         let config = &self.config;
         let is_labelled = has_raw_labels(&self.scene) || self.corrections.is_some();
         if !is_labelled || config.segmentation.rows().is_empty() {
-            return Ok(true);
+            return Ok(());
         }
-        if progress.stop() {
-            return Ok(false);
-        }
+        go_on(progress)?;
         let classes = self.corrections.as_ref().map(Corrections::classes);
         let classes = classes.unwrap_or(&self.scene.classes).len();
         memory::check_scores(self.gaussians.len(), classes, score_tables(config))?;
@@ -280,9 +265,6 @@ impl Outcome {
             device,
             progress,
         )?;
-        let Some(lifted) = lifted else {
-            return Ok(false);
-        };
         self.gaussians = lifted.gaussians;
         progress.gaussians(&self.gaussians, None);
         self.test = lifted.pruned.scores_after;
@@ -291,22 +273,18 @@ impl Outcome {
         if let Some(features) = &lifted.features {
             self.features.clone_from(&features.name);
         }
-        if !self.correct(files, device, progress)? {
-            return Ok(false);
-        }
+        self.correct(files, device, progress)?;
         let config = &self.config;
         let clock = Instant::now();
-        let inputs = Inputs {
+        let inputs = SegmentationInputs {
             lifted: lifted.features,
             semantics: self.semantics.as_ref(),
             corrections: self.corrections.as_ref(),
             scores_fields: scored == Scored::LabelsAndFeatures,
-            ..Inputs::new(&self.scene, &self.gaussians, config, device)
+            ..SegmentationInputs::new(&self.scene, &self.gaussians, config, device)
         };
         let trained = train_variants(&inputs, &files.checkpoints, progress)?;
-        if let Some(lifted) = &inputs.lifted
-            && !trained.stopped
-        {
+        if let Some(lifted) = &inputs.lifted {
             self.feature_colors = Some(lifted.colors()?);
         }
         self.rows = trained.rows;
@@ -314,7 +292,7 @@ impl Outcome {
         let earlier: f64 = self.rows.iter().map(|row| row.earlier_seconds).sum();
         self.seconds.segmentation = clock.elapsed().as_secs_f64() + earlier;
         self.seconds.total += earlier;
-        Ok(!trained.stopped)
+        Ok(())
     }
 }
 

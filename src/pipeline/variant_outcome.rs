@@ -11,7 +11,7 @@ use crate::progress::CurvePoint;
 pub struct VariantOutcome {
     /// The variant.
     pub variant: Variant,
-    /// What the Gaussians store. `None` for the raw labels themselves, and where training was stopped before its end.
+    /// What the Gaussians store. `None` for the raw labels themselves.
     pub identities: Option<Identities>,
     /// Held-out scores.
     pub scores: HeldOutScores,

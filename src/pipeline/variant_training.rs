@@ -1,7 +1,7 @@
 //! Training of a variant: its loss, its schedule, its provenance, and its decoder before the first step.
 
-use super::encode::Inputs;
 use super::rivals::Grouping;
+use super::segmentation_inputs::SegmentationInputs;
 use super::train_decoder::{
     Adam, DecoderInput, DecoderModel, DecoderPlan, Training, TrainingPlan, TrainingSchedule,
 };
@@ -17,35 +17,27 @@ use std::path::Path;
 const GJS_DROPOUT: f64 = 0.2;
 
 /// How `variant` is trained.
-pub(super) fn plan(variant: Variant, inputs: &Inputs) -> Result<TrainingPlan> {
+pub(super) fn plan(variant: Variant, inputs: &SegmentationInputs) -> Result<TrainingPlan> {
     let config = &inputs.config.segmentation;
     let loss = match variant {
         Variant::OursCe => LabelLoss::Ce,
         _ if variant.trains_decoder() => LabelLoss::from_config(config)?,
         _ => LabelLoss::Ce,
     };
-    let plan = TrainingPlan::new(config, loss, inputs.config.seed);
-    Ok(match variant {
-        Variant::Grouping => TrainingPlan {
-            blend: Blend::Logits,
+    let mut plan = TrainingPlan::new(config, loss, inputs.config.seed);
+    match variant {
+        Variant::Grouping => {
+            plan.config.blend = Blend::Logits;
+            plan.config.reduction = Reduction::Mean;
             // The original divides cross-entropy by its value for a uniform prediction.
-            lambda: [
-                1.0 / (inputs.scene.classes.len().max(2) as f64).ln(),
-                Grouping::LAMBDA_3D,
-            ],
-            reduction: Reduction::Mean,
-            ..plan
-        },
-        Variant::Distilled => TrainingPlan {
-            blend: Blend::Logits,
-            ..plan
-        },
-        Variant::PanopticLifting => TrainingPlan {
-            blend: Blend::Probabilities,
-            ..plan
-        },
-        _ => plan,
-    })
+            let uniform = (inputs.scene.classes.len().max(2) as f64).ln();
+            plan.lambda = [1.0 / uniform, Grouping::LAMBDA_3D];
+        }
+        Variant::Distilled => plan.config.blend = Blend::Logits,
+        Variant::PanopticLifting => plan.config.blend = Blend::Probabilities,
+        _ => {}
+    }
+    Ok(plan)
 }
 
 /// When `variant` is evaluated and saved.
@@ -54,7 +46,7 @@ pub(super) fn plan(variant: Variant, inputs: &Inputs) -> Result<TrainingPlan> {
 /// [`crate::Error::Io`] when the file of the point encoder's weights cannot be read.
 pub(super) fn schedule(
     variant: Variant,
-    inputs: &Inputs,
+    inputs: &SegmentationInputs,
     checkpoints: &Path,
 ) -> Result<TrainingSchedule> {
     let config = &inputs.config.segmentation;
@@ -73,7 +65,7 @@ pub(super) fn schedule(
 }
 
 /// What the training of `variant` follows from.
-fn provenance(variant: Variant, inputs: &Inputs) -> Result<Provenance> {
+fn provenance(variant: Variant, inputs: &SegmentationInputs) -> Result<Provenance> {
     let decoder = variant.trains_decoder();
     let features = decoder || variant.reads_image_features();
     let mut provenance =
@@ -100,7 +92,7 @@ pub fn decoder_training<'a>(
     plan: &TrainingPlan,
     input: &'a DecoderInput,
     prior: Option<Vec<f32>>,
-    inputs: &'a Inputs,
+    inputs: &'a SegmentationInputs,
     views: usize,
 ) -> Training<DecoderModel<'a>> {
     let config: &SegmentationConfig = &inputs.config.segmentation;
@@ -125,7 +117,7 @@ pub fn decoder_training<'a>(
         decoder = decoder.with_silent_start();
     }
     // Not `plan.warmup`: a variant under cross-entropy has no warm-up, and is averaged over the same steps as the others.
-    let average_from = (config.warmup * plan.iterations as f64) as usize;
+    let average_from = (config.warmup * plan.config.iterations as f64) as usize;
     let adam = Adam::new(config.lr, config.average.then_some(average_from));
     Training::new(model, decoder, adam, classes)
 }

@@ -1,10 +1,11 @@
 //! The variants of the label table: what each is, and its training and scoring.
 
-use super::encode::{Encodings, Inputs, encode, spatial_of};
+use super::encode::{Encodings, encode, spatial_of};
 use super::evaluate::{FieldScores, HeldOut, HeldOutScores};
 use super::fine_tuning::fine_tuning;
 use super::label_evidence::{LabelEvidence, VOTE_FLOOR, once};
 use super::rivals::{Codes, Grouping, LinearHead, PanopticLifting, distil};
+use super::segmentation_inputs::SegmentationInputs;
 use super::train_decoder::{
     Adam, IdentityModel, Logits, PerGaussian, Training, TrainingPlan, TrainingSchedule,
     TrainingViews,
@@ -14,7 +15,7 @@ use super::variant_training::{decoder_training, plan, schedule};
 use crate::config::{Blend, Prior, SpatialConfig, Variant};
 use crate::error::Result;
 use crate::objects::Identities;
-use crate::progress::{Event, Progress};
+use crate::progress::{Event, Progress, go_on};
 use burn::tensor::Device;
 use std::cell::OnceCell;
 use std::path::Path;
@@ -31,28 +32,24 @@ pub struct TrainedVariants {
     pub rows: Vec<VariantOutcome>,
     /// Name of the point encoder's weights; empty where none were needed.
     pub spatial: String,
-    /// Whether `progress` said stop before all variants were done.
-    pub stopped: bool,
 }
 
-/// Trains and scores the configured variants in order, until `progress` says stop.
+/// Trains and scores the configured variants in order.
 ///
 /// # Errors
-/// Those of training, of the encoder's weights, and of checkpoints.
+/// Those of training, of the encoder's weights, and of checkpoints; [`crate::Error::Stopped`].
 pub fn train_variants(
-    inputs: &Inputs,
+    inputs: &SegmentationInputs,
     checkpoints: &Path,
     progress: &mut dyn Progress,
 ) -> Result<TrainedVariants> {
     let variants = inputs.config.segmentation.rows();
     let mut stage = StageTwo::new(inputs, checkpoints);
     let mut rows: Vec<VariantOutcome> = Vec::new();
-    let mut stopped = false;
     for &variant in variants {
         // The first variant always runs.
-        stopped = !rows.is_empty() && progress.stop();
-        if stopped {
-            break;
+        if !rows.is_empty() {
+            go_on(progress)?;
         }
         let outcome = match variant {
             Variant::Raw => stage.raw(),
@@ -74,28 +71,21 @@ pub fn train_variants(
             let ids = identities.ids(&inputs.scene.classes);
             progress.gaussians(inputs.gaussians, Some(&ids));
         }
-        stopped = variant != Variant::Raw && outcome.identities.is_none();
-        if !stopped {
-            progress.event(&Event::Scored {
-                variant: variant.title(),
-                miou: outcome.scores.miou(),
-            });
-        }
+        progress.event(&Event::Scored {
+            variant: variant.title(),
+            miou: outcome.scores.miou(),
+        });
         rows.push(outcome);
-        if stopped {
-            break;
-        }
     }
     Ok(TrainedVariants {
         rows,
         spatial: stage.spatial,
-        stopped,
     })
 }
 
 /// What the variants share.
 struct StageTwo<'a> {
-    inputs: &'a Inputs<'a>,
+    inputs: &'a SegmentationInputs<'a>,
     /// With autodiff.
     device: Device,
     checkpoints: &'a Path,
@@ -111,7 +101,7 @@ struct StageTwo<'a> {
 }
 
 impl<'a> StageTwo<'a> {
-    fn new(inputs: &'a Inputs<'a>, checkpoints: &'a Path) -> Self {
+    fn new(inputs: &'a SegmentationInputs<'a>, checkpoints: &'a Path) -> Self {
         Self {
             inputs,
             device: inputs.device.clone().autodiff(),
@@ -193,16 +183,14 @@ impl<'a> StageTwo<'a> {
     fn distilled(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
         let (inputs, variant) = (self.inputs, Variant::Distilled);
         let plan = plan(variant, inputs)?;
-        let Some(distilled) = distil(inputs, &self.device, progress)? else {
-            return Ok(VariantOutcome::new(variant, HeldOutScores::default()));
-        };
+        let distilled = distil(inputs, &self.device, progress)?;
         let model = LinearHead::new(&distilled.field);
         let head = LinearHead::random(inputs, &self.device);
         let mut outcome =
             self.of_raw_labels(variant, &plan, model, head, LR_LINEAR_HEAD, progress)?;
         outcome.seconds += distilled.seconds;
         outcome.learnable_bytes += distilled.field.bytes();
-        if inputs.scores_fields && outcome.identities.is_some() {
+        if inputs.scores_fields {
             outcome.field = Some(distilled.scores(inputs)?);
         }
         Ok(outcome)
@@ -232,7 +220,7 @@ impl<'a> StageTwo<'a> {
         let training = decoder_training(variant, &plan, &input, prior, inputs, self.views.len());
         let schedule = schedule(variant, inputs, self.checkpoints)?;
         let mut outcome = self.trained(variant, training, &plan, &schedule, progress)?;
-        if variant.reads_lifted_features() && outcome.identities.is_some() {
+        if variant.reads_lifted_features() {
             outcome.field = self.lifted()?;
         }
         self.fine_tuned(outcome, &plan, progress)
@@ -266,14 +254,14 @@ impl<'a> StageTwo<'a> {
         drop(decoded);
         let schedule = TrainingSchedule {
             variant: "fine-tuning",
-            eval_every: plan.iterations,
+            eval_every: plan.config.iterations,
             checkpoint: None,
             ..schedule(outcome.variant, self.inputs, self.checkpoints)?
         };
         let tuned = self.trained(outcome.variant, training, plan, &schedule, progress)?;
         outcome.identities = tuned.identities;
         outcome.scores = tuned.scores;
-        outcome.fine_tuning_steps = Some(plan.iterations);
+        outcome.fine_tuning_steps = Some(plan.config.iterations);
         outcome.seconds += tuned.seconds;
         outcome.learnable_bytes += tuned.learnable_bytes;
         Ok(outcome)
@@ -292,7 +280,7 @@ impl<'a> StageTwo<'a> {
         Ok(&self.encodings.insert((spatial, encodings)).1)
     }
 
-    /// Runs `training` by `plan` and `schedule` until `progress` says stop, and scores the identities.
+    /// Runs `training` by `plan` and `schedule`, and scores the identities.
     fn trained<M: IdentityModel>(
         &mut self,
         variant: Variant,
@@ -316,26 +304,28 @@ impl<'a> StageTwo<'a> {
             let identities = identities(training)?;
             let scores = held_out.score(&identities)?;
             let miou = scores.miou();
-            if training.iteration() == plan.iterations {
+            if training.iteration() == plan.config.iterations {
                 last = Some((identities, scores));
             }
             Ok(miou)
         };
-        let finished = training.run(&mut self.views, plan, schedule, &mut evaluate, progress)?;
-        if finished && last.is_none() {
-            let identities = identities(&training)?;
-            let scores = held_out.score(&identities)?;
-            last = Some((identities, scores));
-        }
-        let (identities, scores) = last.unzip();
+        training.run(&mut self.views, plan, schedule, &mut evaluate, progress)?;
+        let (identities, scores) = match last {
+            Some(last) => last,
+            None => {
+                let identities = identities(&training)?;
+                let scores = held_out.score(&identities)?;
+                (identities, scores)
+            }
+        };
         Ok(VariantOutcome {
-            identities,
+            identities: Some(identities),
             learnable_bytes: training.learnable_bytes(),
             rate: Some(training.adam.rate),
             seconds: training.curve.last().map_or(0.0, |p| p.seconds),
             earlier_seconds: training.earlier_seconds,
             curve: training.curve,
-            ..VariantOutcome::new(variant, scores.unwrap_or_default())
+            ..VariantOutcome::new(variant, scores)
         })
     }
 }

@@ -294,16 +294,17 @@ fn objects(parts: &[Part], kept: &[Vec<u32>]) -> Result<JoinedObjects> {
 fn identities(parts: &[Part], kept: &[Vec<u32>], classes: &Classes) -> Option<Identities> {
     let mut scores = Vec::new();
     for (part, rows) in parts.iter().zip(kept) {
-        let own = part.identities.as_ref()?;
+        let identities = part.identities.as_ref()?;
         let own_classes = part.classes.entries.iter();
         let columns: Vec<_> = own_classes.map(|class| classes.index(class.id)).collect();
         for &row in rows {
-            let own = &own.scores[row as usize * own.classes..][..own.classes];
-            let lowest = own.iter().copied().fold(f32::INFINITY, f32::min);
+            let width = identities.classes;
+            let known = &identities.scores[row as usize * width..][..width];
+            let lowest = known.iter().copied().fold(f32::INFINITY, f32::min);
             let start = scores.len();
             let lowest = if lowest.is_finite() { lowest } else { 0.0 };
             scores.resize(start + classes.len(), lowest);
-            for (column, score) in columns.iter().zip(own) {
+            for (column, score) in columns.iter().zip(known) {
                 if let Some(column) = column {
                     let to: &mut f32 = &mut scores[start + column];
                     *to = to.max(*score);

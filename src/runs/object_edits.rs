@@ -2,7 +2,7 @@
 
 use super::ObjectScene;
 use crate::error::{Result, ensure};
-use crate::objects::{Edited, Editing, Object};
+use crate::objects::{Edited, Editing};
 use crate::splat::Motion;
 use glam::{DQuat, DVec3};
 
@@ -42,9 +42,33 @@ impl ObjectEdits {
         let removed = scene.ids(&self.remove, "--remove")?;
         let stays =
             |id: u16| (self.keep.is_empty() || kept.contains(&id)) && !removed.contains(&id);
-        let motions = self.motions(scene, &editing, &stays)?;
-        for (rows, motion) in &motions {
-            editing.displace(rows, motion);
+        let staying = |what: &str, flag: &str| {
+            let mut objects = scene.find(what, flag)?;
+            objects.retain(|object| stays(object.id));
+            ensure!(!objects.is_empty(), argument "{flag}"; found "{what}";
+                expected "an object that is neither removed nor left out"; help "leave it out, or keep the object");
+            Ok(objects)
+        };
+        let mut motions = 0;
+        for (what, rotation) in &self.turns {
+            for object in staying(what, "--turn")? {
+                let turn = Motion {
+                    rotation: *rotation,
+                    pivot: object.center(),
+                    translation: DVec3::ZERO,
+                };
+                editing.displace(&object.rows, &turn);
+                motions += 1;
+            }
+        }
+        for (what, offset) in &self.moves {
+            ensure!(editing.is_near(*offset),
+                argument "--move"; found "{what}={offset}"; expected "at most {:.3e} world units", editing.farthest();
+                help "move by less: positions that far away lose digits");
+            for object in staying(what, "--move")? {
+                editing.displace(&object.rows, &Motion::shift(*offset));
+                motions += 1;
+            }
         }
         let leaving = scene.objects.iter().filter(|object| !stays(object.id));
         let leaving: Vec<_> = leaving.collect();
@@ -53,55 +77,12 @@ impl ObjectEdits {
         }
         let counts = [
             ("objects removed", leaving.len()),
-            ("turns and moves", motions.len()),
+            ("turns and moves", motions),
         ];
         let counts = counts.iter().filter(|(_, count)| *count > 0);
         let done: Vec<String> = counts
             .map(|(what, count)| format!("{what}: {count}"))
             .collect();
         Ok((editing.finish("--keep, --remove")?, done.join(", ")))
-    }
-
-    /// Rows and motions of the objects that stay: first turns, then moves, in their order.
-    fn motions(
-        &self,
-        scene: &ObjectScene,
-        editing: &Editing,
-        stays: &dyn Fn(u16) -> bool,
-    ) -> Result<Vec<(Vec<u32>, Motion)>> {
-        let still = Motion {
-            rotation: DQuat::IDENTITY,
-            pivot: DVec3::ZERO,
-            translation: DVec3::ZERO,
-        };
-        let mut motions = Vec::new();
-        let mut add = |what: &str, flag: &str, motion: &dyn Fn(&Object) -> Motion| {
-            let staying = scene
-                .find(what, flag)?
-                .into_iter()
-                .filter(|object| stays(object.id));
-            let before = motions.len();
-            motions.extend(staying.map(|object| (object.rows.clone(), motion(object))));
-            ensure!(motions.len() > before, argument "{flag}"; found "{what}";
-                expected "an object that is neither removed nor left out"; help "leave it out, or keep the object");
-            Ok(())
-        };
-        for (what, rotation) in &self.turns {
-            add(what, "--turn", &|object| Motion {
-                rotation: *rotation,
-                pivot: object.center(),
-                ..still
-            })?;
-        }
-        for (what, translation) in &self.moves {
-            ensure!(editing.is_near(*translation),
-                argument "--move"; found "{what}={translation}"; expected "at most {:.3e} world units", editing.farthest();
-                help "move by less: positions that far away lose digits");
-            add(what, "--move", &|_| Motion {
-                translation: *translation,
-                ..still
-            })?;
-        }
-        Ok(motions)
     }
 }

@@ -186,18 +186,18 @@ impl ObjectScene {
                 ids.push(None);
                 continue;
             }
-            let there = self
+            let known = self
                 .classes
                 .entries
                 .iter()
                 .find(|class| class.name == *name);
             let free = || (1..=u16::MAX).find(|id| !editing.is_known(*id));
-            let id = there.map_or_else(free, |class| Some(class.id));
+            let id = known.map_or_else(free, |class| Some(class.id));
             let Some(id) = id else {
                 bail!(argument "{flag}"; found "a scene with all labels in use"; expected "a free label";
                     help "name an object that is there");
             };
-            if there.is_none() {
+            if known.is_none() {
                 editing.entry(id).name = (*name).to_owned();
                 made.insert(id);
             }
@@ -225,24 +225,14 @@ impl ObjectScene {
         editing.finish("--edits")
     }
 
-    /// Writes a scene made from this one, with `classes` as classes.json and a copy of the cameras beside it.
+    /// Writes a scene made from this one, with its classes as classes.json and a copy of the cameras beside it.
     ///
     /// # Errors
     /// As [`write_scene`].
-    pub fn write(
-        &self,
-        out: &Path,
-        gaussians: &Gaussians,
-        labels: &[u16],
-        classes: &Classes,
-    ) -> Result<()> {
-        write_scene(
-            out,
-            &self.path,
-            (gaussians, self.ply.origin),
-            Some(labels),
-            classes,
-        )
+    pub fn write(&self, out: &Path, edited: &Edited) -> Result<()> {
+        let gaussians = (&edited.gaussians, self.ply.origin);
+        let labels = Some(&edited.labels[..]);
+        write_scene(out, &self.path, gaussians, labels, &edited.classes)
     }
 
     /// Corners of a box around the objects called `what`, world units.
@@ -251,10 +241,10 @@ impl ObjectScene {
     /// As [`ObjectScene::find`].
     pub fn bounds(&self, what: &str, flag: &str) -> Result<(DVec3, DVec3)> {
         let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        let around = |(low, high): (DVec3, DVec3), object: &Object| {
+        let extended = |(low, high): (DVec3, DVec3), object: &Object| {
             (low.min(object.low), high.max(object.high))
         };
-        let (low, high) = self.find(what, flag)?.into_iter().fold(none, around);
+        let (low, high) = self.find(what, flag)?.into_iter().fold(none, extended);
         Ok((low + self.ply.origin, high + self.ply.origin))
     }
 
@@ -309,15 +299,8 @@ impl ObjectScene {
     }
 
     fn is_called(&self, id: u16, what: &str) -> bool {
-        let Some(name) = self.name(id) else {
-            return false;
-        };
         let class = self.classes.index(id).map(|i| &self.classes.entries[i]);
-        let is_numbered = class.is_some_and(|class| class.object_of.is_some_and(|of| of.thing));
-        let class = name
-            .rsplit_once(' ')
-            .filter(|(_, number)| is_numbered && number.parse::<u32>().is_ok());
-        name == what || class.is_some_and(|(class, _)| class == what)
+        self.name(id) == Some(what) || class.is_some_and(|class| class.base_name() == what)
     }
 }
 

@@ -4,7 +4,7 @@ use super::{CAMERAS, FEATURE_COLORS, IDENTITIES, RENDERS, RunFolder, SCENE, VIEW
 use crate::config::Config;
 use crate::data::formats::transforms;
 use crate::data::{self, LoadOptions, Split};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::files::{atomic, sha256};
 use crate::pipeline::{self, Outcome};
 use crate::progress::Progress;
@@ -87,17 +87,18 @@ pub fn check_folder(run: &RunFolder, config: &Config) -> Result<()> {
 
 /// What [`train`] gives.
 pub struct Trained {
-    /// The results. Where `progress` stopped the run, [`Outcome::stopped`] says so, and only checkpoints were written.
+    /// The results.
     pub outcome: Outcome,
     /// Size of the page for the browser. It was left out where this exceeds [`MAX_PAGE_BYTES`].
     pub page_bytes: usize,
 }
 
-/// Trains or resumes in the folder `run`, which [`RunFolder::claim`] locked, and writes its files unless `progress` stops it.
-/// `command` is what the report shows.
+/// Trains or resumes in the folder `run`, which [`RunFolder::claim`] locked, and writes its files. `command` is what the report
+/// shows.
 ///
 /// # Errors
-/// Those of [`pipeline::run`] and of writing. A new run whose training has not begun is removed.
+/// Those of [`pipeline::run`] and of writing. A new run whose training has not begun is removed. A run that was stopped has its
+/// checkpoints and its command.
 pub fn train(
     run: &RunFolder,
     config: &Config,
@@ -107,13 +108,13 @@ pub fn train(
 ) -> Result<Trained> {
     let started = run.start(config, command)?;
     let outcome = pipeline::run(config, run.path(), device, progress);
-    let outcome = outcome.inspect_err(|_| started.remove_new())?;
-    started.write_commands()?;
-    let mut page_bytes = 0;
-    if !outcome.stopped {
-        page_bytes = write_scene(&outcome, run)?;
-        write_report(&outcome, run, started.commands, device)?;
+    match &outcome {
+        Ok(_) | Err(Error::Stopped) => started.write_commands()?,
+        Err(_) => started.remove_new(),
     }
+    let outcome = outcome?;
+    let page_bytes = write_scene(&outcome, run)?;
+    write_report(&outcome, run, started.commands, device)?;
     Ok(Trained {
         outcome,
         page_bytes,

@@ -5,7 +5,7 @@ use crate::config::{Association, Config};
 use crate::data::{self, Limits, LoadOptions, Scene};
 use crate::error::{Result, ensure};
 use crate::objects::Identities;
-use crate::pipeline::{Inputs, compare_with_photos, label_evidence};
+use crate::pipeline::{SegmentationInputs, compare_with_photos, label_evidence};
 use crate::splat::Gaussians;
 use crate::splat::formats;
 use crate::splat::ply::PlyScene;
@@ -58,7 +58,7 @@ pub fn vote(
     let dir = config.data.dir.as_deref().unwrap_or(Path::new("built-in"));
     ensure!(scene.labelled().next().is_some(), dir, "raw_label_path"; found "nothing"; expected "raw labels of training views";
         help "add raw_label_path to the frames of a transforms.json, or name a folder with --set data.raw_labels=FOLDER");
-    let inputs = Inputs::new(scene, gaussians, config, device);
+    let inputs = SegmentationInputs::new(scene, gaussians, config, device);
     let votes = label_evidence::votes(&inputs)?;
     if !pooled {
         return Ok(votes.identities());

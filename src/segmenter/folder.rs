@@ -13,7 +13,6 @@ use crate::data::{LoadOptions, MapGeometry, check_outputs};
 use crate::error::Result;
 use crate::progress::{Progress, Viewing};
 use std::collections::BTreeSet;
-use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -52,8 +51,6 @@ pub struct Labelled {
     pub cached: usize,
     /// Classes in the class table.
     pub classes: usize,
-    /// Whether `progress` stopped it; the same call continues.
-    pub stopped: bool,
 }
 
 /// Labels all photos of a scene folder: `NAME.png` and `scores/NAME.scores` for each view, `classes.json`, `geometry.json`, and
@@ -63,7 +60,7 @@ pub struct Labelled {
 /// # Errors
 /// Those of the loader for frames and photos; as [`Mapping::of_user`]; [`crate::Error::Argument`] for a folder that the scene's files
 /// lie in; [`crate::Error::Input`] for a folder with other files, and for files in it that were changed since; as
-/// [`Network::run`]; [`crate::Error::Io`].
+/// [`Network::run`]; [`crate::Error::Io`]; [`crate::Error::Stopped`].
 pub fn label_scene(job: &Job<'_>, progress: &mut dyn Progress) -> Result<Labelled> {
     check_outputs("--out", &[job.out], Some((job.dir, job.options)))?;
     let listing = frames(job)?;
@@ -100,20 +97,11 @@ pub fn label_scene(job: &Job<'_>, progress: &mut dyn Progress) -> Result<Labelle
         mapping: &mapping,
         index: Mutex::new(index),
     };
-    let (cached, stopped) = work.run(progress)?;
+    let cached = work.run(progress)?;
     let mut index = work
         .index
         .into_inner()
         .unwrap_or_else(|poisoned| poisoned.into_inner());
-    let done = Labelled {
-        photos: listing.frames.len(),
-        cached,
-        classes: 0,
-        stopped,
-    };
-    if stopped {
-        return Ok(done);
-    }
     let mut classes = mapping.classes;
     if mapping.keeps_occurring {
         let ids = index.ids(listing.frames.iter().map(|frame| frame.name.as_str()));
@@ -121,8 +109,9 @@ pub fn label_scene(job: &Job<'_>, progress: &mut dyn Progress) -> Result<Labelle
     }
     index.write(&[("classes.json".to_owned(), classes.text().into_bytes())])?;
     Ok(Labelled {
+        photos: listing.frames.len(),
+        cached,
         classes: classes.len(),
-        ..done
     })
 }
 
@@ -147,8 +136,8 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// Labels the photos, several at a time. Returns how many were labelled before, and whether `progress` stopped it.
-    fn run(&self, progress: &mut dyn Progress) -> Result<(usize, bool)> {
+    /// Labels the photos, several at a time. Returns how many were labelled before.
+    fn run(&self, progress: &mut dyn Progress) -> Result<usize> {
         let frames = &self.listing.frames;
         let mut viewing = Viewing::begin(progress, "labels", frames.len());
         let next = AtomicUsize::new(0);
@@ -171,22 +160,18 @@ impl Work<'_> {
             }
             drop(sender);
             for labelled in &done {
-                match labelled {
-                    Ok(was_cached) => cached += usize::from(was_cached),
-                    Err(error) if result.is_ok() => result = Err(error),
-                    Err(_) => {}
-                }
-                if result.is_err() || viewing.advance(1) == ControlFlow::Break(()) {
-                    stop.store(true, Ordering::Relaxed);
-                }
+                let advanced = labelled.and_then(|was_cached| {
+                    cached += usize::from(was_cached);
+                    viewing.advance(1)
+                });
+                // The first error; photos that were in work then come after it.
+                result = result.and(advanced);
+                stop.fetch_or(result.is_err(), Ordering::Relaxed);
             }
         });
         result?;
-        let stopped = stop.into_inner();
-        if !stopped {
-            viewing.end();
-        }
-        Ok((cached, stopped))
+        viewing.end();
+        Ok(cached)
     }
 
     /// Photos that are labelled side by side.

@@ -28,6 +28,15 @@ const LEGENDRE: [[f64; 2]; 4] = [
 const LONGITUDES: usize = 8;
 
 impl Motion {
+    /// A shift without a turn.
+    pub fn shift(translation: DVec3) -> Self {
+        Self {
+            rotation: DQuat::IDENTITY,
+            pivot: DVec3::ZERO,
+            translation,
+        }
+    }
+
     /// Moves the Gaussians `rows`. A camera that moves along sees the same image.
     ///
     /// # Panics

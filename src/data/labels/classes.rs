@@ -58,6 +58,12 @@ impl Classes {
         self.index(id).map_or("void", |i| &self.entries[i].name)
     }
 
+    /// Whether both tables have the same ids with the same names.
+    pub fn has_names_of(&self, other: &Self) -> bool {
+        let mut pairs = self.entries.iter().zip(&other.entries);
+        self.len() == other.len() && pairs.all(|(a, b)| a.id == b.id && a.name == b.name)
+    }
+
     /// The labels of `count` unlabelled Gaussians.
     pub fn unlabelled(&self, count: usize) -> Vec<u16> {
         vec![self.ignore; count]
@@ -144,6 +150,15 @@ impl Class {
             name,
             color: class_color(id),
             object_of: None,
+        }
+    }
+
+    /// The name without the number of a thing: `chair` for `chair 2`.
+    pub fn base_name(&self) -> &str {
+        let is_thing = self.object_of.is_some_and(|of| of.thing);
+        match self.name.rsplit_once(' ') {
+            Some((base, number)) if is_thing && number.parse::<u32>().is_ok() => base,
+            _ => &self.name,
         }
     }
 }

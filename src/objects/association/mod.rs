@@ -31,7 +31,7 @@ mod sweeps;
 
 use crate::config::AssociationConfig;
 use crate::data::{Class, Classes, LabelRuns, ObjectOf, Scene, Split, View, class_color};
-use crate::error::{Error, Result, ensure, invalid};
+use crate::error::{Result, bail, ensure};
 use crate::raster::Settings;
 use crate::splat::{Gaussians, rows_where};
 use divide::divided;
@@ -40,7 +40,6 @@ use ownership::{extents, sightings_in_views};
 use relabel::relabelled;
 use segments::{NO_SEGMENT, ViewSegments, view_segments};
 use std::collections::{BTreeSet, HashMap};
-use std::ops::ControlFlow;
 
 /// An object that segments of several views show.
 #[derive(Clone, Debug, PartialEq)]
@@ -72,21 +71,8 @@ pub struct Association {
     pub divided: usize,
 }
 
-/// Why an association ended early.
-enum End {
-    /// The caller stopped it.
-    Stopped,
-    Failed(Error),
-}
-
-impl From<Error> for End {
-    fn from(error: Error) -> Self {
-        Self::Failed(error)
-    }
-}
-
 /// Receives the number of views done since the last call. Its error ends the association.
-type Progress<'p> = dyn FnMut(usize) -> Result<(), End> + 'p;
+type Progress<'p> = dyn FnMut(usize) -> Result<()> + 'p;
 
 impl Association {
     /// Steps of [`associate`] in all: one for each pass over each view.
@@ -115,15 +101,15 @@ impl Association {
 }
 
 /// Finds which segments of the raw labels of `scene` show one object, by the Gaussians that they cover. The training views form the
-/// groups. Segments of test views are then assigned to them. `None` where `progress` breaks. It receives the steps done since its
-/// last call, [`Association::steps`] in all; 0 only checks whether to go on.
+/// groups. Segments of test views are then assigned to them. `progress` receives the steps done since its last call,
+/// [`Association::steps`] in all; 0 only checks whether to go on.
 ///
 /// Ids of segments are those of [`View::segments`]. An id that is not among them is a thing without a class. All segments of a
 /// class of stuff are one group.
 ///
 /// # Errors
-/// [`Error::NonFinite`] when a Gaussian's parameters are not finite; [`Error::Limit`] for more groups than u16 has ids;
-/// [`Error::Config`] when no training view has raw labels, and when no group is left of them.
+/// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite; [`crate::Error::Limit`] for more groups than u16 has ids;
+/// [`crate::Error::Config`] when no training view has raw labels, and when no group is left of them; those of `progress`.
 ///
 /// # Panics
 /// If raw labels have another size than their view's camera.
@@ -132,23 +118,15 @@ pub fn associate(
     scene: &Scene,
     config: &AssociationConfig,
     settings: &Settings,
-    progress: &mut dyn FnMut(usize) -> ControlFlow<()>,
-) -> Result<Option<Association>> {
+    progress: &mut dyn FnMut(usize) -> Result<()>,
+) -> Result<Association> {
     let inputs = AssociationInputs {
         gaussians,
         scene,
         config,
         settings,
     };
-    let found = inputs.associate(&mut |views| match progress(views) {
-        ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(()) => Err(End::Stopped),
-    });
-    match found {
-        Ok(found) => Ok(Some(found)),
-        Err(End::Stopped) => Ok(None),
-        Err(End::Failed(error)) => Err(error),
-    }
+    inputs.associate(progress)
 }
 
 /// The inputs of an association.
@@ -160,19 +138,16 @@ struct AssociationInputs<'a> {
 }
 
 impl AssociationInputs<'_> {
-    fn associate(&self, progress: &mut Progress) -> Result<Association, End> {
+    fn associate(&self, progress: &mut Progress) -> Result<Association> {
         let mut views = Vec::new();
         for view in self.scene.split(Split::Train) {
             views.push(self.segments(view)?);
             progress(1)?;
         }
         if views.iter().all(|view| view.segments.is_empty()) {
-            return Err(
-                invalid!(setting "data.association"; found "gaussians, but no segments";
+            bail!(setting "data.association"; found "gaussians, but no segments";
                 expected "raw labels of training views to put together";
-                help "add raw labels, or set data.association = \"none\"")
-                .into(),
-            );
+                help "add raw labels, or set data.association = \"none\"");
         }
         let mut groups = Groups::new(self.gaussians.len());
         let assigned = sweeps::form_groups(&mut groups, &views, self.config, progress)?;
@@ -213,7 +188,7 @@ impl AssociationInputs<'_> {
         assigned: &[Assigned<'_>],
         kept: &[u32],
         progress: &mut Progress,
-    ) -> Result<Vec<Option<LabelRuns>>, End> {
+    ) -> Result<Vec<Option<LabelRuns>>> {
         let ids: HashMap<u32, u16> = kept.iter().copied().zip(1..).collect();
         let ids = |group: u32| ids.get(&group).copied().unwrap_or(NO_SEGMENT);
         let extents = extents(groups.len(), &sightings_in_views(groups, views));
@@ -242,7 +217,7 @@ impl AssociationInputs<'_> {
 /// The groups that have a segment, largest first, by number and as the result lists them.
 ///
 /// # Errors
-/// [`Error::Limit`] for more groups than u16 has ids.
+/// [`crate::Error::Limit`] for more groups than u16 has ids.
 fn numbered_groups(groups: &Groups, assigned: &[Assigned<'_>]) -> Result<(Vec<u32>, Vec<Group>)> {
     let totals = merge::totals(groups);
     let weight = |group: u32| totals[group as usize].weight;

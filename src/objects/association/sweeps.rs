@@ -1,5 +1,6 @@
 //! The passes over the views that form the groups.
 
+use super::Progress;
 use super::divide::divided;
 use super::groups::{Assigned, Groups, Unmatched};
 use super::merge;
@@ -7,7 +8,6 @@ use super::order::view_order;
 use super::ownership::{extents, sightings_in_views};
 use super::segments::ViewSegments;
 use super::split::split;
-use super::{End, Progress};
 use crate::config::AssociationConfig;
 use crate::error::Result;
 use std::borrow::Cow;
@@ -22,7 +22,7 @@ pub(super) fn form_groups<'a>(
     views: &'a [ViewSegments],
     config: &AssociationConfig,
     progress: &mut Progress,
-) -> Result<Vec<Assigned<'a>>, End> {
+) -> Result<Vec<Assigned<'a>>> {
     let order = view_order(views, groups.owners().len());
     let mut assigned = vec![Assigned::default(); views.len()];
     let mut group_extents = Vec::new();
@@ -57,7 +57,7 @@ fn merge_groups(
     views: &[ViewSegments],
     assigned: &mut [Assigned<'_>],
     progress: &mut Progress,
-) -> Result<Vec<f64>, End> {
+) -> Result<Vec<f64>> {
     loop {
         progress(0)?;
         let sightings = sightings_in_views(groups, views);

@@ -1,10 +1,15 @@
-//! Edits of a labelled scene as a file: what a person did in the viewer, in order. `docs/edits.md` describes the format.
+//! Edits of a labelled scene. [`Editing`] is a scene under changes, by options of `coseg edit` or by a file of [`Edits`]: what a person
+//! did in the viewer, in order, each an [`Operation`]. `docs/edits.md` describes the format. [`Corrections`] are the labels of such a
+//! file that a run is trained on.
 
+mod corrections;
+mod editing;
 mod operation;
 
+pub use self::corrections::Corrections;
+pub use self::editing::{Edited, Editing};
 pub use self::operation::{NewObject, Operation, Turn, is_name};
 
-use super::Editing;
 use crate::error::{Error, Result, ensure, invalid};
 use crate::files;
 use glam::DVec3;

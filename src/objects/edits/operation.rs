@@ -1,7 +1,7 @@
 //! The operations of a file of edits.
 
+use super::Editing;
 use crate::error::{Result, ensure, invalid};
-use crate::objects::Editing;
 use crate::splat::Motion;
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
@@ -149,11 +149,7 @@ impl Operation {
                 check_near(editing, "shift", *shift)?;
                 let motion = match turn {
                     Some(turn) => turn.then(editing, *shift, origin)?,
-                    None => Motion {
-                        rotation: DQuat::IDENTITY,
-                        pivot: DVec3::ZERO,
-                        translation: *shift,
-                    },
+                    None => Motion::shift(*shift),
                 };
                 editing.displace(&editing.rows(*object), &motion);
             }

@@ -1,6 +1,6 @@
 //! Ids and names for the pieces of a label.
 
-use crate::data::{Class, Classes, ObjectOf};
+use crate::data::{Classes, ObjectOf};
 use crate::error::{Result, ensure};
 use std::collections::{BTreeSet, HashMap, HashSet};
 
@@ -51,7 +51,7 @@ impl Naming {
             found "{pieces} pieces"; expected "{} ids that are free", self.free.len();
             help "separate fewer labels, or call more pieces strays");
         let whole = self.classes.entry(id).clone();
-        let base = base_name(&whole);
+        let base = whole.base_name();
         let object_of = Some(ObjectOf {
             class: whole.object_of.map_or(id, |of| of.class),
             thing: true,
@@ -81,14 +81,5 @@ impl Naming {
                 return name;
             }
         }
-    }
-}
-
-/// The name without the number of a thing: `chair` for `chair 2`.
-fn base_name(class: &Class) -> &str {
-    let is_thing = class.object_of.is_some_and(|of| of.thing);
-    match class.name.rsplit_once(' ') {
-        Some((base, number)) if is_thing && number.parse::<u32>().is_ok() => base,
-        _ => &class.name,
     }
 }

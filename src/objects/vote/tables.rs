@@ -107,10 +107,10 @@ fn lifted(
     let Some(shares) = shares else {
         return Ok(view.blend_adjoint(image)?.sums);
     };
-    let own = shares.of_classes(part, &view.device());
-    let (blended, _) = view.blend(own.clone())?;
+    let shares = shares.of_classes(part, &view.device());
+    let (blended, _) = view.blend(shares.clone())?;
     let ratio = image / (blended + MIN_SHARE);
-    Ok(view.blend_adjoint(ratio)?.sums * own)
+    Ok(view.blend_adjoint(ratio)?.sums * shares)
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! How well a feature field separates the true classes of held-out views.
 
-use super::super::encode::Inputs;
 use super::super::lift::LiftedFeatures;
+use super::super::segmentation_inputs::SegmentationInputs;
 use super::super::train_decoder::stratified_sample;
 use crate::backend::device::{read, upload};
 use crate::config::{Association, Blend};
@@ -37,7 +37,7 @@ impl FieldScores {
     ///
     /// # Errors
     /// As [`Self::of_field`].
-    pub fn of_lifted(inputs: &Inputs) -> Result<Option<Self>> {
+    pub fn of_lifted(inputs: &SegmentationInputs) -> Result<Option<Self>> {
         let Some(lifted) = &inputs.lifted else {
             return Ok(None);
         };
@@ -66,7 +66,7 @@ impl FieldScores {
     /// # Errors
     /// Those of `features`; [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite.
     pub fn of_field(
-        inputs: &Inputs,
+        inputs: &SegmentationInputs,
         channels: usize,
         features: impl Fn(&[u32], &LabelledPixels) -> Result<Tensor<2>>,
     ) -> Result<Self> {
@@ -102,7 +102,7 @@ impl FieldScores {
 /// The held-out views with true classes, and the class index of each drawn pixel that has one. Other
 /// pixels are unlabelled.
 fn drawn_pixels<'a>(
-    inputs: &Inputs<'a>,
+    inputs: &SegmentationInputs<'a>,
     channels: usize,
 ) -> impl Iterator<Item = (&'a View, Vec<u16>)> {
     // Truth has the ids of classes, not those of objects.
@@ -133,7 +133,7 @@ fn blended(
     lifted: &LiftedFeatures,
     visible: &[u32],
     pixels: &LabelledPixels,
-    inputs: &Inputs,
+    inputs: &SegmentationInputs,
 ) -> Result<Tensor<2>> {
     // A GPU holds the channels of one scale for every pixel of the view.
     let of_scale = |scale: usize| {

@@ -7,12 +7,12 @@ use crate::metrics::{
     InstanceScores, LabelScores, SemanticScores, Void, boundary_iou, instance_scores, label_scores,
 };
 use crate::objects::{Identities, LabelMaps, has_truth};
-use crate::pipeline::encode::Inputs;
+use crate::pipeline::segmentation_inputs::SegmentationInputs;
 use crate::raster::SplatTensors;
 
 /// Test views with truth.
 pub struct HeldOut<'a> {
-    inputs: &'a Inputs<'a>,
+    inputs: &'a SegmentationInputs<'a>,
     views: Vec<&'a View>,
     splats: SplatTensors,
 }
@@ -41,7 +41,7 @@ impl HeldOutScores {
 
 impl<'a> HeldOut<'a> {
     /// Those of the scene of `inputs`.
-    pub fn new(inputs: &'a Inputs<'a>) -> Self {
+    pub fn new(inputs: &'a SegmentationInputs<'a>) -> Self {
         let association = inputs.config.data.association;
         let semantics = inputs.semantics;
         let known = |view: &&View| has_truth(view, association, semantics);

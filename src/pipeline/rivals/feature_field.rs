@@ -1,7 +1,7 @@
 //! Feature 3DGS (Zhou et al. 2024): a feature for each Gaussian, distilled from 2D feature maps by rendering.
 
-use super::super::encode::Inputs;
 use super::super::evaluate::FieldScores;
+use super::super::segmentation_inputs::SegmentationInputs;
 use super::super::train_decoder::{
     Adam, DecodedScores, IdentityModel, TrainingViews, ViewSample, identities, parameter_gradients,
     view_at,
@@ -22,7 +22,6 @@ use crate::segmentation::randla::parameter;
 use burn::module::{Module, Param};
 use burn::nn::Linear;
 use burn::tensor::{Device, Tensor};
-use std::ops::ControlFlow;
 use std::time::Instant;
 
 /// Channels of a Gaussian's feature.
@@ -65,7 +64,7 @@ impl Distilled {
     ///
     /// # Errors
     /// As [`FieldScores::of_field`].
-    pub fn scores(&self, inputs: &Inputs) -> Result<FieldScores> {
+    pub fn scores(&self, inputs: &SegmentationInputs) -> Result<FieldScores> {
         let field = self.field.valid();
         let channels = SCALES * inputs.config.features.dimensions;
         let features = |visible: &[u32], pixels: &_| field.at(visible, pixels);
@@ -78,26 +77,23 @@ impl Distilled {
 }
 
 /// Trains a feature field on the 2D features of all training photos: the mean absolute difference of decoded blended features and
-/// the maps of all four scales, read bilinearly at the drawn pixels. None where `progress` stops it.
+/// the maps of all four scales, read bilinearly at the drawn pixels.
 ///
 /// Differences from the original: its maps have one scale, and it renders whole images.
 ///
 /// # Errors
-/// Those of [`Reduction::fit`]; [`crate::Error::NonFinite`] for a loss or gradient that is not finite.
+/// Those of [`Reduction::fit`]; [`crate::Error::NonFinite`] for a loss or gradient that is not finite; [`crate::Error::Stopped`].
 pub fn distil(
-    inputs: &Inputs,
+    inputs: &SegmentationInputs,
     device: &Device,
     progress: &mut dyn Progress,
-) -> Result<Option<Distilled>> {
+) -> Result<Distilled> {
     let clock = Instant::now();
     let config = inputs.config;
     let mut advance = || go_on(progress);
     let features = &config.features;
     let seed = config.seed;
-    let reduction = Reduction::fit(inputs.scene, features, seed, inputs.device, &mut advance)?;
-    let ControlFlow::Continue(mut reduction) = reduction else {
-        return Ok(None);
-    };
+    let mut reduction = Reduction::fit(inputs.scene, features, seed, inputs.device, &mut advance)?;
     let maps: Vec<ViewFeatures> = reduction.training_views().collect::<Result<_>>()?;
     let views = inputs.scene.split(Split::Train);
     let targets: Vec<(&View, ViewFeatures)> = views.zip(maps).collect();
@@ -145,15 +141,13 @@ pub fn distil(
             loss,
             gaussians: count,
         });
-        if progress.stop() {
-            return Ok(None);
-        }
+        go_on(progress)?;
     }
     progress.event(&Event::Finished);
-    Ok(Some(Distilled {
+    Ok(Distilled {
         field,
         seconds: clock.elapsed().as_secs_f64(),
-    }))
+    })
 }
 
 /// The maps of all scales at the pixels of `sample`, `[P, 4 dimensions]`.
@@ -188,7 +182,7 @@ impl LinearHead {
     }
 
     /// Random weights, on an autodiff `device`.
-    pub fn random(inputs: &Inputs, device: &Device) -> Linear {
+    pub fn random(inputs: &SegmentationInputs, device: &Device) -> Linear {
         let classes = inputs.scene.classes.len();
         linear(CHANNELS, classes, &mut first_parameters(inputs), device)
     }

@@ -1,6 +1,6 @@
 //! Gaussian Grouping (Ye et al. 2024): a short identity code for each Gaussian, classified after blending.
 
-use super::super::encode::Inputs;
+use super::super::segmentation_inputs::SegmentationInputs;
 use super::super::train_decoder::{DecodedScores, IdentityModel, identities};
 use super::first_parameters;
 use crate::error::Result;
@@ -32,7 +32,7 @@ pub struct Codes {
 
 impl Codes {
     /// Random ones for the Gaussians of `inputs`, on an autodiff `device`.
-    pub fn random(inputs: &Inputs, device: &Device) -> Self {
+    pub fn random(inputs: &SegmentationInputs, device: &Device) -> Self {
         let count = inputs.gaussians.len();
         let classes = inputs.scene.classes.len();
         let mut rng = first_parameters(inputs);
@@ -70,7 +70,7 @@ impl Grouping {
     ///
     /// # Errors
     /// [`crate::Error::NonFinite`] naming a centre.
-    pub fn new(inputs: &Inputs) -> Result<Self> {
+    pub fn new(inputs: &SegmentationInputs) -> Result<Self> {
         Ok(Self {
             neighbours: without_self(&inputs.gaussians.means, NEIGHBOURS)?,
             seed: inputs.config.seed,

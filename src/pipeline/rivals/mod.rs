@@ -9,11 +9,11 @@ pub use self::feature_field::{LinearHead, distil};
 pub use self::grouping::{Codes, Grouping};
 pub use self::panoptic_lifting::PanopticLifting;
 
-use super::encode::Inputs;
+use super::segmentation_inputs::SegmentationInputs;
 use crate::random::{Purpose, stream};
 use rand_chacha::ChaCha8Rng;
 
 /// The random numbers of first parameters.
-fn first_parameters(inputs: &Inputs) -> ChaCha8Rng {
+fn first_parameters(inputs: &SegmentationInputs) -> ChaCha8Rng {
     stream(inputs.config.seed, Purpose::RivalParameters, 0)
 }

@@ -1,6 +1,6 @@
 //! The losses of Panoptic Lifting (Siddiqui et al. 2023) on classes of Gaussians.
 
-use super::super::encode::Inputs;
+use super::super::segmentation_inputs::SegmentationInputs;
 use super::super::train_decoder::{DecodedScores, IdentityModel, Logits, PerGaussian, Rendered};
 use crate::backend::device::{read, upload};
 use crate::config::Blend;
@@ -41,7 +41,7 @@ struct Segments {
 
 impl<'a> PanopticLifting<'a> {
     /// Of the labelled views of `inputs`.
-    pub fn new(inputs: &Inputs<'a>) -> Self {
+    pub fn new(inputs: &SegmentationInputs<'a>) -> Self {
         let scene = inputs.scene;
         let views: Vec<_> = scene.labelled().collect();
         let iterations = inputs.config.segmentation.iterations as f64;
@@ -91,8 +91,8 @@ fn segment_classes(p: &[f32], classes: usize, segments: &[u32]) -> Vec<u16> {
 
 /// The mean over pixels of -w ln p of `labels`, from log-probabilities `[P, C]` and weights `[P, 1]`.
 fn weighted_cross_entropy(log_p: &Tensor<2>, labels: &[u16], weights: Tensor<2>) -> Tensor<1> {
-    let own = (log_p.clone() * one_hot(labels, log_p)).sum_dim(1);
-    (own * weights).sum() * (-1.0 / labels.len() as f64)
+    let of_labels = (log_p.clone() * one_hot(labels, log_p)).sum_dim(1);
+    (of_labels * weights).sum() * (-1.0 / labels.len() as f64)
 }
 
 impl IdentityModel for PanopticLifting<'_> {

@@ -51,7 +51,7 @@ impl<M: IdentityModel> Training<M> {
         let mut checkpoint = Checkpoint::load(path, KIND)?;
         let stored: Provenance = checkpoint.get("provenance")?;
         self.iteration = checkpoint.get("iteration")?;
-        let finished = self.iteration == plan.iterations;
+        let finished = self.iteration == plan.config.iterations;
         schedule.provenance.check(&stored, finished, path)?;
         let lengths: Vec<(String, usize)> = checkpoint.get("vectors")?;
         let mut vectors: HashMap<String, Vec<f32>> = HashMap::new();

@@ -228,7 +228,7 @@ impl<M: IdentityModel> Training<M> {
         plan: &TrainingPlan,
     ) -> Result<f32> {
         let mut rng = stream(plan.seed, Purpose::Pixels, self.iteration as u64);
-        let sample = views.sample(view, plan.pixel_share, &mut rng)?;
+        let sample = views.sample(view, plan.config.pixel_share, &mut rng)?;
         if sample.pixels.is_empty() {
             return Ok(0.0);
         }
@@ -236,7 +236,7 @@ impl<M: IdentityModel> Training<M> {
         let decoded = self
             .model
             .decode(&self.module, view, visible, self.iteration)?;
-        let scores = sample.blended(decoded.scores.clone(), plan.blend)?;
+        let scores = sample.blended(decoded.scores.clone(), plan.config.blend)?;
         let coseg = self.coseg_loss(plan, &scores, &sample)?;
         let rendered = Rendered {
             view,
@@ -284,12 +284,11 @@ impl<M: IdentityModel> Training<M> {
         self.model.identities(module)
     }
 
-    /// Trains by `plan` from the checkpoint, or from the start without one, to the end or until `progress` stops it. Returns
-    /// whether it reached the end.
+    /// Trains by `plan` from the checkpoint, or from the start without one, to the end.
     ///
     /// # Errors
     /// Those of [`Training::step`]; the last checkpoint stays as it was. Those of reading or writing the checkpoint;
-    /// [`Error::Config`] and [`Error::Input`] when it was made from other settings or data.
+    /// [`Error::Config`] and [`Error::Input`] when it was made from other settings or data; [`Error::Stopped`].
     pub fn run(
         &mut self,
         views: &mut TrainingViews,
@@ -297,16 +296,16 @@ impl<M: IdentityModel> Training<M> {
         schedule: &TrainingSchedule,
         evaluate: Evaluate<M>,
         progress: &mut dyn Progress,
-    ) -> Result<bool> {
+    ) -> Result<()> {
         self.resume(plan, schedule)?;
         self.earlier_seconds = self.seconds;
         progress.event(&Event::Started {
             stage: schedule.variant,
             done: self.iteration,
-            iterations: plan.iterations,
+            iterations: plan.config.iterations,
         });
         let mut stop = false;
-        while self.iteration < plan.iterations && !stop {
+        while self.iteration < plan.config.iterations && !stop {
             let clock = Instant::now();
             let loss = f64::from(self.step(views, plan)?);
             self.seconds += clock.elapsed().as_secs_f64();
@@ -319,7 +318,7 @@ impl<M: IdentityModel> Training<M> {
                 gaussians: schedule.gaussians,
             });
             stop = progress.stop();
-            let end = iteration == plan.iterations;
+            let end = iteration == plan.config.iterations;
             let due = |every: usize| end || iteration.is_multiple_of(every.max(1));
             // No point for a stop: the curve of a resumed run is that of an uninterrupted one.
             if due(schedule.eval_every) {
@@ -332,11 +331,11 @@ impl<M: IdentityModel> Training<M> {
                 self.save(&schedule.provenance, path)?;
             }
         }
-        let finished = self.iteration >= plan.iterations;
-        if finished {
-            progress.event(&Event::Finished);
+        if self.iteration < plan.config.iterations {
+            return Err(Error::Stopped);
         }
-        Ok(finished)
+        progress.event(&Event::Finished);
+        Ok(())
     }
 
     /// A new point of the curve.

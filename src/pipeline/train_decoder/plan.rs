@@ -1,32 +1,22 @@
 //! How a variant is trained: losses, learning rates and pixels over the iterations.
 
 use super::view_input::REGULARISED;
-use crate::config::{self, Blend, LAMBDA_PIX, Reduction, SegmentationConfig};
+use crate::config::{self, LAMBDA_PIX, Reduction, SegmentationConfig};
 use crate::segmentation::loss::LabelLoss;
 
 /// How a variant is trained.
 #[derive(Clone, Debug)]
 pub struct TrainingPlan {
+    /// Settings of stage two, with those that the variant has of its own.
+    pub config: SegmentationConfig,
     /// Label loss after the warm-up.
     pub loss: LabelLoss,
     /// Iterations of cross-entropy before it.
     pub warmup: usize,
-    /// All iterations.
-    pub iterations: usize,
     /// Recall below which a class learns by a less robust loss, see [`super::ClassRecall`]; 0 is never.
     pub least_recall: f64,
     /// Weights of the label loss and of the 3D regularisation.
     pub lambda: [f64; 2],
-    /// What the weights multiply.
-    pub reduction: Reduction,
-    /// Neighbours of each sample in the 3D regularisation.
-    pub neighbours: usize,
-    /// What is blended along a ray.
-    pub blend: Blend,
-    /// Share of the pixels in a step.
-    pub pixel_share: f64,
-    /// Whether the learning rate falls along a half cosine, to 1 % at the end.
-    pub decay: bool,
     /// Seed of view order and pixel choice.
     pub seed: u64,
 }
@@ -43,37 +33,32 @@ impl TrainingPlan {
             _ => 0.0,
         };
         Self {
+            config: config.clone(),
             loss,
             warmup,
-            iterations: config.iterations,
             least_recall,
             lambda: [LAMBDA_PIX, config.lambda_reg],
-            reduction: config.reduction,
-            neighbours: config.reg_neighbours,
-            blend: config.blend,
-            pixel_share: config.pixel_share,
-            decay: config.lr_decay,
             seed,
         }
     }
 
     /// Share of the learning rate at `iteration` (from 0).
     pub fn rate_factor(&self, iteration: usize) -> f64 {
-        if !self.decay {
+        if !self.config.lr_decay {
             return 1.0;
         }
-        let done = iteration as f64 / self.iterations.max(1) as f64;
+        let done = iteration as f64 / self.config.iterations.max(1) as f64;
         0.01 + 0.99 * 0.5 * (1.0 + (std::f64::consts::PI * done).cos())
     }
 
     /// Weights of the mean label loss of `pixels` pixels and of the mean divergence of neighbours, summed over scales.
     pub(super) fn weights_of_means(&self, pixels: usize) -> [f64; 2] {
         let [label, regularisation] = self.lambda;
-        match self.reduction {
+        match self.config.reduction {
             Reduction::Mean => self.lambda,
             Reduction::Sum => {
                 let scales = REGULARISED.len() as f64;
-                let regularisation = regularisation * self.neighbours as f64 / scales;
+                let regularisation = regularisation * self.config.reg_neighbours as f64 / scales;
                 [label * pixels as f64, regularisation]
             }
         }

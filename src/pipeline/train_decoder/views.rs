@@ -57,10 +57,8 @@ pub struct TrainingViews<'a> {
     /// not count.
     lookup: Option<Vec<u16>>,
     min_coverage: f32,
-    /// The labelled pixels of the views that were used already.
-    used: Vec<Option<LabelledView>>,
-    /// Weights of all labelled pixels of a view, while the budget lasts.
-    weights: Vec<Option<PixelWeights>>,
+    /// The labelled pixels of the views that were used already, with their weights, while the budget lasts.
+    used: Vec<Option<(LabelledView, Option<PixelWeights>)>>,
     /// Bytes left for weights.
     budget: usize,
     /// What replaces the raw labels.
@@ -115,7 +113,6 @@ impl<'a> TrainingViews<'a> {
             classes: Classes::default(),
             scores: ViewCache::new(views.len(), usize::MAX),
             used: vec![None; views.len()],
-            weights: vec![None; views.len()],
             budget: config.weight_cache_mb << 20,
             views,
             replaced: None,
@@ -210,49 +207,46 @@ impl<'a> TrainingViews<'a> {
         let read = || Ok((file.read(&self.classes)?, 0));
         let scores = self.scores.get(index, read)?;
         let size = [numbers.len(), self.classes.len()];
-        let certain = |number: u32| {
-            let class = *corrected.get(number as usize)?;
-            (class != NO_CLASS).then_some(class)
-        };
-        let rows = probabilities(&scores, labels, numbers, size[1], certain);
+        let rows = probabilities(&scores, labels, numbers, size[1], &corrected);
         Ok(Some(upload(rows, size, &self.device)))
     }
 
     /// The labelled, covered pixels of view `index`, and their weights at the first use and while they are kept.
     fn labelled(&mut self, index: usize) -> Result<(LabelledView, Option<PixelWeights>)> {
-        if let Some(view) = &self.used[index] {
-            return Ok((view.clone(), self.weights[index].clone()));
+        if let Some(used) = &self.used[index] {
+            return Ok(used.clone());
         }
         let view = self.views[index];
         let labels = match &self.lookup {
             Some(lookup) => {
                 let raw = view.raw.as_ref().map(LabelRuns::map);
                 let ids = raw.map_or_else(Vec::new, |map| map.ids);
-                let raw = ids.iter().map(|&id| lookup[usize::from(id)]);
-                let mut labels: Vec<u16> = raw.collect();
-                put(&self.corrected(index), &mut labels);
-                labels
+                let corrected = self.corrected(index);
+                let label = |(number, &id): (u32, &u16)| {
+                    let raw = lookup[usize::from(id)];
+                    corrected.at(number).unwrap_or(raw)
+                };
+                (0..).zip(&ids).map(label).collect()
             }
             None => vec![0; view.camera.width * view.camera.height],
         };
         let (view, weights) =
             self.gaussians
                 .labelled_pixels(&view.camera, &labels, self.min_coverage)?;
-        if let Some(left) = self.budget.checked_sub(weights.bytes()?) {
-            self.budget = left;
-            self.weights[index] = Some(weights.clone());
-        }
-        self.used[index] = Some(view.clone());
+        let left = self.budget.checked_sub(weights.bytes()?);
+        self.budget = left.unwrap_or(self.budget);
+        let kept = left.map(|_| weights.clone());
+        self.used[index] = Some((view.clone(), kept));
         Ok((view, Some(weights)))
     }
 
-    /// The class of each pixel of view `index` whose label a person corrected, [`NO_CLASS`] for the others; empty where there are none.
-    fn corrected(&self, index: usize) -> Vec<u16> {
+    /// The pixels of view `index` whose labels a person corrected.
+    fn corrected(&self, index: usize) -> CorrectedPixels {
         let (Some(lookup), Some(corrected)) = (&self.lookup, &self.views[index].corrected) else {
-            return Vec::new();
+            return CorrectedPixels(Vec::new());
         };
         let ids = corrected.map().ids.into_iter();
-        ids.map(|id| lookup[usize::from(id)]).collect()
+        CorrectedPixels(ids.map(|id| lookup[usize::from(id)]).collect())
     }
 
     /// The labels of the pixels of `view`, number `index`: its own or what replaces them; and `weights`, which that may need.
@@ -281,8 +275,7 @@ impl<'a> TrainingViews<'a> {
             };
             let mut labels = largest_blended(scores, &view.visible, &pixels)?;
             for (label, &number) in labels.iter_mut().zip(view.numbers.iter()) {
-                let corrected = corrected.get(number as usize).copied();
-                *label = corrected.filter(|c| *c != NO_CLASS).unwrap_or(*label);
+                *label = corrected.at(number).unwrap_or(*label);
             }
             Ok((labels, 0))
         })?;
@@ -290,12 +283,14 @@ impl<'a> TrainingViews<'a> {
     }
 }
 
-/// Puts corrected classes into the `labels` of all pixels.
-fn put(corrected: &[u16], labels: &mut [u16]) {
-    for (label, &class) in labels.iter_mut().zip(corrected) {
-        if class != NO_CLASS {
-            *label = class;
-        }
+/// The class of each pixel of a view whose label a person corrected, [`NO_CLASS`] for the others; empty where there are none.
+struct CorrectedPixels(Vec<u16>);
+
+impl CorrectedPixels {
+    /// The class of the pixel `number`, where it was corrected.
+    fn at(&self, number: u32) -> Option<u16> {
+        let class = self.0.get(number as usize).copied();
+        class.filter(|class| *class != NO_CLASS)
     }
 }
 
@@ -305,7 +300,7 @@ fn probabilities(
     labels: &[u16],
     numbers: &[u32],
     classes: usize,
-    certain: impl Fn(u32) -> Option<u16>,
+    corrected: &CorrectedPixels,
 ) -> Vec<f32> {
     let [width, _] = scores.size();
     let mut rows = vec![0.0; numbers.len() * classes];
@@ -316,7 +311,7 @@ fn probabilities(
     {
         let pixel = number as usize;
         scores.at(pixel % width, pixel / width, &mut found);
-        if let Some(class) = certain(number) {
+        if let Some(class) = corrected.at(number) {
             found = vec![(class, 1.0)];
         } else if found.is_empty() {
             found.push((label, 1.0));

@@ -23,7 +23,6 @@ use crate::raster::Settings;
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 use std::borrow::Borrow;
-use std::ops::ControlFlow;
 
 /// Added to the counter before dividing (Algorithm 1).
 pub const EPSILON: f64 = 1e-6;
@@ -92,20 +91,20 @@ impl Unprojected {
 
 /// Lifts `features` of `views` (the training views, in this order) onto `gaussians`, of the pixels that the views' masks use. The
 /// sums are made on `device`. The features of a view are dropped before the next ones are requested. Calls `advance` after each
-/// view, and stops where that breaks.
+/// view.
 ///
 /// # Errors
 /// [`Error::Argument`] when views and features do not match, or a mask has another size than its view; what [`Sums::add`]
-/// returns; those of `features`.
-pub fn unproject<'a, F: Borrow<ViewFeatures>, B>(
+/// returns; those of `features` and `advance`.
+pub fn unproject<'a, F: Borrow<ViewFeatures>>(
     gaussians: &Gaussians,
     views: impl Iterator<Item = &'a View>,
     features: impl Iterator<Item = Result<F>>,
     config: &UnprojectionConfig,
     settings: &Settings,
     device: &Device,
-    advance: &mut dyn FnMut() -> ControlFlow<B>,
-) -> Result<ControlFlow<B, Unprojected>> {
+    advance: &mut dyn FnMut() -> Result<()>,
+) -> Result<Unprojected> {
     let views: Vec<&View> = views.collect();
     let mut lifted: Option<LiftedViews<'_>> = None;
     let mut features = features;
@@ -128,9 +127,7 @@ pub fn unproject<'a, F: Borrow<ViewFeatures>, B>(
                 config.resolution,
                 settings,
             )?;
-        if let ControlFlow::Break(reason) = advance() {
-            return Ok(ControlFlow::Break(reason));
-        }
+        advance()?;
     }
     if features.next().is_some() {
         let expected = format!("{} or more", views.len() + 1);
@@ -140,7 +137,7 @@ pub fn unproject<'a, F: Borrow<ViewFeatures>, B>(
         Some(lifted) => lifted.finish()?,
         None => Sums::new(gaussians.len(), &[0; SCALES]),
     };
-    Ok(ControlFlow::Continue(Unprojected::new(sums, config)))
+    Ok(Unprojected::new(sums, config))
 }
 
 fn mismatch(found: String, expected: String) -> Error {

@@ -7,8 +7,6 @@ use coseg::config::{FeatureConfig, FeatureSource};
 use coseg::data::{Classes, LabelMap, LoadOptions, Scene, Split, View, load};
 use coseg::features::{FeatureMap, Reduction, ViewFeatures, descriptor};
 use image::RgbImage;
-use std::convert::Infallible;
-use std::ops::ControlFlow;
 
 fn descriptor_config() -> FeatureConfig {
     FeatureConfig {
@@ -102,10 +100,9 @@ fn extract_with_tests(
     config: &FeatureConfig,
     seed: u64,
 ) -> (Vec<ViewFeatures>, Vec<ViewFeatures>) {
-    let go_on = &mut || ControlFlow::<Infallible>::Continue(());
     let device = crate::support::device();
-    let ControlFlow::Continue(mut reduction) =
-        Reduction::fit(scene, config, seed, &device, go_on).expect("maps");
+    let reduction = Reduction::fit(scene, config, seed, &device, &mut || Ok(()));
+    let mut reduction = reduction.expect("maps");
     let train: Vec<_> = reduction
         .training_views()
         .map(|v| v.expect("maps"))

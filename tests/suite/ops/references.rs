@@ -8,7 +8,7 @@ use coseg::data::{LabelMap, Split};
 use coseg::objects::{Identities, LabelMaps, RenderOptions, Renderer, Votes, vote};
 use coseg::ops::{CustomOp, with_references};
 use coseg::pipeline::train_decoder::{DecoderModel, Training, TrainingPlan};
-use coseg::pipeline::{Inputs, LiftedFeatures, decoder_training, encode};
+use coseg::pipeline::{LiftedFeatures, SegmentationInputs, decoder_training, encode};
 use coseg::progress::Silent;
 use coseg::raster::{Settings, SplatTensors};
 use coseg::reconstruction::{Trainer, TrainerState};
@@ -110,15 +110,14 @@ fn stage_two(config: &Config) -> StageTwo {
     let (scene, gaussians, labels, _folder) = crate::support::plates::loaded();
     let (device, settings) = (crate::support::device(), Settings::default());
     let lifted = LiftedFeatures::of_views(&scene, &gaussians, config, &device, &mut Silent)
-        .expect("features")
-        .expect("not stopped");
+        .expect("features");
     let gaussians = gaussians.select(&lifted.kept);
     let kept = lifted.kept.iter();
     let labels = kept.map(|&i| labels[i as usize]).collect();
-    let inputs = Inputs {
+    let inputs = SegmentationInputs {
         lifted: Some(lifted),
         settings,
-        ..Inputs::new(&scene, &gaussians, config, &device)
+        ..SegmentationInputs::new(&scene, &gaussians, config, &device)
     };
     let plan = TrainingPlan::new(&config.segmentation, LabelLoss::Ce, 0);
     let encodings = encode(&inputs, &config.spatial).expect("encoded");

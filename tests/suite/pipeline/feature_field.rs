@@ -4,7 +4,7 @@ use crate::support::{device, plates};
 use coseg::config::Config;
 use coseg::data::Scene;
 use coseg::features::SCALES;
-use coseg::pipeline::{FieldScores, Inputs, LiftedFeatures};
+use coseg::pipeline::{FieldScores, LiftedFeatures, SegmentationInputs};
 use coseg::splat::Gaussians;
 
 const DIMENSIONS: usize = 5;
@@ -30,9 +30,9 @@ fn lifted(labels: &[u16], factor: f32) -> LiftedFeatures {
 
 fn scores(scene: &Scene, gaussians: &Gaussians, lifted: LiftedFeatures) -> FieldScores {
     let (config, device) = (Config::default(), device());
-    let inputs = Inputs {
+    let inputs = SegmentationInputs {
         lifted: Some(lifted),
-        ..Inputs::new(scene, gaussians, &config, &device)
+        ..SegmentationInputs::new(scene, gaussians, &config, &device)
     };
     let scores = FieldScores::of_lifted(&inputs).expect("no error");
     scores.expect("scores of lifted features")

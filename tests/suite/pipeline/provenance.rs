@@ -1,6 +1,6 @@
 //! What a run resumes from: variants do not decide over which Gaussians, and a refusal names the setting that made other inputs.
 
-use crate::support::plate_runs::{StopAt, config, same, whole};
+use crate::support::plate_runs::{StopAt, config, same, stopped, whole};
 use crate::support::plates;
 use coseg::config::{Association, Config, FeatureSource, Resolution, SpatialSource, Variant};
 use coseg::data::{LoadOptions, Split, load};
@@ -158,13 +158,7 @@ fn a_decoder_of_other_image_features_is_refused() {
     config.features.dimensions = 4;
     write_maps(&maps, 0);
     let out = folder.path().join("run");
-    run(
-        &config,
-        &out,
-        &crate::support::device(),
-        &mut StopAt::new("ours", 4),
-    )
-    .expect("a part");
+    stopped(&config, &out, &mut StopAt::new("ours", 4));
     write_maps(&maps, 1);
     // Only of the row that reads them.
     let error = refusal(&config, &out);

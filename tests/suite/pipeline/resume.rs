@@ -1,9 +1,9 @@
 //! A resumed run equals an uninterrupted one; a checkpoint of another run is refused.
 
-use crate::support::plate_runs::{StopAt, config, same, whole};
+use crate::support::plate_runs::{StopAt, config, same, stopped, whole};
 use coseg::config::{Config, Encode, LabelLoss, LabelSource, SegmentationConfig, Variant};
 use coseg::pipeline::run;
-use coseg::progress::{Progress, Silent};
+use coseg::progress::Silent;
 
 #[test]
 fn a_resumed_row_equals_an_uninterrupted_one_bit_for_bit() {
@@ -36,15 +36,9 @@ fn a_resumed_row_equals_an_uninterrupted_one_bit_for_bit() {
             ("ours", 14),
             ("ours", 29),
         ] {
-            let mut stop = StopAt::new(stage, iteration);
-            let part = run(&config, &parts, &crate::support::device(), &mut stop).expect("a part");
-            assert!(stop.stop(), "{stage} did not reach {iteration}");
-            let last = part.rows.last().expect("a row");
-            assert!(
-                last.curve.iter().all(|p| p.iteration.is_multiple_of(10)),
-                "a stop adds no point to the curve"
-            );
+            stopped(&config, &parts, &mut StopAt::new(stage, iteration));
         }
+        // A stop adds no point to the curve.
         same(&uninterrupted, &whole(&config, &parts));
         // And once more from the end: nothing is left to do.
         same(&uninterrupted, &whole(&config, &parts));
@@ -157,13 +151,7 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     );
     // What is not finished may not.
     let half = folder.path().join("half");
-    run(
-        &base,
-        &half,
-        &crate::support::device(),
-        &mut StopAt::new("per_gaussian", 20),
-    )
-    .expect("a part");
+    stopped(&base, &half, &mut StopAt::new("per_gaussian", 20));
     let error = run(&scores, &half, &crate::support::device(), &mut Silent)
         .err()
         .expect("must be refused")

@@ -6,7 +6,7 @@ use coseg::config::{Association, Config, LabelSource, SegmentationConfig, Varian
 use coseg::data::{LoadOptions, Split, load};
 use coseg::objects::{Identities, LabelMaps, vote};
 use coseg::pipeline::train_decoder::{TrainingPlan, TrainingViews};
-use coseg::pipeline::{Inputs, Outcome, decoder_training, encode};
+use coseg::pipeline::{Outcome, SegmentationInputs, decoder_training, encode};
 use coseg::random::{Purpose, stream};
 use coseg::raster::{Projected, Settings, SplatTensors};
 use coseg::segmentation::loss::LabelLoss;
@@ -189,14 +189,12 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
         config.segmentation.warmup = 0.5;
         config.segmentation.iterations = 40;
         config.segmentation.lr = 1e-2;
-        let plan = TrainingPlan {
-            iterations,
-            ..TrainingPlan::new(&config.segmentation, LabelLoss::Ce, 0)
-        };
+        let mut plan = TrainingPlan::new(&config.segmentation, LabelLoss::Ce, 0);
+        plan.config.iterations = iterations;
         let (scene, gaussians, settings) = (&scene, &gaussians, Settings::default());
-        let inputs = Inputs {
+        let inputs = SegmentationInputs {
             settings,
-            ..Inputs::new(scene, gaussians, &config, &device)
+            ..SegmentationInputs::new(scene, gaussians, &config, &device)
         };
         let variant = Variant::NoImageFeatures;
         let input = encode(&inputs, &config.spatial).expect("encoded");

@@ -8,8 +8,6 @@ use coseg::features::{Pca, Reduction, SCALES, ViewFeatures};
 use coseg::raster::Settings;
 use coseg::segmentation::unprojection::{self, Unprojected};
 use coseg::splat::Gaussians;
-use std::convert::Infallible;
-use std::ops::ControlFlow;
 
 /// Reduced features of a scene's training views.
 #[derive(Clone, Debug)]
@@ -26,9 +24,7 @@ pub fn extract(
     seed: u64,
     device: &Device,
 ) -> Result<FeatureSet> {
-    let mut go_on = || ControlFlow::<Infallible>::Continue(());
-    let ControlFlow::Continue(mut reduction) =
-        Reduction::fit(scene, config, seed, device, &mut go_on)?;
+    let mut reduction = Reduction::fit(scene, config, seed, device, &mut || Ok(()))?;
     let views = reduction.training_views().collect::<Result<_>>()?;
     Ok(FeatureSet {
         name: reduction.name,
@@ -47,8 +43,6 @@ pub fn unproject<'a>(
     device: &Device,
 ) -> Result<Unprojected> {
     let features = set.views.iter().map(Ok);
-    let go_on = &mut || ControlFlow::<Infallible>::Continue(());
-    let ControlFlow::Continue(lifted) =
-        unprojection::unproject(gaussians, views, features, config, settings, device, go_on)?;
-    Ok(lifted)
+    let go_on = &mut || Ok(());
+    unprojection::unproject(gaussians, views, features, config, settings, device, go_on)
 }

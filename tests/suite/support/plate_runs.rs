@@ -78,6 +78,13 @@ impl Progress for StopAt {
     }
 }
 
+/// A run that `progress` stops.
+#[track_caller]
+pub fn stopped(config: &Config, out: &Path, progress: &mut dyn Progress) {
+    let part = run(config, out, &crate::support::device(), progress);
+    assert!(matches!(part, Err(coseg::Error::Stopped)), "not stopped");
+}
+
 /// A run that nothing stops.
 pub fn whole(config: &Config, out: &Path) -> Outcome {
     run(config, out, &crate::support::device(), &mut Silent).expect("a run")

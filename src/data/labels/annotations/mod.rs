@@ -29,24 +29,16 @@ impl Categories {
             }
             let name = classes.known_name(label).map(str::to_owned);
             let name = name.unwrap_or_else(|| format!("label {label}"));
-            let class = classes
-                .index(label)
-                .and_then(|i| classes.entries[i].object_of);
+            let object = classes.index(label).map(|i| &classes.entries[i]);
+            let class =
+                object.and_then(|object| Some((object.object_of?.class, object.base_name())));
             let (id, name) = match class {
-                Some(of) => (of.class, without_number(&name).to_owned()),
+                Some((class, base)) => (class, base.to_owned()),
                 None => (label, name),
             };
             categories.of_labels.insert(label, id);
             categories.names.entry(id).or_insert(name);
         }
         categories
-    }
-}
-
-/// `chair` for `chair 2`.
-fn without_number(name: &str) -> &str {
-    match name.rsplit_once(' ') {
-        Some((class, number)) if number.parse::<u32>().is_ok() => class,
-        _ => name,
     }
 }

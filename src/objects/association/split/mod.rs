@@ -6,12 +6,13 @@
 mod candidates;
 mod partition;
 
+use super::Progress;
 use super::groups::{Assigned, Groups};
 use super::merge::{MIN_AGREEMENT, PRIOR_VIEWS};
 use super::ownership::Evidence;
 use super::part_evidence::{PartGaussian, part_evidence};
 use super::segments::ViewSegments;
-use super::{End, Progress};
+use crate::error::Result;
 use candidates::{Candidate, SEEDS, candidates};
 use partition::{Partition, partition};
 use rayon::prelude::*;
@@ -27,7 +28,7 @@ pub(super) fn split(
     assigned: &mut [Assigned<'_>],
     order: &[usize],
     progress: &mut Progress,
-) -> Result<bool, End> {
+) -> Result<bool> {
     let mut candidates = candidates(groups, assigned, order);
     let gaussians = groups.owners().len();
     for round in 0..SEEDS {
@@ -108,11 +109,6 @@ mod tests {
             .collect()
     }
 
-    /// Whether anything was split.
-    fn whether(split: Result<bool, End>) -> bool {
-        split.map_err(|_| "ended").expect("nothing ends it")
-    }
-
     /// Whether anything was split, and the groups of each view's segments after all of them were one group.
     fn parted(views: &[ViewSegments]) -> (bool, Vec<Vec<u32>>) {
         let mut groups = Groups::new(20);
@@ -126,15 +122,9 @@ mod tests {
             .collect();
         assigned.iter().for_each(|view| groups.add(view));
         let order: Vec<usize> = (0..views.len()).collect();
-        let any = whether(split(
-            &mut groups,
-            views,
-            &mut assigned,
-            &order,
-            &mut |_| Ok(()),
-        ));
+        let any = split(&mut groups, views, &mut assigned, &order, &mut |_| Ok(()));
         (
-            any,
+            any.expect("nothing ends it"),
             assigned
                 .iter()
                 .map(|view| view.groups.iter().map(|g| g.expect("assigned")).collect())
@@ -203,13 +193,10 @@ mod tests {
             pieces: vec![Cow::Owned(heavy)],
             groups: vec![Some(other)],
         });
-        assert!(!whether(split(
-            &mut groups,
-            &views,
-            &mut assigned,
-            &[0, 1, 2],
-            &mut |_| Ok(())
-        )));
+        let any = split(&mut groups, &views, &mut assigned, &[0, 1, 2], &mut |_| {
+            Ok(())
+        });
+        assert!(!any.expect("nothing ends it"));
     }
 
     /// The pieces that leave each group, found for one group after the other, with new vectors over all Gaussians for each.
@@ -306,14 +293,8 @@ mod tests {
             for (new, pieces) in (3..).zip(&found) {
                 pieces.iter().for_each(|&(v, k)| want[v][k] = Some(new));
             }
-            let any = whether(split(
-                &mut groups,
-                &views,
-                &mut assigned,
-                &order,
-                &mut |_| Ok(()),
-            ));
-            assert_eq!(any, !found.is_empty());
+            let any = split(&mut groups, &views, &mut assigned, &order, &mut |_| Ok(()));
+            assert_eq!(any.expect("nothing ends it"), !found.is_empty());
             assert!(assigned.iter().map(|view| &view.groups).eq(&want));
             splits += found.len();
             stay += leaving.len() - found.len();

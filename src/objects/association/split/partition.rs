@@ -69,10 +69,10 @@ pub(super) fn purity(groups: &Groups, gaussians: &[u32], parts: &Parts, side: us
     let mut sum = 0.0;
     let mut pure = 0.0;
     for &gaussian in gaussians {
-        let own = f64::from(parts[gaussian as usize][side]);
-        if own > 0.0 {
-            sum += own;
-            pure += own * own / groups.total(gaussian).max(own);
+        let weight = f64::from(parts[gaussian as usize][side]);
+        if weight > 0.0 {
+            sum += weight;
+            pure += weight * weight / groups.total(gaussian).max(weight);
         }
     }
     if sum > 0.0 { pure / sum } else { 0.0 }
@@ -84,16 +84,16 @@ pub(super) fn part_gaussians(
     gaussians: &[u32],
     parts: &Parts,
 ) -> Vec<PartGaussian> {
-    let own = |&gaussian: &u32| {
+    let part_gaussian = |&gaussian: &u32| {
         let [a, b] = parts[gaussian as usize];
-        let own = f64::from(a.max(b));
-        (own > 0.0).then(|| PartGaussian {
+        let weight = f64::from(a.max(b));
+        (weight > 0.0).then(|| PartGaussian {
             gaussian,
             side: u32::from(b > a),
-            share: own / groups.total(gaussian).max(own),
+            share: weight / groups.total(gaussian).max(weight),
         })
     };
-    gaussians.iter().filter_map(own).collect()
+    gaussians.iter().filter_map(part_gaussian).collect()
 }
 
 /// Grows two parts from a pair of segments into `parts`, which are zero before. The pair stays in its parts. Each other piece goes

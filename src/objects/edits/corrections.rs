@@ -1,9 +1,10 @@
 //! Labels of Gaussians that a person corrected, which training takes as true.
 
-use super::{Editing, LabelMaps};
+use super::Editing;
 use crate::checkpoint::Checkpoint;
 use crate::data::{Classes, LabelRuns, View};
 use crate::error::{Result, ensure};
+use crate::objects::LabelMaps;
 use crate::raster::{Settings, SplatTensors};
 use crate::splat::{Gaussians, bounds};
 use glam::{DVec3, Vec3};
@@ -84,13 +85,7 @@ impl Corrections {
     /// [`crate::Error::Input`].
     pub fn check(&self, gaussians: &Gaussians, classes: &Classes, file: &Path) -> Result<()> {
         self.check_gaussians(gaussians, file)?;
-        let named = |classes: &Classes| -> Vec<(u16, String)> {
-            let entries = classes.entries.iter();
-            entries
-                .map(|class| (class.id, class.name.clone()))
-                .collect()
-        };
-        ensure!(named(classes) == named(&self.original), file, "classes";
+        ensure!(classes.has_names_of(&self.original), file, "classes";
             found "corrections of {} classes", self.original.len();
             expected "the {} classes of this scene, with the same names", classes.len();
             help "resume with the data and settings of the run, or train into another folder");
