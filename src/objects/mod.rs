@@ -24,7 +24,7 @@ mod vote;
 pub use self::association::{Association, Group, associate};
 pub use self::borders::{BlockObjects, JoinedObjects, join_objects};
 pub use self::calibration::{Calibration, LabelErrors};
-pub use self::coloring::color_apart;
+pub use self::coloring::{color_all_apart, color_apart};
 pub use self::corrections::Corrections;
 pub use self::editing::{Edited, Editing};
 pub use self::edits::{Edits, NewObject, Operation, Turn, VERSION as EDITS_VERSION, is_name};
