@@ -78,8 +78,9 @@ class Watch {
     });
     this.chart(status);
     if (at("views").length !== status.views.length) this.listViews(status.views);
-    at("modes").hidden = !status.labelled;
-    if (status.copy > this.shown && !this.loading) this.load(status.copy);
+    at("modes").hidden = !status.labelled || status.megabytes !== null;
+    if (status.megabytes !== null) this.showTooLarge(status.megabytes);
+    else if (status.copy > this.shown && !this.loading) this.load(status.copy);
   }
 
   list(figures) {
@@ -116,6 +117,15 @@ class Watch {
     });
     at("rows").tBodies[0].replaceChildren(...shown);
     at("rows").hidden = !shown.length;
+  }
+
+  /** There are no more pictures, but for a scene that becomes smaller. */
+  showTooLarge(megabytes) {
+    this.frame?.remove();
+    this.frame = null;
+    at("waiting").textContent = `The picture would take ${megabytes} MB, which is too much for this page. \
+The curves go on. When the run has ended, \u201ccoseg view --serve\u201d shows the scene.`;
+    at("waiting").hidden = false;
   }
 
   listViews(views) {

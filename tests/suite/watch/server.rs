@@ -3,6 +3,7 @@
 use crate::support::client::Client;
 use crate::support::plates::loaded;
 use coseg::progress::{CurvePoint, Event, Progress, Silent};
+use coseg::splat::Gaussians;
 use coseg::watch::Watched;
 use serde_json::Value;
 use std::net::{Ipv4Addr, TcpStream};
@@ -82,6 +83,44 @@ fn gaussians_are_copied_for_a_browser_that_is_there() {
     assert!(page.contains("\"gaussians\":111"), "all of them");
     watch.gaussians(&gaussians, Some(&labels));
     assert_eq!(figures(&client)["labelled"], true);
+}
+
+#[test]
+fn gaussians_that_the_page_has_no_room_for_are_not_copied() {
+    let (mut watch, client) = watch();
+    let n = 1_200_000;
+    let large = Gaussians {
+        means: vec![[0.0; 3]; n],
+        log_scales: vec![[0.0; 3]; n],
+        rotations: vec![[0.0; 4]; n],
+        opacity_logits: vec![0.0; n],
+        sh: vec![0.0; 48 * n],
+        sh_degree: 3,
+    };
+    let step = |gaussians| Event::Step {
+        iteration: 1,
+        loss: 0.5,
+        gaussians,
+    };
+    watch.event(&step(n));
+    assert_eq!(figures(&client)["megabytes"], Value::Null);
+    assert!(watch.wants_gaussians());
+    watch.gaussians(&large, None);
+    let told = figures(&client);
+    assert!(told["megabytes"].as_u64() > Some(128), "{told}");
+    assert_eq!(told["copy"], 0);
+    assert_eq!(client.get("scene.html").0, 404);
+    assert!(!watch.wants_gaussians());
+    // Fewer may fit.
+    watch.event(&step(n / 2));
+    assert!(watch.wants_gaussians());
+    let (_, gaussians, ..) = loaded();
+    watch.gaussians(&gaussians, None);
+    let told = figures(&client);
+    assert_eq!(
+        (&told["megabytes"], &told["copy"]),
+        (&Value::Null, &1.into())
+    );
 }
 
 #[test]
