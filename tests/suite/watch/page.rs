@@ -11,14 +11,26 @@ use std::time::{Duration, Instant};
 
 /// The picture that the page shows.
 const PICTURE: &str = "document.querySelector('iframe:not(.next)').contentWindow.page";
+const STAGE: &str = "document.getElementById('stage').textContent";
+
+fn watched() -> Watched<Silent> {
+    Watched::start(Ipv4Addr::LOCALHOST.into(), "plates", 0.999, Silent).unwrap()
+}
+
+/// Where the camera of the picture is.
+fn place(tab: &mut Tab) -> String {
+    tab.text(&format!(
+        "{PICTURE}.fitted.center.map((v) => v.toFixed(6)).join()"
+    ))
+}
 
 #[test]
 fn the_page_follows_the_run_from_its_first_copy_to_its_end() {
     let Some(browser) = browser() else { return };
     let (scene, gaussians, labels, _folder) = loaded();
-    let mut watch = Watched::start(Ipv4Addr::LOCALHOST.into(), "plates", 0.999, Silent).unwrap();
+    let mut watch = watched();
     let mut tab = Tab::visit(&browser, watch.address(), [900, 700]);
-    tab.until("document.getElementById('stage').textContent === 'The photos are being read.'");
+    tab.until(&format!("{STAGE} === 'The photos are being read.'"));
     watch.scene(&scene);
     watch.event(&Event::Started {
         stage: "building",
@@ -37,11 +49,10 @@ fn the_page_follows_the_run_from_its_first_copy_to_its_end() {
 
     // The person turns the view; the next copy is shown from there.
     tab.drag(&[[300.0, 300.0], [340.0, 310.0]], 0);
-    let place = format!("{PICTURE}.fitted.center.map((v) => v.toFixed(6)).join()");
-    let turned = tab.text(&place);
+    let turned = place(&mut tab);
     watch.gaussians(&gaussians, Some(&labels));
     tab.until("watch.shown === 2");
-    assert_eq!(tab.text(&place), turned);
+    assert_eq!(place(&mut tab), turned);
     tab.value("document.querySelector('[data-mode=labels]').click()");
     assert_eq!(tab.text(&format!("{PICTURE}.mode")), "labels");
     assert_eq!(
@@ -97,6 +108,32 @@ fn the_page_follows_the_run_from_its_first_copy_to_its_end() {
         std::thread::sleep(Duration::from_millis(20));
     }
     drop(watch);
-    tab.until("document.getElementById('stage').textContent.startsWith('The run has ended.')");
+    tab.until(&format!("{STAGE}.startsWith('The run has ended.')"));
     assert_eq!(tab.value("watch.shown"), json!(2), "the picture stays");
+}
+
+#[test]
+fn everything_is_large_enough_for_a_finger() {
+    let Some(browser) = browser() else { return };
+    let (scene, gaussians, labels, _folder) = loaded();
+    let mut watch = watched();
+    let mut tab = Tab::visit(&browser, watch.address(), [390, 844]);
+    tab.resize([390, 844], true);
+    watch.scene(&scene);
+    watch.gaussians(&gaussians, Some(&labels));
+    tab.until("watch.shown === 1");
+    let before = place(&mut tab);
+    tab.fingers([[150.0, 150.0]], [[210.0, 160.0]]);
+    assert_ne!(place(&mut tab), before, "one finger turns the view");
+    // A tablet is wider than a phone.
+    for size in [[390, 844], [1000, 700]] {
+        tab.resize(size, true);
+        let small = "[...document.querySelectorAll('button, select')].filter((e) => e.checkVisibility()) \
+            .map((e) => [e, e.getBoundingClientRect()]).filter(([, box]) => box.width < 44 || box.height < 44) \
+            .map(([e, box]) => `${e.id || e.textContent} ${box.width} x ${box.height}`)";
+        assert_eq!(tab.value(small), json!([]), "{size:?}");
+        let wide = "document.documentElement.scrollWidth > innerWidth || \
+            document.querySelector('aside').scrollWidth > document.querySelector('aside').clientWidth";
+        assert_eq!(tab.value(wide), false, "{size:?}");
+    }
 }
