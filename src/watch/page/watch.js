@@ -2,6 +2,7 @@
 
 const SECOND = 1000;
 const MISSED = 3; // answers in a row after which the run has ended
+const GLANCE = 200; // milliseconds between looks at what the person does
 const FIGURES = {
   "PSNR, dB": [(point) => point.held_out.psnr, (v) => v.toFixed(2)],
   SSIM: [(point) => point.held_out.ssim, (v) => v.toFixed(3)],
@@ -19,6 +20,8 @@ function pageOf(frame) {
     return undefined;
   }
 }
+
+const moment = () => new Promise((done) => setTimeout(done, GLANCE));
 
 /** Why a frame has no program: what the scene's page or the server says. */
 function troubleOf(frame) {
@@ -152,31 +155,44 @@ The curves go on. When the run has ended, \u201ccoseg view --serve\u201d shows t
     pageOf(this.frame)?.setMode(mode);
   }
 
-  /** Loads the scene behind the picture, then shows it from where the picture was. */
+  /** Loads the scene behind the picture. */
   load(copy) {
     this.loading = true;
     const next = element("iframe", null, { title: "scene", className: "next", src: "scene.html#watch" });
-    next.addEventListener("load", () => {
-      this.loading = false;
-      // A copy that cannot be shown is not asked for again.
-      this.shown = copy;
-      const page = pageOf(next);
-      if (!page) {
-        at("waiting").textContent = troubleOf(next);
-        at("waiting").hidden = this.frame !== null;
-        next.remove();
-        return;
-      }
-      const before = pageOf(this.frame);
-      if (before) page.lookAs(before);
-      else page.goTo(Number(at("views").value));
-      page.setMode(this.mode);
-      next.className = "";
-      this.frame?.remove();
-      this.frame = next;
-      at("waiting").hidden = true;
-    });
+    next.addEventListener("load", () => this.loaded(next, copy));
     at("picture").append(next);
+  }
+
+  /** Shows a frame from where the picture was, once nobody holds that with pointer or keys. */
+  async loaded(next, copy) {
+    const page = pageOf(next);
+    while (page && this.isHeld()) await moment();
+    this.loading = false;
+    // A copy that cannot be shown is not asked for again.
+    this.shown = copy;
+    if (!page) {
+      at("waiting").textContent = troubleOf(next);
+      at("waiting").hidden = this.frame !== null;
+      next.remove();
+      return;
+    }
+    const before = pageOf(this.frame);
+    if (before) page.lookAs(before);
+    else page.goTo(Number(at("views").value));
+    page.setMode(this.mode);
+    next.className = "";
+    if (this.frame && document.activeElement === this.frame) {
+      next.focus();
+      page.canvas.focus({ preventScroll: true });
+    }
+    this.frame?.remove();
+    this.frame = next;
+    at("waiting").hidden = true;
+  }
+
+  isHeld() {
+    const navigation = pageOf(this.frame)?.navigation;
+    return navigation !== undefined && navigation.pointers.size + navigation.keys.size > 0;
   }
 
   async stop() {

@@ -11,6 +11,8 @@ use std::time::{Duration, Instant};
 
 /// The picture that the page shows.
 const PICTURE: &str = "document.querySelector('iframe:not(.next)').contentWindow.page";
+/// Whether the next picture is there, behind it.
+const LOADED: &str = "document.querySelector('iframe.next')?.contentWindow.page !== undefined";
 const STAGE: &str = "document.getElementById('stage').textContent";
 
 fn watched() -> Watched<Silent> {
@@ -110,6 +112,71 @@ fn the_page_follows_the_run_from_its_first_copy_to_its_end() {
     drop(watch);
     tab.until(&format!("{STAGE}.startsWith('The run has ended.')"));
     assert_eq!(tab.value("watch.shown"), json!(2), "the picture stays");
+}
+
+#[test]
+fn a_copy_waits_while_the_person_holds_the_picture() {
+    let Some(browser) = browser() else { return };
+    let (scene, gaussians, _, _folder) = loaded();
+    let mut watch = watched();
+    let mut tab = Tab::visit(&browser, watch.address(), [900, 700]);
+    watch.scene(&scene);
+    watch.gaussians(&gaussians, None);
+    tab.until("watch.shown === 1");
+    let mut copies_wait = |tab: &mut Tab| {
+        let shown = tab.value("watch.shown");
+        watch.gaussians(&gaussians, None);
+        tab.until(LOADED);
+        std::thread::sleep(Duration::from_millis(500));
+        assert_eq!(tab.value("watch.shown"), shown);
+    };
+
+    // A drag goes on, and the next picture has the focus that the click gave the one before.
+    tab.hover([300.0, 300.0]);
+    tab.press([300.0, 300.0]);
+    tab.pull([340.0, 310.0]);
+    let turned = place(&mut tab);
+    copies_wait(&mut tab);
+    tab.pull([380.0, 320.0]);
+    let further = place(&mut tab);
+    assert_ne!(further, turned);
+    tab.release([380.0, 320.0]);
+    tab.until("watch.shown === 2");
+    assert_eq!(place(&mut tab), further);
+    let focus =
+        "[document.activeElement.title, document.activeElement.contentDocument?.activeElement.id]";
+    assert_eq!(tab.value(focus), json!(["scene", "picture"]));
+
+    // So does a walk.
+    for shown in 3..=4 {
+        let before = place(&mut tab);
+        tab.hold_key("KeyW", 0);
+        tab.until(&format!(
+            "{PICTURE}.fitted.center.map((v) => v.toFixed(6)).join() !== '{before}'"
+        ));
+        copies_wait(&mut tab);
+        tab.lift_key("KeyW", 0);
+        tab.until(&format!("watch.shown === {shown}"));
+        assert_eq!(tab.value(focus), json!(["scene", "picture"]));
+    }
+}
+
+#[test]
+fn keys_alone_reach_every_control() {
+    let Some(browser) = browser() else { return };
+    let (scene, gaussians, labels, _folder) = loaded();
+    let mut watch = watched();
+    let mut tab = Tab::visit(&browser, watch.address(), [900, 700]);
+    watch.scene(&scene);
+    watch.gaussians(&gaussians, Some(&labels));
+    tab.until("watch.shown === 1");
+    let focus = "(() => { const e = document.activeElement; return e.contentDocument?.activeElement.id ?? (e.id || e.textContent); })()";
+    tab.key("Tab", 0);
+    assert_eq!(tab.text(focus), "picture");
+    for control in ["stop", "Colour", "Both", "Labels", "views"] {
+        tab.key("Tab", 0);
+        assert_eq!(tab.text(focus), control);
+    }
 }
 
 #[test]
