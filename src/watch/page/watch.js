@@ -1,7 +1,9 @@
 // The page of a run: asks for its figures every second, and for its scene when there is a new one.
 
 const SECOND = 1000;
-const MISSED = 3; // answers in a row after which the run has ended
+const MISSED = 3; // answers in a row after which the page says so
+const PATIENCE = 10; // seconds until an answer is missed
+const RETRY = 5; // seconds between questions then
 const GLANCE = 200; // milliseconds between looks at what the person does
 const FIGURES = {
   "PSNR, dB": [(point) => point.held_out.psnr, (v) => v.toFixed(2)],
@@ -38,6 +40,8 @@ class Watch {
     this.loading = false;
     this.missed = 0;
     this.ended = false;
+    /** Whether the person asked the run to stop. */
+    this.stopping = false;
     this.mode = "colour";
     this.charted = "";
     at("stop").addEventListener("click", () => this.stop());
@@ -52,18 +56,25 @@ class Watch {
     clearTimeout(this.timer);
     if (document.hidden || this.ended) return;
     try {
-      const answer = await fetch("status");
+      const answer = await fetch("status", { signal: AbortSignal.timeout(PATIENCE * SECOND) });
       if (!answer.ok) throw new Error(answer.statusText);
-      this.missed = 0;
       const status = await answer.json();
+      this.missed = 0;
       this.show(status);
       if (status.ended) this.end();
     } catch {
       this.missed++;
-      if (this.missed === MISSED) this.end();
+      if (this.missed === MISSED) this.miss();
     }
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => this.look(), SECOND);
+    this.timer = setTimeout(() => this.look(), (this.missed < MISSED ? 1 : RETRY) * SECOND);
+  }
+
+  /** The run has ended, or the computer slept, or a tunnel broke off. */
+  miss() {
+    at("stage").textContent = `No answer: the connection is broken, or the run has ended. Asking again every ${RETRY} s.`;
+    at("stop").disabled = true;
+    document.title = `no answer \u2013 ${at("title").textContent}`;
   }
 
   show(status) {
@@ -72,8 +83,7 @@ class Watch {
     document.title = `${Math.floor(100 * share)} % ${status.stage} – ${status.title}`;
     at("stage").textContent = status.stage ? `${status.stage}, ${status.done} of ${status.iterations}` : "The photos are being read.";
     at("bar").value = share;
-    at("stop").disabled = status.stopping;
-    if (status.stopping) at("stop").textContent = "Stopping";
+    this.showStop(status.stopping || this.stopping);
     this.list({
       loss: status.loss?.toFixed(4),
       Gaussians: status.gaussians ? status.gaussians.toLocaleString("en") : undefined,
@@ -84,6 +94,11 @@ class Watch {
     at("modes").hidden = !status.labelled || status.megabytes !== null;
     if (status.megabytes !== null) this.showTooLarge(status.megabytes);
     else if (status.copy > this.shown && !this.loading) this.load(status.copy);
+  }
+
+  showStop(stopping) {
+    at("stop").disabled = stopping;
+    at("stop").textContent = stopping ? "Stopping" : "Stop and save";
   }
 
   list(figures) {
@@ -196,9 +211,12 @@ The curves go on. When the run has ended, \u201ccoseg view --serve\u201d shows t
   }
 
   async stop() {
-    at("stop").disabled = true;
-    at("stop").textContent = "Stopping";
-    await fetch("stop", { method: "POST" }).catch(() => {});
+    this.stopping = true;
+    this.showStop(true);
+    const answer = await fetch("stop", { method: "POST" }).catch(() => null);
+    // It can be asked again.
+    this.stopping = answer?.ok === true;
+    this.showStop(this.stopping);
   }
 
   end() {

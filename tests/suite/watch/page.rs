@@ -180,6 +180,27 @@ fn keys_alone_reach_every_control() {
 }
 
 #[test]
+fn a_run_that_does_not_answer_for_a_while_goes_on() {
+    let Some(browser) = browser() else { return };
+    let mut watch = watched();
+    let mut tab = Tab::visit(&browser, watch.address(), [900, 700]);
+    watch.event(&Event::Started {
+        stage: "building",
+        done: 0,
+        iterations: 100,
+    });
+    let running = format!("{STAGE} === 'building, 0 of 100'");
+    tab.until(&running);
+    tab.value("window.answered = window.fetch; window.fetch = () => Promise.reject(new Error('asleep')); 1");
+    tab.until(&format!("{STAGE}.startsWith('No answer')"));
+    let stop = "['hidden', 'disabled'].map((key) => document.getElementById('stop')[key])";
+    assert_eq!(tab.value(stop), json!([false, true]));
+    tab.value("window.fetch = window.answered; 1");
+    tab.until(&running);
+    assert_eq!(tab.value(stop), json!([false, false]));
+}
+
+#[test]
 fn everything_is_large_enough_for_a_finger() {
     let Some(browser) = browser() else { return };
     let (scene, gaussians, labels, _folder) = loaded();
