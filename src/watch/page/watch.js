@@ -45,9 +45,11 @@ class Watch {
     this.mode = "colour";
     this.charted = "";
     at("stop").addEventListener("click", () => this.stop());
+    at("back").addEventListener("click", () => this.goBack());
     at("views").addEventListener("change", () => this.goTo(Number(at("views").value)));
     for (const button of at("modes").children) button.addEventListener("click", () => this.setMode(button.dataset.mode));
     document.addEventListener("visibilitychange", () => this.look());
+    setInterval(() => this.compare(), GLANCE);
     this.look();
   }
 
@@ -208,6 +210,19 @@ The curves go on. When the run has ended, \u201ccoseg view --serve\u201d shows t
   isHeld() {
     const navigation = pageOf(this.frame)?.navigation;
     return navigation !== undefined && navigation.pointers.size + navigation.keys.size > 0;
+  }
+
+  /** Whether the picture still shows the view that the photo is of. */
+  compare() {
+    const page = pageOf(this.frame);
+    const view = page?.scene.cameras[Number(at("views").value)];
+    const is = (name) => page.fitted[name].every((value, k) => value === view[name][k]);
+    at("back").hidden = !view || (is("center") && is("rotation"));
+  }
+
+  goBack() {
+    this.goTo(Number(at("views").value));
+    at("views").focus();
   }
 
   async stop() {

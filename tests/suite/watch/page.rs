@@ -14,6 +14,7 @@ const PICTURE: &str = "document.querySelector('iframe:not(.next)').contentWindow
 /// Whether the next picture is there, behind it.
 const LOADED: &str = "document.querySelector('iframe.next')?.contentWindow.page !== undefined";
 const STAGE: &str = "document.getElementById('stage').textContent";
+const BACK: &str = "document.getElementById('back').checkVisibility()";
 
 fn watched() -> Watched<Silent> {
     Watched::start(Ipv4Addr::LOCALHOST.into(), "plates", 0.999, Silent).unwrap()
@@ -50,11 +51,17 @@ fn the_page_follows_the_run_from_its_first_copy_to_its_end() {
     assert_eq!(tab.value(&format!("{PICTURE}.scene.gaussians")), 111);
 
     // The person turns the view; the next copy is shown from there.
+    let before = place(&mut tab);
+    assert_eq!(tab.value(BACK), false);
     tab.drag(&[[300.0, 300.0], [340.0, 310.0]], 0);
     let turned = place(&mut tab);
     watch.gaussians(&gaussians, Some(&labels));
     tab.until("watch.shown === 2");
     assert_eq!(place(&mut tab), turned);
+    tab.until(BACK);
+    tab.value("document.getElementById('back').click()");
+    assert_eq!(place(&mut tab), before);
+    tab.until(&format!("!{BACK}"));
     tab.value("document.querySelector('[data-mode=labels]').click()");
     assert_eq!(tab.text(&format!("{PICTURE}.mode")), "labels");
     assert_eq!(
@@ -173,10 +180,16 @@ fn keys_alone_reach_every_control() {
     let focus = "(() => { const e = document.activeElement; return e.contentDocument?.activeElement.id ?? (e.id || e.textContent); })()";
     tab.key("Tab", 0);
     assert_eq!(tab.text(focus), "picture");
-    for control in ["stop", "Colour", "Both", "Labels", "views"] {
+    tab.hold_key("ArrowLeft", 0);
+    tab.until(BACK);
+    tab.lift_key("ArrowLeft", 0);
+    for control in ["stop", "Colour", "Both", "Labels", "views", "back"] {
         tab.key("Tab", 0);
         assert_eq!(tab.text(focus), control);
     }
+    tab.key("Enter", 0);
+    tab.until(&format!("!{BACK}"));
+    assert_eq!(tab.text(focus), "views");
 }
 
 #[test]
@@ -213,6 +226,7 @@ fn everything_is_large_enough_for_a_finger() {
     let before = place(&mut tab);
     tab.fingers([[150.0, 150.0]], [[210.0, 160.0]]);
     assert_ne!(place(&mut tab), before, "one finger turns the view");
+    tab.until(BACK);
     // A tablet is wider than a phone.
     for size in [[390, 844], [1000, 700]] {
         tab.resize(size, true);
