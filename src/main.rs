@@ -13,6 +13,7 @@ fn main() -> ExitCode {
     let name = matches.subcommand_name().unwrap_or_default();
     let cli = cli::Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     cli::terminal::show_warnings(cli.verbose);
+    cli::announce(&matches);
     match cli
         .command
         .run(name)

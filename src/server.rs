@@ -8,11 +8,25 @@ use axum::extract::{Request, State};
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
 use rand::TryRngCore;
 use rand::rngs::OsRng;
+use std::convert::Infallible;
+use std::io;
 use std::net::{IpAddr, TcpListener};
+use std::sync::Arc;
 use std::thread::JoinHandle;
-use tokio::sync::oneshot;
+use std::time::Duration;
+use tokio::sync::{Semaphore, oneshot};
+
+/// Connections at a time. Others wait in the system, where they take no open file of this process: a run needs these.
+const CONNECTIONS: usize = 64;
+/// A connection is closed when it has asked for nothing, or for half of something, for this long.
+const SILENCE: Duration = Duration::from_secs(30);
+/// A pause after a connection that could not be taken.
+const PAUSE: Duration = Duration::from_millis(100);
 
 /// Sent with every answer: nothing is kept, framed, or loaded from elsewhere.
 const HEADERS: [(HeaderName, &str); 4] = [
@@ -39,6 +53,15 @@ impl Server {
     /// # Errors
     /// [`Error::Argument`] for an address that means all interfaces; [`Error::Io`] when no port can be opened.
     pub fn start(listen: IpAddr, routes: impl FnOnce(&str) -> Router) -> Result<Self> {
+        Self::with_silence(listen, SILENCE, routes)
+    }
+
+    /// The same, with another time after which a silent connection is closed.
+    fn with_silence(
+        listen: IpAddr,
+        silence: Duration,
+        routes: impl FnOnce(&str) -> Router,
+    ) -> Result<Self> {
         // Other pages are told by the address that a browser asks for, so there must be one.
         ensure!(!listen.is_unspecified(), argument "--listen"; found "{listen}, all interfaces";
             expected "the address of one interface of this machine"; help "`ip address` lists them; 127.0.0.1 is this machine alone");
@@ -55,13 +78,13 @@ impl Server {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .max_blocking_threads(1)
+            .thread_name("server")
             .build()
             .map_err(failed("serve"))?;
         let routes = routes(&token).layer(from_fn_with_state(host, guarded));
         let serve = async move {
-            let listener = tokio::net::TcpListener::from_std(listener)?;
             tokio::select! {
-                served = axum::serve(listener, routes) => served,
+                failed = serve(listener, routes, silence) => failed.map(|never| match never {}),
                 _ = ended => Ok(()),
             }
         };
@@ -93,12 +116,32 @@ impl Drop for Server {
     }
 }
 
+/// Answers connections. A client that leaves in the middle of an answer harms nobody.
+async fn serve(listener: TcpListener, routes: Router, silence: Duration) -> io::Result<Infallible> {
+    let listener = tokio::net::TcpListener::from_std(listener)?;
+    let free = Arc::new(Semaphore::new(CONNECTIONS));
+    let mut http = http1::Builder::new();
+    http.timer(TokioTimer::new()).header_read_timeout(silence);
+    loop {
+        let permit = free.clone().acquire_owned().await;
+        let permit = permit.map_err(io::Error::other)?;
+        let Ok((stream, _)) = listener.accept().await else {
+            tokio::time::sleep(PAUSE).await;
+            continue;
+        };
+        let routes = TowerToHyperService::new(routes.clone());
+        let connection = http.serve_connection(TokioIo::new(stream), routes);
+        tokio::spawn(async move {
+            let _ = connection.await;
+            drop(permit);
+        });
+    }
+}
+
 /// 128 random bits of the system, in hexadecimal digits.
-fn token() -> std::io::Result<String> {
+fn token() -> io::Result<String> {
     let mut bytes = [0; 16];
-    OsRng
-        .try_fill_bytes(&mut bytes)
-        .map_err(std::io::Error::other)?;
+    OsRng.try_fill_bytes(&mut bytes).map_err(io::Error::other)?;
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
@@ -133,4 +176,48 @@ pub(crate) fn typed(kind: &'static str, body: Body) -> Response {
 /// An answer that says what went wrong.
 pub(crate) fn failed(error: impl std::fmt::Display) -> Response {
     (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use axum::routing::get;
+    use std::io::{Read, Write};
+    use std::net::{Ipv4Addr, TcpStream};
+
+    #[test]
+    fn idle_connections_make_room_for_others() {
+        let silence = Duration::from_millis(300);
+        let routes = |token: &str| Router::new().route(&format!("/{token}/"), get(async || "here"));
+        let server = Server::with_silence(Ipv4Addr::LOCALHOST.into(), silence, routes).unwrap();
+        let rest = server.address().strip_prefix("http://").unwrap();
+        let (host, root) = rest.split_at(rest.find('/').unwrap());
+        let connection = || {
+            let stream = TcpStream::connect(host).unwrap();
+            let patience = Some(Duration::from_secs(30));
+            stream.set_read_timeout(patience).unwrap();
+            stream
+        };
+        let answer = |stream: &mut TcpStream| {
+            let mut answer = String::new();
+            stream.read_to_string(&mut answer).expect("it is closed");
+            answer
+        };
+        // Most say nothing, some half of a request.
+        let mut idle: Vec<TcpStream> = (0..CONNECTIONS + 20).map(|_| connection()).collect();
+        for stream in idle.iter_mut().step_by(9) {
+            stream.write_all(b"GET / HTTP/1.1\r\nHo").unwrap();
+        }
+        let mut stream = connection();
+        let request = format!("GET {root} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n");
+        stream.write_all(request.as_bytes()).unwrap();
+        let said = answer(&mut stream);
+        assert!(
+            said.starts_with("HTTP/1.1 200") && said.ends_with("here"),
+            "{said}"
+        );
+        for mut stream in idle {
+            assert!(!answer(&mut stream).contains("here"));
+        }
+    }
 }

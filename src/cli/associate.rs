@@ -8,7 +8,7 @@ use coseg::config::Association;
 use coseg::data::formats::transforms;
 use coseg::data::{MapGeometry, Split};
 use coseg::error::Result;
-use coseg::objects::{color_apart, vote};
+use coseg::objects::{color_all_apart, vote};
 use coseg::pipeline::{Associated, HeldOut, SegmentationInputs, associate};
 use coseg::raster::Settings;
 use coseg::splat::ply;
@@ -66,8 +66,7 @@ impl AssociateArgs {
         let identities = vote(&ply.gaussians, train, classes, &settings, &device)?.identities();
         let ids = identities.ids(classes);
         let mut colored = classes.clone();
-        let all = classes.entries.iter().map(|class| class.id).collect();
-        color_apart(&ply.gaussians, &ids, &mut colored, &all)?;
+        color_all_apart(&ply.gaussians, &ids, &mut colored)?;
         colored.write(&out.join("classes.json"))?;
         ply::write(
             &out.join("scene.ply"),

@@ -46,7 +46,6 @@ impl EvalArgs {
         let run = RunFolder::existing(&self.run)?;
         let mut config = run.config(&[])?;
         config.data.dir = self.data.or(config.data.dir);
-        terminal::reading(&run.file(SCENE));
         let ply = ply::read(&run.file(SCENE), &Limits::default())?;
         let mut scene = load_scene(&config)?.with_origin(ply.origin);
         let classes = run.classes()?;

@@ -40,7 +40,7 @@ mod vote;
 
 use burn::tensor::Device;
 use clap::error::ErrorKind;
-use clap::{Args, Parser, Subcommand};
+use clap::{ArgMatches, Args, Parser, Subcommand};
 use coseg::backend::device;
 use coseg::backend::device::BackendName;
 use coseg::config::Config;
@@ -193,6 +193,37 @@ impl Command {
             Err(Error::Stopped) => Ok(interrupt::stopped("the same command continues")),
             Err(error) => Err(error),
         }
+    }
+}
+
+/// Arguments that name what a command reads.
+const INPUTS: [&str; 11] = [
+    "resume",
+    "scene",
+    "run",
+    "runs",
+    "plan",
+    "source",
+    "dir",
+    "data",
+    "model",
+    "segmenter",
+    "config",
+];
+
+/// Says what the command reads, before it does: that may take long, and bars are drawn on terminals alone.
+pub fn announce(matches: &ArgMatches) {
+    let mut given = matches;
+    while let Some((_, of_action)) = given.subcommand() {
+        given = of_action;
+    }
+    let values = |name: &&str| given.try_get_raw(name).ok().flatten();
+    let inputs = INPUTS.iter().filter_map(values).flatten();
+    let inputs: Vec<_> = inputs.map(|input| input.to_string_lossy()).collect();
+    match matches.subcommand_name() {
+        Some("completions") => {}
+        _ if inputs.is_empty() => terminal::note("reading the settings"),
+        _ => terminal::note(&format!("reading {}", inputs.join(", "))),
     }
 }
 

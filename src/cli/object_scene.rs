@@ -24,7 +24,6 @@ impl ObjectSceneArgs {
     /// Reads both.
     pub fn read(&self) -> Result<ObjectScene> {
         let path = scene_path(&self.scene)?;
-        terminal::reading(&path);
         let ply = read_scene(&path)?;
         ObjectScene::new(path, ply, self.classes.as_deref())
     }
@@ -32,7 +31,6 @@ impl ObjectSceneArgs {
     /// Reads both. Gaussians of a scene without labels are unlabelled.
     pub fn read_or_unlabelled(&self) -> Result<ObjectScene> {
         let path = scene_path(&self.scene)?;
-        terminal::reading(&path);
         let ply = read_scene(&path)?;
         ObjectScene::or_unlabelled(path, ply, self.classes.as_deref())
     }

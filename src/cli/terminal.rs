@@ -2,7 +2,6 @@
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{self, IsTerminal, Write};
-use std::path::Path;
 use std::sync::{LazyLock, OnceLock};
 
 /// All bars; lines are printed above them.
@@ -48,11 +47,6 @@ pub fn note(line: &str) {
     BARS.suspend(|| {
         let _ = writeln!(io::stderr(), "{line}");
     });
-}
-
-/// Says that a scene is being read, which takes seconds where it is large.
-pub fn reading(path: &Path) {
-    note(&format!("reading {}", path.display()));
 }
 
 /// `line` with its control characters as JSON writes them: names of files and classes may have some, which would command the

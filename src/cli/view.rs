@@ -100,7 +100,6 @@ impl ViewArgs {
     /// Serves the page until the process ends.
     #[cfg(feature = "serve")]
     fn serve(&self, path: &Path) -> Result<()> {
-        terminal::reading(path);
         let edits_beside = || path.with_file_name("edits.json");
         let edits = self.edits.clone().unwrap_or_else(edits_beside);
         ensure!(extension(&edits) == "json", argument "--edits"; found "{}", edits.display();

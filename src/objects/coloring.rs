@@ -55,6 +55,18 @@ pub fn color_apart(
     Ok(())
 }
 
+/// As [`color_apart`], for all objects.
+///
+/// # Errors
+/// As [`color_apart`].
+///
+/// # Panics
+/// As [`color_apart`].
+pub fn color_all_apart(gaussians: &Gaussians, labels: &[u16], classes: &mut Classes) -> Result<()> {
+    let all = classes.entries.iter().map(|class| class.id).collect();
+    color_apart(gaussians, labels, classes, &all)
+}
+
 /// The colour that is far from those near by, and then from all. Ties go to the first of the palette.
 fn best(near: &[[u8; 3]], all: &[[u8; 3]]) -> [u8; 3] {
     let score = |color| (least(color, near).min(APART), least(color, all));

@@ -18,7 +18,7 @@ use crate::error::Result;
 use crate::features::FeatureColors;
 use crate::memory;
 use crate::metrics::ImageScores;
-use crate::objects::{Corrections, Identities, Semantics};
+use crate::objects::{Corrections, Identities, Semantics, color_all_apart};
 use crate::progress::{CurvePoint, Progress, Review, go_on};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
@@ -292,6 +292,20 @@ impl Outcome {
         let earlier: f64 = self.rows.iter().map(|row| row.earlier_seconds).sum();
         self.seconds.segmentation = clock.elapsed().as_secs_f64() + earlier;
         self.seconds.total += earlier;
+        self.color_objects()
+    }
+
+    /// Gives objects that lie side by side colours that differ. Corrections come with the colours of a person.
+    fn color_objects(&mut self) -> Result<()> {
+        if self.association.is_none() || self.corrections.is_some() {
+            return Ok(());
+        }
+        let ids = self
+            .stored()
+            .map(|(_, identities)| identities.ids(&self.scene.classes));
+        if let Some(ids) = ids {
+            color_all_apart(&self.gaussians, &ids, &mut self.scene.classes)?;
+        }
         Ok(())
     }
 }
@@ -299,4 +313,48 @@ impl Outcome {
 /// Whether there are segments of single views that the settings make objects of.
 fn has_segments(scene: &Scene, config: &Config) -> bool {
     config.data.association != Association::None && scene.labelled().next().is_some()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::evaluate::HeldOutScores;
+    use super::*;
+    use crate::data::Classes;
+
+    #[test]
+    fn objects_side_by_side_get_colours_that_differ() {
+        let classes = Classes::from_names(0, [(1, "object 1"), (256, "object 256")]);
+        assert_eq!(classes.color(1), classes.color(256), "the palette is over");
+        let gaussians = Gaussians {
+            means: (0..18).map(|i| [i as f32, 0.0, 0.0]).collect(),
+            ..Gaussians::default()
+        };
+        let scores = (0..18).flat_map(|i| if i < 9 { [1.0, 0.0] } else { [0.0, 1.0] });
+        let identities = Identities {
+            scores: scores.collect(),
+            classes: 2,
+        };
+        let row = VariantOutcome {
+            identities: Some(identities),
+            ..VariantOutcome::new(Variant::Vote, HeldOutScores::default())
+        };
+        let mut outcome = Outcome {
+            corrections: Some(Corrections::none(&gaussians, &classes)),
+            association: Some(AssociationCounts::default()),
+            rows: vec![row],
+            gaussians,
+            ..Outcome::default()
+        };
+        outcome.scene.classes = classes.clone();
+        outcome.color_objects().unwrap();
+        assert_eq!(
+            outcome.scene.classes, classes,
+            "a person may have chosen them"
+        );
+        outcome.corrections = None;
+        outcome.color_objects().unwrap();
+        let [one, other] = [1, 256].map(|id| outcome.scene.classes.color(id));
+        assert_eq!(one, classes.color(1));
+        assert_ne!(one, other);
+    }
 }

@@ -10,7 +10,7 @@ use crate::data::{self, Classes, Limits, NamedCamera, read_cameras};
 use crate::error::{Result, bail, ensure};
 use crate::files::lock::Lock;
 use crate::files::{atomic, own};
-use crate::objects::{BlockObjects, Identities, JoinedObjects, join_objects};
+use crate::objects::{BlockObjects, Identities, JoinedObjects, color_all_apart, join_objects};
 use crate::splat::{Gaussians, ply};
 use glam::DVec3;
 use std::collections::{BTreeMap, HashSet};
@@ -82,7 +82,7 @@ pub fn merge(runs: &[PathBuf]) -> Result<Merged> {
     let kept: Vec<Vec<u32>> = parts.iter().map(Part::core).collect();
     let is_labelled = parts.iter().all(|part| part.labels.is_some());
     let are_objects = |part: &Part| part.config.data.association != Association::None;
-    let (classes, joined) = if is_labelled && parts.iter().any(are_objects) {
+    let (mut classes, joined) = if is_labelled && parts.iter().any(are_objects) {
         let found = objects(&parts, &kept)?;
         for (part, ids) in parts.iter_mut().zip(&found.ids) {
             part.renumber(|id| ids.get(&id).copied().unwrap_or(found.classes.ignore));
@@ -95,7 +95,11 @@ pub fn merge(runs: &[PathBuf]) -> Result<Merged> {
         let labels = part.labels.as_deref().unwrap_or_default();
         rows.iter().map(|&row| labels[row as usize])
     });
-    let labels = is_labelled.then(|| labels.collect());
+    let labels: Option<Vec<u16>> = is_labelled.then(|| labels.collect());
+    let gaussians = gaussians(&parts, &kept);
+    if let (Some(_), Some(labels)) = (joined, &labels) {
+        color_all_apart(&gaussians, labels, &mut classes)?;
+    }
     let mut config = parts[0].config.clone();
     let scene = parts[0].scene.clone();
     parts[0].block.reading.apply(scene, &mut config.data);
@@ -105,7 +109,7 @@ pub fn merge(runs: &[PathBuf]) -> Result<Merged> {
     let count =
         |(part, rows): (&Part, &Vec<u32>)| (part.block.name(), [rows.len(), part.gaussians.len()]);
     Ok(Merged {
-        gaussians: gaussians(&parts, &kept),
+        gaussians,
         origin,
         labels,
         identities: identities(&parts, &kept, &classes),

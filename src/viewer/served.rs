@@ -11,8 +11,9 @@ use crate::objects::{Editing, Edits, Operation, Regions};
 use crate::server::{Server, failed, html, typed};
 use axum::Router;
 use axum::body::{Body, Bytes};
-use axum::extract::{DefaultBodyLimit, Path, State};
-use axum::http::StatusCode;
+use axum::extract::{DefaultBodyLimit, Path, Request, State};
+use axum::http::{StatusCode, header};
+use axum::middleware::{Next, from_fn};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use rayon::prelude::*;
@@ -154,7 +155,18 @@ fn routes(token: &str, content: Arc<Content>) -> Router {
         .route(&format!("/{token}/edits"), get(saved))
         .route(&format!("/{token}/edits/{{saves}}"), post(save))
         .layer(DefaultBodyLimit::max(MAX_EDITS))
+        .layer(from_fn(bounded))
         .with_state(content)
+}
+
+/// Refuses a body that says that it is too long, before any of it is read.
+async fn bounded(request: Request, next: Next) -> Response {
+    let length = request.headers().get(header::CONTENT_LENGTH);
+    let length = length.and_then(|length| length.to_str().ok()?.parse::<usize>().ok());
+    if length.is_some_and(|length| length > MAX_EDITS) {
+        return StatusCode::PAYLOAD_TOO_LARGE.into_response();
+    }
+    next.run(request).await
 }
 
 async fn page(State(content): State<Arc<Content>>) -> Response {

@@ -93,14 +93,15 @@ impl<P: Progress> Progress for Watched<P> {
     }
 
     fn gaussians(&mut self, gaussians: &Gaussians, labels: Option<&[u16]>) {
-        let start = Instant::now();
-        let copy = gaussians.clone();
-        let labels_copy = labels.map(<[u16]>::to_vec);
-        let mut state = locked(&self.shared);
-        state.set_gaussians(copy, labels_copy);
-        // The run has read them from its device, which takes about as long.
-        state.rest(2 * start.elapsed());
-        drop(state);
+        if locked(&self.shared).has_room(gaussians) {
+            let start = Instant::now();
+            let copy = gaussians.clone();
+            let labels_copy = labels.map(<[u16]>::to_vec);
+            let mut state = locked(&self.shared);
+            state.set_gaussians(copy, labels_copy);
+            // The run has read them from its device, which takes about as long.
+            state.rest(2 * start.elapsed());
+        }
         self.listener.gaussians(gaussians, labels);
     }
 }

@@ -1,7 +1,7 @@
 //! What is known of a run that is watched.
 
 use crate::data::{Classes, NamedCamera, Photo, Scene, Split};
-use crate::error::{Result, ensure};
+use crate::error::Result;
 use crate::progress::{CurvePoint, Event};
 use crate::splat::Gaussians;
 use crate::viewer::{MAX_PAGE_BYTES, Viewer};
@@ -27,6 +27,8 @@ pub(super) struct RunState {
     seen_end: bool,
     /// When the Gaussians may be copied again.
     next_copy: Instant,
+    /// So many Gaussians are too many for the page.
+    too_many: usize,
     alpha_max: f64,
     scene: Arc<SceneInfo>,
     /// The Gaussians at some iteration, and their labels.
@@ -51,6 +53,8 @@ pub(super) struct Status {
     copy: usize,
     /// Whether its Gaussians have labels.
     labelled: bool,
+    /// Size that the page of the scene would have where it is too large, MB.
+    megabytes: Option<usize>,
     /// Whether the run has ended.
     ended: bool,
     /// Curves of the stages that have one.
@@ -101,6 +105,7 @@ impl RunState {
             asked: None,
             seen_end: false,
             next_copy: now,
+            too_many: usize::MAX,
             alpha_max,
             scene: Arc::default(),
             copy: None,
@@ -203,9 +208,22 @@ impl RunState {
         self.asked.is_some_and(|asked| asked.elapsed() < ABSENT)
     }
 
-    /// Whether a browser is there, and the run has rested from the last copy.
+    /// Whether a browser is there, the page has room for a copy, and the run has rested from the last one.
     pub fn wants_gaussians(&self) -> bool {
-        self.is_watched() && Instant::now() >= self.next_copy
+        let fit = self.status.gaussians < self.too_many;
+        fit && self.is_watched() && Instant::now() >= self.next_copy
+    }
+
+    /// Whether the page has room for these Gaussians. If it has none, their copy is of no use.
+    pub fn has_room(&mut self, gaussians: &Gaussians) -> bool {
+        let bytes = Viewer::bytes(gaussians, false);
+        let fits = bytes <= MAX_PAGE_BYTES;
+        self.status.megabytes = (!fits).then_some(bytes / 1_000_000);
+        self.too_many = if fits { usize::MAX } else { gaussians.len() };
+        if !fits {
+            self.copy = None;
+        }
+        fits
     }
 
     pub fn set_gaussians(&mut self, gaussians: Gaussians, labels: Option<Vec<u16>>) {
@@ -228,9 +246,6 @@ impl RunState {
         let alpha_max = self.alpha_max;
         Some(move || {
             let (gaussians, labels) = &*copy;
-            let bytes = Viewer::bytes(gaussians, false);
-            ensure!(bytes <= MAX_PAGE_BYTES, argument "scene"; found "a scene of {} MB", bytes / 1_000_000;
-                expected "at most {} MB", MAX_PAGE_BYTES / 1_000_000; help "watch its curves; `coseg view` shows the scene");
             let viewer = Viewer {
                 title: &title,
                 scene: "",

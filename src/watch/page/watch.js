@@ -1,7 +1,10 @@
 // The page of a run: asks for its figures every second, and for its scene when there is a new one.
 
 const SECOND = 1000;
-const MISSED = 3; // answers in a row after which the run has ended
+const MISSED = 3; // answers in a row after which the page says so
+const PATIENCE = 10; // seconds until an answer is missed
+const RETRY = 5; // seconds between questions then
+const GLANCE = 200; // milliseconds between looks at what the person does
 const FIGURES = {
   "PSNR, dB": [(point) => point.held_out.psnr, (v) => v.toFixed(2)],
   SSIM: [(point) => point.held_out.ssim, (v) => v.toFixed(3)],
@@ -20,6 +23,8 @@ function pageOf(frame) {
   }
 }
 
+const moment = () => new Promise((done) => setTimeout(done, GLANCE));
+
 /** Why a frame has no program: what the scene's page or the server says. */
 function troubleOf(frame) {
   const shown = frame.contentDocument;
@@ -35,12 +40,16 @@ class Watch {
     this.loading = false;
     this.missed = 0;
     this.ended = false;
+    /** Whether the person asked the run to stop. */
+    this.stopping = false;
     this.mode = "colour";
     this.charted = "";
     at("stop").addEventListener("click", () => this.stop());
+    at("back").addEventListener("click", () => this.goBack());
     at("views").addEventListener("change", () => this.goTo(Number(at("views").value)));
     for (const button of at("modes").children) button.addEventListener("click", () => this.setMode(button.dataset.mode));
     document.addEventListener("visibilitychange", () => this.look());
+    setInterval(() => this.compare(), GLANCE);
     this.look();
   }
 
@@ -49,18 +58,25 @@ class Watch {
     clearTimeout(this.timer);
     if (document.hidden || this.ended) return;
     try {
-      const answer = await fetch("status");
+      const answer = await fetch("status", { signal: AbortSignal.timeout(PATIENCE * SECOND) });
       if (!answer.ok) throw new Error(answer.statusText);
-      this.missed = 0;
       const status = await answer.json();
+      this.missed = 0;
       this.show(status);
       if (status.ended) this.end();
     } catch {
       this.missed++;
-      if (this.missed === MISSED) this.end();
+      if (this.missed === MISSED) this.miss();
     }
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => this.look(), SECOND);
+    this.timer = setTimeout(() => this.look(), (this.missed < MISSED ? 1 : RETRY) * SECOND);
+  }
+
+  /** The run has ended, or the computer slept, or a tunnel broke off. */
+  miss() {
+    at("stage").textContent = `No answer: the connection is broken, or the run has ended. Asking again every ${RETRY} s.`;
+    at("stop").disabled = true;
+    document.title = `no answer \u2013 ${at("title").textContent}`;
   }
 
   show(status) {
@@ -69,8 +85,7 @@ class Watch {
     document.title = `${Math.floor(100 * share)} % ${status.stage} – ${status.title}`;
     at("stage").textContent = status.stage ? `${status.stage}, ${status.done} of ${status.iterations}` : "The photos are being read.";
     at("bar").value = share;
-    at("stop").disabled = status.stopping;
-    if (status.stopping) at("stop").textContent = "Stopping";
+    this.showStop(status.stopping || this.stopping);
     this.list({
       loss: status.loss?.toFixed(4),
       Gaussians: status.gaussians ? status.gaussians.toLocaleString("en") : undefined,
@@ -78,8 +93,14 @@ class Watch {
     });
     this.chart(status);
     if (at("views").length !== status.views.length) this.listViews(status.views);
-    at("modes").hidden = !status.labelled;
-    if (status.copy > this.shown && !this.loading) this.load(status.copy);
+    at("modes").hidden = !status.labelled || status.megabytes !== null;
+    if (status.megabytes !== null) this.showTooLarge(status.megabytes);
+    else if (status.copy > this.shown && !this.loading) this.load(status.copy);
+  }
+
+  showStop(stopping) {
+    at("stop").disabled = stopping;
+    at("stop").textContent = stopping ? "Stopping" : "Stop and save";
   }
 
   list(figures) {
@@ -118,6 +139,15 @@ class Watch {
     at("rows").hidden = !shown.length;
   }
 
+  /** There are no more pictures, but for a scene that becomes smaller. */
+  showTooLarge(megabytes) {
+    this.frame?.remove();
+    this.frame = null;
+    at("waiting").textContent = `The picture would take ${megabytes} MB, which is too much for this page. \
+The curves go on. When the run has ended, \u201ccoseg view --serve\u201d shows the scene.`;
+    at("waiting").hidden = false;
+  }
+
   listViews(views) {
     this.views = views;
     at("views").replaceChildren(...views.map(({ name, split }, i) => element("option", split === "test" ? `${name} (held out)` : name, { value: i })));
@@ -142,37 +172,66 @@ class Watch {
     pageOf(this.frame)?.setMode(mode);
   }
 
-  /** Loads the scene behind the picture, then shows it from where the picture was. */
+  /** Loads the scene behind the picture. */
   load(copy) {
     this.loading = true;
     const next = element("iframe", null, { title: "scene", className: "next", src: "scene.html#watch" });
-    next.addEventListener("load", () => {
-      this.loading = false;
-      // A copy that cannot be shown is not asked for again.
-      this.shown = copy;
-      const page = pageOf(next);
-      if (!page) {
-        at("waiting").textContent = troubleOf(next);
-        at("waiting").hidden = this.frame !== null;
-        next.remove();
-        return;
-      }
-      const before = pageOf(this.frame);
-      if (before) page.lookAs(before);
-      else page.goTo(Number(at("views").value));
-      page.setMode(this.mode);
-      next.className = "";
-      this.frame?.remove();
-      this.frame = next;
-      at("waiting").hidden = true;
-    });
+    next.addEventListener("load", () => this.loaded(next, copy));
     at("picture").append(next);
   }
 
+  /** Shows a frame from where the picture was, once nobody holds that with pointer or keys. */
+  async loaded(next, copy) {
+    const page = pageOf(next);
+    while (page && this.isHeld()) await moment();
+    this.loading = false;
+    // A copy that cannot be shown is not asked for again.
+    this.shown = copy;
+    if (!page) {
+      at("waiting").textContent = troubleOf(next);
+      at("waiting").hidden = this.frame !== null;
+      next.remove();
+      return;
+    }
+    const before = pageOf(this.frame);
+    if (before) page.lookAs(before);
+    else page.goTo(Number(at("views").value));
+    page.setMode(this.mode);
+    next.className = "";
+    if (this.frame && document.activeElement === this.frame) {
+      next.focus();
+      page.canvas.focus({ preventScroll: true });
+    }
+    this.frame?.remove();
+    this.frame = next;
+    at("waiting").hidden = true;
+  }
+
+  isHeld() {
+    const navigation = pageOf(this.frame)?.navigation;
+    return navigation !== undefined && navigation.pointers.size + navigation.keys.size > 0;
+  }
+
+  /** Whether the picture still shows the view that the photo is of. */
+  compare() {
+    const page = pageOf(this.frame);
+    const view = page?.scene.cameras[Number(at("views").value)];
+    const is = (name) => page.fitted[name].every((value, k) => value === view[name][k]);
+    at("back").hidden = !view || (is("center") && is("rotation"));
+  }
+
+  goBack() {
+    this.goTo(Number(at("views").value));
+    at("views").focus();
+  }
+
   async stop() {
-    at("stop").disabled = true;
-    at("stop").textContent = "Stopping";
-    await fetch("stop", { method: "POST" }).catch(() => {});
+    this.stopping = true;
+    this.showStop(true);
+    const answer = await fetch("stop", { method: "POST" }).catch(() => null);
+    // It can be asked again.
+    this.stopping = answer?.ok === true;
+    this.showStop(this.stopping);
   }
 
   end() {

@@ -1,7 +1,7 @@
 //! The program as a user runs it: help, exit codes and messages.
 
 use crate::support::plates::{plates, scene};
-use crate::support::program::{fails, succeeds, utf8};
+use crate::support::program::{fails, succeeds, utf8, warnings};
 use coseg::splat::ply;
 use glam::DVec3;
 
@@ -150,4 +150,60 @@ fn bad_input_exits_with_1_and_says_what_to_do() {
         !out.exists(),
         "nothing is written before input is known to be good"
     );
+}
+
+fn words<'a>(parts: &[&[&'a str]]) -> Vec<&'a str> {
+    parts.concat()
+}
+
+#[test]
+fn every_command_says_at_once_what_it_reads() {
+    let folder = tempfile::tempdir().unwrap();
+    let [absent, out] = ["absent", "out"].map(|name| folder.path().join(name));
+    let [absent, out] = [&absent, &out].map(|path| utf8(path));
+    let scene = ["--scene", absent];
+    let data = ["--data", absent];
+    let out = ["--out", out];
+    let select = ["--frame", "a", "--pixel", "1,1", "--name", "b"];
+    let query = ["--weights", absent, "--text", "a"];
+    let commands = [
+        words(&[&["train"], &data, &out]),
+        words(&[&["label", "--model", absent], &data, &out]),
+        words(&[&["from-photos", absent], &out]),
+        words(&[&["data", "check", absent]]),
+        words(&[&["data", "info", absent]]),
+        words(&[&["data", "suggest", absent]]),
+        words(&[&["eval", absent]]),
+        words(&[&["render"], &scene, &out]),
+        words(&[&["view"], &scene]),
+        words(&[&["vote"], &scene, &data, &out]),
+        words(&[&["associate"], &scene, &data, &out]),
+        words(&[&["objects"], &scene]),
+        words(&[&["select"], &select, &scene, &out]),
+        words(&[&["query"], &query, &scene, &out]),
+        words(&[&["separate"], &scene, &out]),
+        words(&[&["edit", "--paint"], &scene, &out]),
+        words(&[&["export"], &scene, &out]),
+        words(&[&["prune", "--keep", "0.5"], &scene, &data, &out]),
+        words(&[&["split", "--blocks", "2x1"], &data, &out]),
+        words(&[&["merge", absent], &out]),
+        words(&[&["bench", "--run", absent]]),
+        words(&[&["compare", absent], &out]),
+    ];
+    for arguments in &commands {
+        let message = fails(arguments, 1);
+        let first = message.lines().next().unwrap();
+        assert!(
+            first.starts_with("reading ") && first.contains(absent),
+            "{arguments:?}: {message}"
+        );
+    }
+    let help = succeeds(&["--help"]);
+    let listed = help.lines().skip_while(|line| *line != "Commands:");
+    let listed = listed.take_while(|line| *line != "Options:");
+    let names = listed.filter_map(|line| line.strip_prefix("  ")?.split(' ').next());
+    for name in names.filter(|name| !["", "completions", "help"].contains(name)) {
+        assert!(commands.iter().any(|words| words[0] == name), "{name}");
+    }
+    assert_eq!(warnings(&["completions", "bash"]), "");
 }

@@ -128,7 +128,7 @@ fn names_do_not_command_the_terminal() {
     let message = fails(&["view", "--scene", utf8(&scene)], 1);
     assert!(
         !message.contains('\u{1b}')
-            && message.lines().count() == 1
+            && message.lines().count() == 2
             && message.contains("\\u001b[2J\\nerror: b.ply"),
         "{message:?}"
     );

@@ -170,16 +170,23 @@ fn a_run_under_nohup_outlives_its_terminal() {
     );
 }
 
-/// What the server of a run answers.
+/// A connection to the server of a run, which was asked for something.
 #[cfg(feature = "serve")]
-fn ask(address: &str, method: &str, what: &str) -> String {
+fn asked(address: &str, method: &str, what: &str) -> TcpStream {
     let (host, token) = address.split_once('/').unwrap();
     let request = format!(
         "{method} /{token}{what} HTTP/1.1\r\nHost: {host}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
     );
     let mut stream = TcpStream::connect(host).unwrap();
     stream.write_all(request.as_bytes()).unwrap();
+    stream
+}
+
+/// What it answers.
+#[cfg(feature = "serve")]
+fn ask(address: &str, method: &str, what: &str) -> String {
     let mut answer = String::new();
+    let mut stream = asked(address, method, what);
     stream.read_to_string(&mut answer).unwrap();
     assert!(answer.starts_with("HTTP/1.1 20"), "{answer}");
     answer
@@ -206,6 +213,11 @@ fn a_run_that_is_watched_gives_the_same_scene_and_can_be_stopped() {
     let line = running.until("watch: http://127.0.0.1:");
     let address = line.strip_prefix("watch: http://").unwrap();
     while ask(address, "GET", "status").contains("\"copy\":0") {}
+    // Tabs that are closed before and in the middle of an answer.
+    drop(asked(address, "GET", "scene.html"));
+    let mut stream = asked(address, "GET", "scene.html");
+    stream.read_exact(&mut [0; 1_000]).unwrap();
+    drop(stream);
     ask(address, "GET", "scene.html");
     ask(address, "POST", "stop");
     let (code, said) = running.end();

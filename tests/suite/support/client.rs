@@ -1,8 +1,15 @@
 //! A client of the program's servers that says what it likes.
 
-use std::io::{Read, Write};
-use std::net::TcpStream;
+use crate::support::damage::Damage;
+use std::io::{ErrorKind, Read, Write};
+use std::net::{Shutdown, TcpStream};
+use std::sync::Once;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
 use std::time::Duration;
+
+/// Clients of an attack, at once.
+const ATTACKERS: usize = 8;
 
 /// A server, as a client without a browser sees it.
 pub struct Client {
@@ -23,39 +30,75 @@ impl Client {
         }
     }
 
-    /// Everything that the server says to `bytes`, until it closes the connection or is silent for a while.
+    /// Everything that the server says to `bytes`, after which nothing comes, until it closes the connection.
+    ///
+    /// # Panics
+    /// If it does not.
     pub fn exchange(&self, bytes: &[u8]) -> Vec<u8> {
         let mut stream = TcpStream::connect(&self.host).expect("the server listens");
         stream
-            .set_read_timeout(Some(Duration::from_millis(300)))
+            .set_read_timeout(Some(Duration::from_secs(20)))
             .unwrap();
         // The server may have closed already.
         let _ = stream.write_all(bytes);
+        let _ = stream.shutdown(Shutdown::Write);
         let mut answer = Vec::new();
-        let _ = stream.read_to_end(&mut answer);
+        if let Err(error) = stream.read_to_end(&mut answer) {
+            let hangs = [ErrorKind::WouldBlock, ErrorKind::TimedOut].contains(&error.kind());
+            assert!(!hangs, "still open after {}", bytes.escape_ascii());
+        }
         answer
     }
 
-    /// Status and body of `method path` with more header lines.
+    /// Sends `count` mutants of `requests`, each kind in turn.
+    ///
+    /// # Panics
+    /// If the server panics at one, or leaves a connection open.
+    pub fn attack(&self, requests: &[Vec<u8>], count: usize) {
+        let panics = server_panics();
+        let mut damage = Damage::new(4);
+        let requests = requests.iter().cycle().take(count);
+        let mutants: Vec<_> = requests.map(|whole| damage.mutated(whole)).collect();
+        thread::scope(|scope| {
+            for mutants in mutants.chunks(count.div_ceil(ATTACKERS)) {
+                scope.spawn(move || {
+                    for bytes in mutants {
+                        self.exchange(bytes);
+                    }
+                });
+            }
+        });
+        assert_eq!(server_panics(), panics, "a thread of a server has panicked");
+    }
+
+    /// A request at an address below the root, with more header lines and a body.
+    pub fn message(&self, method: &str, what: &str, more: &str, body: &[u8]) -> Vec<u8> {
+        let Self { host, root } = self;
+        let head = format!(
+            "{method} {root}{what} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n"
+        );
+        [head.as_bytes(), body].concat()
+    }
+
+    /// Status, head and body of the answer to `method path` with more header lines.
     pub fn ask(&self, method: &str, path: &str, host: &str, more: &str) -> (u16, String, Vec<u8>) {
-        self.request(&format!(
-            "{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n"
-        ))
+        let request =
+            format!("{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n");
+        self.request(request.as_bytes())
     }
 
     /// Status and body of the answer to `body` at an address below the root, with more header lines.
     pub fn post(&self, what: &str, body: &str, more: &str) -> (u16, Vec<u8>) {
-        let Self { host, root } = self;
-        let length = body.len();
-        let head = format!("POST {root}{what} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n");
-        let request = format!("{head}Content-Length: {length}\r\n{more}\r\n{body}");
+        let more = format!("Content-Length: {}\r\n{more}", body.len());
+        let request = self.message("POST", what, &more, body.as_bytes());
         let (status, _, body) = self.request(&request);
         (status, body)
     }
 
-    fn request(&self, request: &str) -> (u16, String, Vec<u8>) {
+    /// Status, head and body of the answer to a request after which the connection stays open.
+    pub fn request(&self, request: &[u8]) -> (u16, String, Vec<u8>) {
         let mut stream = TcpStream::connect(&self.host).expect("the server listens");
-        stream.write_all(request.as_bytes()).unwrap();
+        stream.write_all(request).unwrap();
         let mut answer = Vec::new();
         stream.read_to_end(&mut answer).unwrap();
         let end = answer.windows(4).position(|w| w == b"\r\n\r\n").unwrap();
@@ -72,4 +115,20 @@ impl Client {
         assert!(head.contains("no-store"), "{head}");
         (status, body)
     }
+}
+
+/// How often threads of servers have panicked. Tokio catches that, and no test fails by itself.
+fn server_panics() -> usize {
+    static PANICS: AtomicUsize = AtomicUsize::new(0);
+    static COUNTED: Once = Once::new();
+    COUNTED.call_once(|| {
+        let report = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |info| {
+            if thread::current().name() == Some("server") {
+                PANICS.fetch_add(1, Ordering::Relaxed);
+            }
+            report(info);
+        }));
+    });
+    PANICS.load(Ordering::Relaxed)
 }

@@ -205,28 +205,22 @@ impl Tab {
 
     /// Presses a key by its code, such as `KeyP`.
     pub fn key(&mut self, code: &str, modifiers: u32) {
-        let key = match code.strip_prefix("Key") {
-            Some(letter) if modifiers & SHIFT == 0 => letter.to_lowercase(),
-            Some(letter) => letter.to_owned(),
-            None if code == "Space" => " ".to_owned(),
-            None => code.to_owned(),
-        };
-        let number = match code {
-            "Enter" => 13,
-            "Tab" => 9,
-            "Space" => 32,
-            "Escape" => 27,
-            "ArrowDown" => 40,
-            _ => u32::from(key.to_uppercase().as_bytes()[0]),
-        };
-        let mut event = json!({"type": "keyDown", "code": code, "key": key, "modifiers": modifiers,
-            "windowsVirtualKeyCode": number});
+        self.hold_key(code, modifiers);
+        self.lift_key(code, modifiers);
+    }
+
+    /// Presses a key, and keeps it down.
+    pub fn hold_key(&mut self, code: &str, modifiers: u32) {
+        let mut event = key_event("keyDown", code, modifiers);
         if code == "Enter" {
             event["text"] = "\r".into();
         }
-        self.send("Input.dispatchKeyEvent", event.clone());
-        event["type"] = "keyUp".into();
-        event.as_object_mut().unwrap().remove("text");
+        self.send("Input.dispatchKeyEvent", event);
+    }
+
+    /// Lets a key go.
+    pub fn lift_key(&mut self, code: &str, modifiers: u32) {
+        let event = key_event("keyUp", code, modifiers);
         self.send("Input.dispatchKeyEvent", event);
     }
 
@@ -298,6 +292,25 @@ impl Tab {
             "clickCount": 1, "modifiers": modifiers});
         self.send("Input.dispatchMouseEvent", event);
     }
+}
+
+/// An event of a key by its code.
+fn key_event(kind: &str, code: &str, modifiers: u32) -> Value {
+    let key = match code.strip_prefix("Key") {
+        Some(letter) if modifiers & SHIFT == 0 => letter.to_lowercase(),
+        Some(letter) => letter.to_owned(),
+        None if code == "Space" => " ".to_owned(),
+        None => code.to_owned(),
+    };
+    let number = match code {
+        "Enter" => 13,
+        "Tab" => 9,
+        "Space" => 32,
+        "Escape" => 27,
+        "ArrowDown" => 40,
+        _ => u32::from(key.to_uppercase().as_bytes()[0]),
+    };
+    json!({"type": kind, "code": code, "key": key, "modifiers": modifiers, "windowsVirtualKeyCode": number})
 }
 
 impl Drop for Tab {

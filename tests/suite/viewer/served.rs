@@ -13,7 +13,7 @@ use coseg::objects::{Edits, Operation};
 use coseg::splat::Gaussians;
 use coseg::viewer::{Served, Viewer};
 use glam::DVec3;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::net::Ipv4Addr;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -49,6 +49,17 @@ impl Plates {
             origin: DVec3::ZERO,
             ..viewer(&self.gaussians, Some(&self.labels), &self.classes)
         }
+    }
+
+    /// Edits of them, as the page writes them.
+    fn edits(&self) -> String {
+        let rug = json!({"name": "rug", "color": [180, 60, 40]});
+        json!({"version": 1, "scene": self.viewer().sha256, "operations": [
+            {"op": "assign", "gaussians": [17, 18], "object": 5, "new": rug},
+            {"op": "rename", "object": 1, "name": "mat"},
+            {"op": "delete_gaussians", "gaussians": [3]},
+        ]})
+        .to_string()
     }
 
     /// Serves the plates in blocks of 20 while `act` uses the address.
@@ -261,18 +272,86 @@ fn only_edits_of_the_scene_are_saved() {
 }
 
 #[test]
+fn bodies_that_are_no_edits_are_refused() {
+    let plates = Plates::new();
+    let dir = tempfile::tempdir().unwrap();
+    let edits = dir.path().join("edits.json");
+    plates.served(&edits, |address| {
+        let client = Client::at(address);
+        let status = |more: &str, body: &[u8]| {
+            client
+                .request(&client.message("POST", "edits/0", more, body))
+                .0
+        };
+        assert_eq!(status("Content-Length: 3\r\n", b"{\xff}"), 400, "no UTF-8");
+        let chunks = b"3\r\n{\xff}\r\n0\r\n\r\n";
+        assert_eq!(status("Transfer-Encoding: chunked\r\n", chunks), 400);
+        assert_eq!(status("Content-Length: 268435457\r\n", b""), 413);
+        let own = plates.edits();
+        assert_eq!(client.post("edits/-1", &own, "").0, 400);
+        let longer = format!("Content-Length: {}\r\n", own.len() + 1);
+        client.exchange(&client.message("POST", "edits/0", &longer, own.as_bytes()));
+        // Without the token.
+        let stranger = Client {
+            host: client.host.clone(),
+            root: format!("/{}/", "0".repeat(32)),
+        };
+        assert_eq!(stranger.post("edits/0", &own, "").0, 404);
+        assert!(!edits.exists());
+        assert_eq!(client.post("edits/0", &own, "").0, 200);
+    });
+}
+
+#[test]
+fn broken_requests_neither_end_the_server_nor_spoil_the_edits() {
+    let plates = Plates::new();
+    let dir = tempfile::tempdir().unwrap();
+    let edits = dir.path().join("edits.json");
+    let own = plates.edits();
+    plates.served(&edits, |address| {
+        let client = Client::at(address);
+        let length = format!("Content-Length: {}\r\n", own.len());
+        let chunks = own.as_bytes().chunks(40);
+        let chunks = chunks.map(|chunk| format!("{:x}\r\n{}\r\n", chunk.len(), text_of(chunk)));
+        let chunks = chunks.collect::<String>() + "0\r\n\r\n";
+        let chunked = "Transfer-Encoding: chunked\r\n";
+        let mut requests = vec![
+            client.message("POST", "edits/0", &length, own.as_bytes()),
+            client.message("POST", "edits/1", &length, own.as_bytes()),
+            client.message("POST", "edits/0", chunked, chunks.as_bytes()),
+        ];
+        for what in ["", "places", "looks/0", "tree", "edits"] {
+            requests.push(client.message("GET", what, "", b""));
+        }
+        client.attack(&requests, 1_400);
+        // Some mutants are edits too.
+        if edits.exists() {
+            let saved = Edits::read(&edits).unwrap();
+            assert_eq!(saved.scene, plates.viewer().sha256);
+        }
+        let told: Value = serde_json::from_slice(&client.get("edits").1).unwrap();
+        let next = format!("edits/{}", told["saves"]);
+        assert_eq!(client.post(&next, &own, "").0, 200);
+    });
+    assert_eq!(std::fs::read_to_string(&edits).unwrap(), own);
+}
+
+#[test]
 fn strangers_see_nothing() {
     let plates = Plates::new();
     let dir = tempfile::tempdir().unwrap();
     plates.served(&dir.path().join("edits.json"), |address| {
         let client = Client::at(address);
-        for what in ["", "places", "looks/0", "looks/5", "tree"] {
+        for what in ["", "places", "looks/0", "looks/5", "tree", "edits"] {
             assert_eq!(client.get(what).0, 200, "{what}");
             let (status, _, body) = client.ask("GET", &format!("/{what}"), &client.host, "");
             assert_eq!((status, body.len()), (404, 0), "without the token");
             let path = format!("{}{what}", client.root);
             let (status, _, body) = client.ask("GET", &path, "evil.example", "");
             assert_eq!((status, body.len()), (403, 0), "another host");
+            let origin = "Origin: http://evil.example\r\n";
+            let (status, _, body) = client.ask("GET", &path, &client.host, origin);
+            assert_eq!((status, body.len()), (403, 0), "another origin");
         }
         assert_eq!(client.get("looks/6").0, 404);
         assert_eq!(client.get("looks/-1").0, 400);
