@@ -1,10 +1,10 @@
 // What is chosen in the scene, and what is done to it. The page below draws it.
 
 class Editor {
-  /** `kept`: whether the browser keeps edits across a reload. */
-  constructor(scene, kept) {
+  /** `isKept`: whether the browser keeps edits across a reload. */
+  constructor(scene, isKept) {
     this.scene = scene;
-    this.edits = new Edits(scene, kept, () => this.edited());
+    this.edits = new Edits(scene, isKept, this);
     /** Ids of chosen objects, in the order in which they were chosen. */
     this.chosen = new Set();
     this.selection = new Selection(scene.gaussians);

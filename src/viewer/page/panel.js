@@ -28,7 +28,7 @@ class Panel {
     at("copy").onclick = () => this.copy(at("copy"));
     at("all").onclick = () => page.showOnly(null);
     this.saves.onclick = () => page.edits.save();
-    this.drops.onclick = () => page.edits.discard();
+    this.drops.onclick = () => (page.edits.isOutdated ? page.edits.takeSaved() : page.edits.discard());
     at("background").onclick = () => page.nextBackground();
     for (const button of document.querySelectorAll("[data-mode]")) button.onclick = () => page.setMode(button.dataset.mode);
     this.views(at("views"));
@@ -117,15 +117,19 @@ class Panel {
 
   showEdits() {
     const { edits, scene } = this.page;
-    const { length } = edits.operations;
+    const { isOutdated, operations: { length } } = edits;
     // The file of a server changes also where all edits were undone.
-    const isBehind = scene.blocks > 0 && !edits.isSaved;
-    this.box.hidden = !edits.done.length && !edits.trouble && !isBehind;
+    const differs = scene.blocks > 0 && !edits.isSaved;
+    this.box.hidden = !edits.done.length && !edits.trouble && !differs && !isOutdated;
     const count = `${length} edit${length === 1 ? "" : "s"}`;
     const summary = edits.isSaved ? `${count}, saved` : `${count}, not saved`;
-    this.summary.textContent = edits.trouble || (length || isBehind ? summary : "Only hidden: nothing to save");
-    this.saves.disabled = edits.saving || !(length || isBehind);
-    this.drops.disabled = !edits.done.length;
+    const words = edits.trouble || (length || differs ? summary : "Only hidden: nothing to save");
+    this.summary.textContent = isOutdated ? OUTDATED : words;
+    this.saves.textContent = isOutdated ? "Download edits" : "Save edits";
+    this.saves.disabled = edits.saving || !(length || differs);
+    this.drops.textContent = isOutdated ? "Take saved edits" : "Discard edits";
+    this.drops.title = isOutdated ? "these edits are dropped for good" : "undo everything; Redo brings it back";
+    this.drops.disabled = !edits.done.length && !isOutdated;
     const line = editCommand(scene, edits);
     this.command.parentElement.hidden = !line;
     this.command.textContent = line;

@@ -192,6 +192,34 @@ fn edits_outlive_a_reload_and_leaving_asks_while_they_are_not_saved() {
 }
 
 #[test]
+fn two_windows_keep_what_is_not_saved_of_one_and_warn_in_the_other() {
+    let Some((dir, mut tab)) = opened() else {
+        return;
+    };
+    let page = dir.path().join("page.html").canonicalize().unwrap();
+    let names = "[1, 2].map((id) => page.state.object(id).name)";
+    let summary = "document.getElementById('summary').textContent";
+    let mut first = tab.window(&format!("file://{}", page.display()), [1000, 700]);
+    tab.swap(&mut first);
+    tab.value("page.rename(1, 'mat')");
+    tab.swap(&mut first);
+    tab.until("localStorage.length === 1");
+    tab.value("page.rename(2, 'rug')");
+    let warning = tab.text(summary);
+    assert!(warning.starts_with("Another window has edits"), "{warning}");
+    tab.swap(&mut first);
+    tab.reload();
+    assert_eq!(tab.value(names), json!(["mat", "green"]));
+
+    // As soon as those are saved, the others are kept.
+    tab.value("page.edits.download = () => ''; page.edits.save()");
+    tab.swap(&mut first);
+    tab.until(&format!("{summary} === '1 edit, not saved'"));
+    tab.reload();
+    assert_eq!(tab.value(names), json!(["red", "rug"]));
+}
+
+#[test]
 fn a_large_selection_fits_what_the_browser_keeps() {
     let Some((_dir, mut tab)) = opened() else {
         return;
