@@ -37,7 +37,7 @@ class Keys {
 
   press(e) {
     const { page } = this;
-    if (takesText(e.target)) {
+    if (isForField(e)) {
       if (e.code === "Escape") this.leave(e.target);
       // Enter ends a name or a choice, and the keys of the page work again.
       if (e.code === "Enter" && e.target === page.details.target) page.details.put.click();

@@ -9,7 +9,10 @@ const STILL = 4; // pixels that a pointer may move in a click
 const STILL_FINGER = 10; // and a finger in a tap
 
 /** Whether keys are typed into an element. */
-const takesText = (target) => target.matches?.("select, textarea, input:not([type=checkbox])") ?? false;
+const takesText = (target) => target.matches?.("select, textarea, input:not([type=checkbox], [type=range], [type=color])") ?? false;
+
+/** Whether a key is for the element that has the focus, and not for the page. Sliders take those that move them. */
+const isForField = ({ target, code }) => takesText(target) || (target.type === "range" && /^(Arrow|Home|End|Page)/.test(code));
 
 /** The middle of places. */
 const middleOf = (places) => [0, 1].map((k) => places.reduce((sum, place) => sum + place[k], 0) / places.length);
@@ -164,7 +167,7 @@ class Navigation {
 
   key(e, down) {
     if (!down) this.keys.delete(e.code);
-    if (!down || e.ctrlKey || e.metaKey || e.altKey || takesText(e.target)) return;
+    if (!down || e.ctrlKey || e.metaKey || e.altKey || isForField(e)) return;
     if (!(e.code in KEYS_OF_MOVES) && !(e.code in KEYS_OF_TURNS)) return;
     e.preventDefault();
     this.keys.add(e.code);

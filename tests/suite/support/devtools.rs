@@ -237,6 +237,9 @@ impl Tab {
             "Tab" => 9,
             "Space" => 32,
             "Escape" => 27,
+            "ArrowLeft" => 37,
+            "ArrowUp" => 38,
+            "ArrowRight" => 39,
             "ArrowDown" => 40,
             _ => u32::from(key.to_uppercase().as_bytes()[0]),
         };

@@ -6,6 +6,8 @@ pub mod edit_history;
 #[cfg(unix)]
 pub mod gizmo;
 #[cfg(unix)]
+pub mod keys;
+#[cfg(unix)]
 pub mod mends;
 pub mod page;
 #[cfg(unix)]
