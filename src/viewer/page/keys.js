@@ -29,6 +29,13 @@ const EDITING_KEYS = {
   Backspace: (page) => page.remove(),
 };
 
+/** A key by what it types, as layouts differ; by its place in the row of digits, and where letters are not Latin ones. */
+function keyOf({ key, code }) {
+  if (/^[a-z]$/i.test(key)) return `Key${key.toUpperCase()}`;
+  if (key === "[" || key === "]") return key === "[" ? "BracketLeft" : "BracketRight";
+  return code.startsWith("Key") && /^[!-~]$/.test(key) ? key : code;
+}
+
 class Keys {
   constructor(page) {
     this.page = page;
@@ -44,20 +51,24 @@ class Keys {
       if (e.code === "Enter" && (e.target.type === "text" || e.target === page.details.target)) page.canvas.focus();
       return;
     }
-    if ((e.ctrlKey || e.metaKey) && e.code === "KeyZ" && !e.altKey) {
+    const key = keyOf(e);
+    // AltGr comes as both; brackets may need it.
+    const isCommand = (e.ctrlKey || e.metaKey) && !e.altKey;
+    if (isCommand && (key === "KeyZ" || key === "KeyY")) {
       e.preventDefault();
-      if (e.shiftKey) page.edits.redo();
+      if (e.shiftKey || key === "KeyY") page.edits.redo();
       else page.edits.undo();
       return;
     }
-    if (e.ctrlKey || e.metaKey || e.altKey) return;
+    if (isCommand || (e.altKey && !key.startsWith("Bracket"))) return;
     if (e.target === page.canvas && (e.code === "Space" || e.code === "Enter")) {
       e.preventDefault();
       page.takeMiddle(e);
       return;
     }
-    const action = KEYS[e.code] ?? (page.scene.labelled ? EDITING_KEYS[e.code] : undefined);
-    if (!action) return;
+    const action = KEYS[key] ?? (page.scene.labelled ? EDITING_KEYS[key] : undefined);
+    // Keys that walk do so by their place.
+    if (!action || e.code in KEYS_OF_MOVES) return;
     // The key is not typed into what it leads to.
     e.preventDefault();
     action(page);

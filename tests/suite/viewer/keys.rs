@@ -43,3 +43,44 @@ fn a_slider_leaves_the_keys_of_the_page_alone() {
     tab.key("KeyZ", CTRL);
     assert_eq!(tab.value("page.edits.done"), json!([]));
 }
+
+#[test]
+fn letters_count_as_they_are_typed() {
+    let Some((_dir, mut tab)) = opened() else {
+        return;
+    };
+    let done = "page.edits.done.length";
+    let press = |tab: &mut Tab, key: &str, code: &str, more: &str| {
+        tab.value(&format!(
+            "dispatchEvent(new KeyboardEvent('keydown', {{ key: '{key}', code: '{code}', {more} }}))"
+        ));
+    };
+    tab.value("page.rename(1, 'mat')");
+    // German: Z is where the English Y is. French: where the W is.
+    press(&mut tab, "z", "KeyY", "ctrlKey: true");
+    assert_eq!(tab.value(done), 0);
+    press(&mut tab, "Z", "KeyW", "ctrlKey: true, shiftKey: true");
+    assert_eq!(tab.value(done), 1);
+    press(&mut tab, "z", "KeyW", "ctrlKey: true");
+    press(&mut tab, "y", "KeyZ", "ctrlKey: true");
+    assert_eq!(tab.value(done), 1);
+    // Russian has no Z.
+    press(&mut tab, "\u{44f}", "KeyZ", "ctrlKey: true");
+    assert_eq!(tab.value(done), 0);
+
+    for (key, code, more, tool) in [
+        ("p", "KeyR", "", "brush"),
+        ("X", "KeyX", "shiftKey: true", "box"),
+        (",", "KeyV", "", "box"),
+        ("o", "KeyO", "altKey: true", "box"),
+    ] {
+        press(&mut tab, key, code, more);
+        assert_eq!(tab.text("page.tools.tool"), tool, "{key}");
+    }
+    // The French row of digits, and a German bracket.
+    press(&mut tab, "\u{e9}", "Digit2", "");
+    assert_eq!(tab.text("page.mode"), "both");
+    let radius = tab.value("page.tools.radius").as_f64();
+    press(&mut tab, "]", "Digit9", "ctrlKey: true, altKey: true");
+    assert!(tab.value("page.tools.radius").as_f64() > radius);
+}
