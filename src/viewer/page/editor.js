@@ -18,8 +18,9 @@ class Editor {
     return this.edits.state;
   }
 
-  /** Objects that are gone are no longer chosen, nor deleted Gaussians selected. */
+  /** Objects that are gone are no longer chosen, nor deleted Gaussians selected. A shape may have found those: it is given up. */
   edited() {
+    this.tools.cancel();
     for (const id of this.chosen) if (!this.state.objects.get(id)?.count) this.chosen.delete(id);
     this.selection.restrict(this.state);
     if (this.chosen.size !== 1) this.moving = false;

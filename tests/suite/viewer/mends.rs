@@ -154,3 +154,27 @@ fn a_selection_grows_to_the_superpoints_that_it_touches() {
     assert!(want.len() > 1);
     assert_eq!(tab.value("page.selection.rows()"), json!(want));
 }
+
+#[test]
+fn a_stroke_does_not_take_what_is_deleted_during_it() {
+    let Some((dir, mut tab)) = opened() else {
+        return;
+    };
+    let row = [-1.2, -1.05, -0.6].map(|x| spot(&mut tab, [x, 0.0, 0.1]));
+    tab.key("KeyP", 0);
+    tab.value("page.tools.radius = 6");
+    tab.hover(row[0]);
+    tab.press(row[0]);
+    tab.pull(row[1]);
+    assert_eq!(selected(&mut tab), json!([2, "red"]));
+    tab.key("Delete", 0);
+    tab.pull(row[0]);
+    tab.pull(row[2]);
+    tab.release(row[2]);
+    assert_eq!(selected(&mut tab), json!([0, ""]));
+    // What is left is taken by the next stroke, and can be given away.
+    tab.drag(&[row[0], row[2]], 0);
+    assert_eq!(selected(&mut tab), json!([3, "red"]));
+    tab.value("page.putInto(3)");
+    assert_applied(&mut tab, dir.path());
+}
