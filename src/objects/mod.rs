@@ -26,6 +26,7 @@ pub use self::borders::{BlockObjects, JoinedObjects, join_objects};
 pub use self::calibration::{Calibration, LabelErrors};
 pub use self::coloring::color_apart;
 pub use self::corrections::Corrections;
+pub(crate) use self::editing::farthest;
 pub use self::editing::{Edited, Editing};
 pub use self::edits::{Edits, NewObject, Operation, Turn, VERSION as EDITS_VERSION, is_name};
 pub use self::identities::Identities;

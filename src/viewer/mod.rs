@@ -12,7 +12,7 @@ use crate::data::labels::palette::UNLABELLED_COLOR;
 use crate::data::{Class, Classes, NamedCamera, Split};
 use crate::error::{Result, bail, ensure};
 use crate::files::atomic;
-use crate::objects::{Object, Regions, inventory};
+use crate::objects::{Object, Regions, farthest, inventory};
 use crate::splat::Gaussians;
 use crate::splat::camera::{Camera, level_up};
 use base64::Engine;
@@ -227,6 +227,8 @@ impl Viewer<'_> {
             "up": up,
             // Without the outermost 1 % on each side.
             "extent": {"low": all.low, "high": all.high},
+            // Of moves, as `coseg edit` takes them; zero is no limit.
+            "farthest": farthest(self.gaussians),
             "start": camera_entry("", Split::Train, &start),
             "objects": objects.iter().map(entry).collect::<Vec<_>>(),
             "absent": absent.collect::<Vec<_>>(),

@@ -162,10 +162,19 @@ class Editor {
     this.refresh();
   }
 
+  /** Whether `coseg edit` takes a move, or a turn about a point, that is so far off; says so where it does not. */
+  isNear(offset) {
+    const { farthest } = this.scene;
+    if (!farthest || Math.hypot(...offset) <= farthest) return true;
+    this.refresh();
+    this.panel.tell("Not moved: that is more than 100 times the size of the scene.");
+    return false;
+  }
+
   /** Shifts an object to an offset from where it was at first. */
   moveTo(object, offset) {
     const shift = minus(offset, this.state.object(object).offset);
-    if (shift.some((v) => v !== 0)) this.push({ op: "move", object, shift });
+    if (shift.some((v) => v !== 0) && this.isNear(shift)) this.push({ op: "move", object, shift });
   }
 
   /** Raises an object by hundredths of the scene, or lowers it. */
@@ -178,8 +187,8 @@ class Editor {
   /** Turns an object to an angle from how it was at first. */
   turnTo(object, angle) {
     const degrees = angle - this.state.object(object).degrees;
-    const pivot = add(this.state.middle(object), this.scene.origin);
-    const turn = { axis: this.scene.upright.direction, degrees, pivot };
-    if (degrees) this.push({ op: "move", object, turn, shift: [0, 0, 0] });
+    const middle = this.state.middle(object);
+    const turn = { axis: this.scene.upright.direction, degrees, pivot: add(middle, this.scene.origin) };
+    if (degrees && this.isNear(middle)) this.push({ op: "move", object, turn, shift: [0, 0, 0] });
   }
 }

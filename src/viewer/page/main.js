@@ -277,19 +277,20 @@ class Page extends Editor {
       const screen = ((from[1] - to[1]) * depth) / camera.fy / steep;
       way = add(times(((to[0] - from[0]) * depth) / camera.fx, unit(camera.right)), times(screen, ahead));
     }
-    this.moveHeld(held, way);
-    held.point = add(point, way);
+    if (this.moveHeld(held, way)) held.point = add(point, way);
     return true;
   }
 
-  /** Moves the object that a drag holds. All of a drag is one edit. */
+  /** Moves the object that a drag holds, if it may go that far. All of a drag is one edit. */
   moveHeld(held, way) {
+    if (!this.isNear(held.move ? add(held.move.shift, way) : way)) return false;
     this.stale = true;
     if (!held.move || !this.edits.extend(held.move, way)) {
       held.move = { op: "move", object: held.object, shift: way };
       this.push(held.move);
     }
     this.refresh();
+    return true;
   }
 
   /** A drag has ended. */

@@ -8,6 +8,7 @@ function element(tag, properties = {}, ...children) {
 }
 
 const SETTLED = 300; // milliseconds after which what is chosen is spoken
+const TOLD = 6000; // milliseconds that a line stays over the picture
 
 class Panel {
   constructor(page) {
@@ -17,7 +18,7 @@ class Panel {
     at("title").textContent = scene.title;
     document.title = `${scene.title} – coseg`;
     this.count = at("lead");
-    [this.notice, this.spoken, this.words] = [at("notice"), at("spoken"), NOTHING];
+    [this.notice, this.spoken, this.words, this.told] = [at("notice"), at("spoken"), NOTHING, ""];
     this.setReceived(scene.blocks ? 0 : scene.gaussians);
     at("then").textContent = scene.blocks ? "Then:" : "Then, beside edits.json:";
     this.list = new ObjectList(page);
@@ -59,11 +60,23 @@ class Panel {
     this.note();
   }
 
+  /** Says over the picture why something was not done, for a while. */
+  tell(words) {
+    this.told = words;
+    this.note();
+    this.speak(words);
+    clearTimeout(this.telling);
+    this.telling = setTimeout(() => {
+      this.told = "";
+      this.note();
+    }, TOLD);
+  }
+
   /** Says over the picture what it does not show: Gaussians that are still to come, or the object that is to be moved. */
   note() {
     const { chosen, state, gizmo } = this.page;
     const lost = gizmo.isLost ? `${called(state.object([...chosen][0]))} is out of view: turn towards it to move it.` : "";
-    const text = this.missing || lost;
+    const text = this.told || this.missing || lost;
     if (this.notice.textContent !== text) this.notice.textContent = text;
   }
 

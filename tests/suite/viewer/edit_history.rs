@@ -344,6 +344,29 @@ fn a_key_during_a_drag_shifts_no_other_move() {
 }
 
 #[test]
+fn no_object_moves_farther_than_the_command_takes() {
+    let Some((dir, mut tab)) = opened() else {
+        return;
+    };
+    let done = "page.edits.done.length";
+    let notice = "document.getElementById('notice').textContent";
+    tab.value("page.choose(2); page.details.shift[0].select()");
+    tab.type_text("1e9");
+    tab.key("Enter", 0);
+    assert_eq!(tab.value(done), 0);
+    assert_eq!(tab.text("page.details.shift[0].value"), "0");
+    assert!(tab.text(notice).starts_with("Not moved"));
+    tab.value("page.moveHeld({ object: 2 }, [0, 1e9, 0])");
+    assert_eq!(tab.value(done), 0);
+    tab.value("page.moveTo(2, [(1 - 1e-12) * page.scene.farthest, 0, 0])");
+    assert_eq!(tab.value(done), 1);
+    // So far off it does not turn either.
+    tab.value("page.turnTo(2, 30)");
+    assert_eq!(tab.value(done), 1);
+    assert_applied(&mut tab, dir.path());
+}
+
+#[test]
 fn names_hold_no_control_characters() {
     let Some((dir, mut tab)) = opened() else {
         return;
