@@ -48,6 +48,10 @@ class Details {
       element("div", { className: "buttons put" }, this.put, this.target),
       this.places,
     );
+    /** The field that someone types in, until it is left or what is typed counts. */
+    this.typed = null;
+    this.box.addEventListener("input", (e) => (this.typed = e.target));
+    for (const end of ["change", "focusout"]) this.box.addEventListener(end, () => (this.typed = null), true);
   }
 
   /** What is chosen or selected, in a few words. */
@@ -118,8 +122,9 @@ class Details {
     this.put.parentElement.hidden = !entries.length;
   }
 
-  /** A field that someone types in keeps what it has. */
+  /** A field that someone types in keeps what it has, and a number the form that it has. */
   set(input, value) {
+    if (input === this.typed) return;
     const isSame = input.type === "number" ? Number(input.value) === Number(value) : input.value === value;
     if (!isSame) input.value = value;
   }

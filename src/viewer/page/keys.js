@@ -77,6 +77,7 @@ class Keys {
   /** A field that is left by Esc has what it had before. */
   leave(field) {
     if (field.id === "search") field.value = "";
+    this.page.details.typed = null;
     this.page.panel.update();
     field.blur();
     this.page.canvas.focus({ preventScroll: true });
