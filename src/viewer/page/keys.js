@@ -56,8 +56,8 @@ class Keys {
     const isCommand = (e.ctrlKey || e.metaKey) && !e.altKey;
     if (isCommand && (key === "KeyZ" || key === "KeyY")) {
       e.preventDefault();
-      if (e.shiftKey || key === "KeyY") page.edits.redo();
-      else page.edits.undo();
+      if (e.shiftKey || key === "KeyY") page.redo();
+      else page.undo();
       return;
     }
     if (isCommand || (e.altKey && !key.startsWith("Bracket"))) return;

@@ -239,12 +239,13 @@ class Page extends Editor {
     return pick(this.scene, this.order, this.state, this.fitted, x, y);
   }
 
-  /** Chooses what is at a point; with Shift too, with Alt no longer. The tool of points selects the thing that is there. */
+  /** Chooses what is at a point; with Shift too, with Alt no longer. The wand selects the thing that is there. */
   clicked(x, y, { shiftKey, altKey }) {
     if (!this.scene.labelled || this.watched) return;
     const picked = this.pickAt(x, y);
     if (this.tools.tool === "points") {
-      if (this.scene.superpoints && picked?.coverage >= COVERED && this.isFree(picked.row)) this.point(picked.row);
+      const isThing = this.scene.superpoints && picked?.coverage >= COVERED && this.isFree(picked.row);
+      if (isThing) this.point(picked.row, this.tools.howOf({ shiftKey, altKey }));
       return;
     }
     const found = picked?.object ?? null;

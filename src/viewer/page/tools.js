@@ -60,11 +60,16 @@ class Tools {
     this.page.refresh();
   }
 
+  /** What a shape or a click does, with Shift or Alt. */
+  howOf({ shiftKey, altKey }) {
+    return altKey ? "subtract" : shiftKey ? "add" : this.how;
+  }
+
   /** Begins a shape; without modifiers it replaces what is selected. */
-  begin(at, { shiftKey, altKey }) {
-    const how = altKey ? "subtract" : shiftKey ? "add" : this.how;
+  begin(at, event) {
+    const how = this.howOf(event);
     const { selection } = this.page;
-    this.before = selection.copy();
+    this.before = this.page.picked();
     if (how === "new") selection.clear();
     selection.endGrowth();
     this.flag = how === "subtract" ? 0 : 1;
@@ -91,13 +96,14 @@ class Tools {
 
   /** Takes a shape back: what was selected before it is selected again. */
   takeBack() {
-    if (this.shape) Object.assign(this.page.selection, this.before);
+    if (this.shape) this.page.selection.restore(this.before);
     this.cancel();
     this.page.selected();
   }
 
   /** Gives a shape up. What a brush has taken stays. */
   cancel() {
+    if (this.shape) this.page.remember(this.before);
     this.shape = null;
     this.found = null;
     this.before = null;

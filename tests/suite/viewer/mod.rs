@@ -16,6 +16,8 @@ pub mod panel;
 pub mod points;
 #[cfg(unix)]
 pub mod room;
+#[cfg(unix)]
+pub mod selections;
 #[cfg(all(unix, feature = "serve"))]
 pub mod served;
 #[cfg(unix)]
