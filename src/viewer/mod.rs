@@ -180,6 +180,9 @@ impl Viewer<'_> {
             Some(_) if is_bare && id == self.classes.ignore => {
                 (Some("unlabelled"), UNLABELLED_COLOR)
             }
+            Some(_) if !self.classes.is_empty() && id == self.classes.ignore => {
+                (self.classes.known_name(id), UNLABELLED_COLOR)
+            }
             Some(_) => (self.classes.known_name(id), self.classes.legend_color(id)),
         };
         let entry = |object: &Object| {

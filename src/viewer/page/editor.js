@@ -162,9 +162,10 @@ class Editor {
     const taken = new Set([...this.state.objects.values()].map(({ name }) => name));
     let number = 1;
     while (taken.has(`object ${number}`)) number++;
-    const color = freshColor(this.state.present.map((other) => other.color));
-    const made = { name: `object ${number}`, color };
-    this.push({ op: "assign", gaussians: this.takeRows(), object, new: made });
+    const gaussians = this.takeRows();
+    const [used, near] = [this.state.present, this.state.objectsNear(gaussians)].map((some) => some.map(({ color }) => color));
+    const made = { name: `object ${number}`, color: freshColor(used, near) };
+    this.push({ op: "assign", gaussians, object, new: made });
     this.tools.choose("objects");
     this.choose(object);
     this.panel.lead(this.details.name);
