@@ -36,7 +36,8 @@ class Details {
     this.shift = [0, 1, 2].map((k) => field(`shift along ${"xyz"[k]}, world units`, "any", along(k)));
     const { name } = scene.upright;
     this.turn = field(`turn about ${name}, degrees`, 15, (degrees) => page.turnTo(this.one, degrees));
-    const lifts = [["Raise", 1], ["Lower", -1]].map(([text, by]) => button(text, "by a hundredth of the scene", () => page.raise(this.one, by)));
+    const lifts = [["Raise", 1, "U"], ["Lower", -1, "J"]].map(([text, by, key]) =>
+      button(text, `by a hundredth of the scene (key ${key})`, () => page.raise(by)));
     this.places = element("div", { className: "places" },
       element("div", { className: "shift" }, "shift", ...this.shift.map((input, k) => element("label", {}, "xyz"[k], input))),
       element("label", {}, `turn about ${name}`, element("span", { className: "fields" }, this.turn, "°")),

@@ -236,8 +236,10 @@ class Editor {
     if (shift.some((v) => v !== 0) && this.isNear(shift)) this.push({ op: "move", object, shift });
   }
 
-  /** Raises an object by hundredths of the scene, or lowers it. */
-  raise(object, hundredths) {
+  /** Raises the chosen object by hundredths of the scene, or lowers it. */
+  raise(hundredths) {
+    if (this.chosen.size !== 1 || this.selection.count) return;
+    const [object] = this.chosen;
     const { extent, upright } = this.scene;
     const step = (hundredths / 100) * Math.hypot(...minus(extent.high, extent.low));
     this.moveTo(object, add(this.state.object(object).offset, times(step, upright.direction)));

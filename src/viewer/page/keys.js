@@ -16,13 +16,15 @@ const EDITING_KEYS = {
   KeyP: (page) => page.tools.choose("brush"),
   KeyO: (page) => page.tools.choose("lasso"),
   KeyX: (page) => page.tools.choose("box"),
-  BracketLeft: (page) => page.tools.step(-1),
-  BracketRight: (page) => page.tools.step(1),
+  BracketLeft: (page) => page.tools.scale(-1),
+  BracketRight: (page) => page.tools.scale(1),
   KeyF: (page) => page.panel.lead(page.panel.list.search),
   F2: (page) => page.panel.lead(page.details.name),
   KeyT: (page) => page.panel.lead(page.details.target),
   KeyH: (page) => page.toggle(),
   KeyM: (page) => page.setMoving(!page.moving),
+  KeyU: (page) => page.raise(1),
+  KeyJ: (page) => page.raise(-1),
   KeyN: (page) => page.split(),
   KeyG: (page) => page.grow(),
   Delete: (page) => page.remove(),
@@ -60,10 +62,16 @@ class Keys {
       else page.undo();
       return;
     }
-    if (isCommand || (e.altKey && !key.startsWith("Bracket"))) return;
-    if (e.target === page.canvas && (e.code === "Space" || e.code === "Enter")) {
+    if (isCommand) return;
+    if (e.target === page.canvas && (e.key === " " || e.key === "Enter")) {
       e.preventDefault();
-      page.takeMiddle(e);
+      if (!e.repeat) page.tools.press(e);
+      return;
+    }
+    if (e.altKey && !key.startsWith("Bracket")) return;
+    if (key in KEYS_OF_TURNS && page.tools.takesArrows(e.target)) {
+      e.preventDefault();
+      page.tools.step(KEYS_OF_TURNS[key], e);
       return;
     }
     const action = KEYS[key] ?? (page.scene.labelled ? EDITING_KEYS[key] : undefined);

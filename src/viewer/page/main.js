@@ -137,8 +137,9 @@ class Page extends Editor {
     return this.fitted;
   }
 
-  /** The camera has moved, or what it looks at has. */
+  /** The camera has moved, or what it looks at has. A shape is of the picture before: it is given up. */
   changed() {
+    this.tools.cancel();
     this.panel.setView(null);
     this.stale = true;
     this.ask();
@@ -193,6 +194,7 @@ class Page extends Editor {
   }
 
   goTo(i) {
+    this.tools.cancel();
     this.source = new Camera(this.scene.cameras[i]);
     this.fitted = this.source.fitted(...this.room());
     this.panel.setView(i);
@@ -253,12 +255,6 @@ class Page extends Editor {
     const isAlone = this.chosen.size === 1 && this.chosen.has(found);
     if (how !== "new") this.choose(found, how);
     else this.choose(isAlone ? null : found);
-  }
-
-  /** What a click or a shape in the middle of the picture does, for keys. */
-  takeMiddle(event) {
-    if (this.tools.isDrawing) this.tools.takeMiddle(event);
-    else this.clicked(this.fitted.width / 2, this.fitted.height / 2, event);
   }
 
   /** Moves the chosen object with the pointer, if it is what is held: along the floor, with shift up and down. */

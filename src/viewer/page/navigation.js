@@ -168,7 +168,8 @@ class Navigation {
   key(e, down) {
     if (!down) this.keys.delete(e.code);
     if (!down || e.ctrlKey || e.metaKey || e.altKey || isForField(e)) return;
-    if (!(e.code in KEYS_OF_MOVES) && !(e.code in KEYS_OF_TURNS)) return;
+    const isTurn = e.code in KEYS_OF_TURNS && !this.view.tools.takesArrows(e.target);
+    if (!(e.code in KEYS_OF_MOVES) && !isTurn) return;
     e.preventDefault();
     this.keys.add(e.code);
     this.view.changed();

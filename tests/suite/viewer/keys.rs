@@ -1,6 +1,6 @@
 //! Keys of the viewer's page: on every layout, and beside sliders.
 
-use crate::support::devtools::{CTRL, Tab};
+use crate::support::devtools::{ALT, CTRL, SHIFT, Tab};
 use crate::support::mended_plates::{opened, selected, spot};
 use serde_json::json;
 
@@ -83,4 +83,81 @@ fn letters_count_as_they_are_typed() {
     let radius = tab.value("page.tools.radius").as_f64();
     press(&mut tab, "]", "Digit9", "ctrlKey: true, altKey: true");
     assert!(tab.value("page.tools.radius").as_f64() > radius);
+}
+
+/// Moves the crosshair by arrow keys to within four pixels of a point of the world.
+fn aim(tab: &mut Tab, point: [f64; 3]) {
+    let to = spot(tab, point);
+    let now = tab.value("page.tools.aim ?? page.tools.middle");
+    let now: [f64; 2] = serde_json::from_value(now).unwrap();
+    let keys = [["ArrowLeft", "ArrowRight"], ["ArrowUp", "ArrowDown"]];
+    for (k, [back, forth]) in keys.into_iter().enumerate() {
+        let strides = ((to[k] - now[k]) / 8.0).round();
+        for _ in 0..strides.abs() as usize {
+            tab.key(if strides > 0.0 { forth } else { back }, 0);
+        }
+    }
+}
+
+#[test]
+fn shapes_are_drawn_by_keys_alone() {
+    let Some((_dir, mut tab)) = opened() else {
+        return;
+    };
+    let camera = tab.value("[page.fitted.center, page.fitted.rotation]");
+    tab.key("Tab", 0);
+    tab.key("KeyX", 0);
+    aim(&mut tab, [-1.35, 0.45, 0.1]);
+    let crosshair = "document.querySelector('#overlay path') !== null";
+    assert_eq!(tab.value(crosshair), true);
+    tab.key("Enter", 0);
+    aim(&mut tab, [-0.45, -0.45, 0.1]);
+    tab.key("Enter", 0);
+    assert_eq!(selected(&mut tab), json!([25, "red"]));
+
+    tab.key("KeyO", 0);
+    for (x, y) in [(0.35, 0.15), (1.25, 0.15), (1.25, -0.75), (0.35, -0.75)] {
+        aim(&mut tab, [x, y, 0.2]);
+        tab.key("Enter", SHIFT);
+    }
+    assert_eq!(selected(&mut tab), json!([25, "red"]), "it is not closed");
+    tab.key("Enter", 0);
+    assert_eq!(selected(&mut tab), json!([50, "blue,red"]));
+
+    // A stroke through the middle row.
+    tab.key("KeyP", 0);
+    tab.value("page.tools.radius = 8");
+    aim(&mut tab, [-1.2, 0.0, 0.1]);
+    tab.key("Enter", ALT);
+    aim(&mut tab, [-0.6, 0.0, 0.1]);
+    tab.key("Enter", 0);
+    assert_eq!(selected(&mut tab), json!([45, "blue,red"]));
+    tab.key("KeyZ", CTRL);
+    assert_eq!(selected(&mut tab), json!([50, "blue,red"]));
+    let there = "[page.fitted.center, page.fitted.rotation]";
+    assert_eq!(tab.value(there), camera, "the view stays");
+
+    // Walking gives a shape up.
+    tab.key("Enter", 0);
+    tab.key("KeyW", 0);
+    assert_eq!(tab.value("page.tools.shape"), json!(null));
+}
+
+#[test]
+fn keys_choose_several_objects_and_raise_one() {
+    let Some((_dir, mut tab)) = opened() else {
+        return;
+    };
+    tab.key("Tab", 0);
+    tab.value("page.choose(1)");
+    let chosen = "[...page.chosen]";
+    tab.key("Enter", SHIFT);
+    assert_eq!(tab.value(chosen), json!([1, 2]));
+    tab.key("Enter", ALT);
+    assert_eq!(tab.value(chosen), json!([1]));
+    let offset = "page.state.object(1).offset[1]";
+    tab.key("KeyU", 0);
+    assert!(tab.value(offset).as_f64() > Some(0.01));
+    tab.key("KeyJ", 0);
+    assert_eq!(tab.value(offset), 0);
 }
