@@ -7,6 +7,7 @@ const KEYS_OF_MOVES = {
 const KEYS_OF_TURNS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }; // yaw, rise
 const STILL = 4; // pixels that a pointer may move in a click
 const STILL_FINGER = 10; // and a finger in a tap
+const ROLL = 150; // milliseconds between two steps of the same roll of a wheel
 
 /** Whether keys are typed into an element. */
 const takesText = (target) => target.matches?.("select, textarea, input:not([type=checkbox], [type=range], [type=color])") ?? false;
@@ -159,8 +160,9 @@ class Navigation {
     e.preventDefault();
     // Two fingers that spread on a trackpad come as a wheel with ctrl, in small steps.
     const lines = e.ctrlKey ? e.deltaY / 16 : e.deltaMode === 0 ? e.deltaY / 100 : e.deltaY / 3;
+    // To look what is there takes long in a large scene: a roll goes on towards what it began with.
+    if (!this.isRolling(e.timeStamp)) this.pivot = this.hold(this.place(e));
     this.rolled = e.timeStamp;
-    this.pivot = this.hold(this.place(e));
     this.approach(1 - Math.exp(Math.max(-3, Math.min(3, lines)) * 0.16));
     this.view.changed();
   }
@@ -175,9 +177,13 @@ class Navigation {
     this.view.changed();
   }
 
+  isRolling(now) {
+    return now - (this.rolled ?? -Infinity) < ROLL;
+  }
+
   /** Whether the picture is about to change again. */
   isMoving(now) {
-    return (this.pointers.size > 0 && this.moved && !this.drawing) || now - (this.rolled ?? -Infinity) < 150;
+    return (this.pointers.size > 0 && this.moved && !this.drawing) || this.isRolling(now);
   }
 
   /** Moves for `seconds` by the keys that are held; returns whether any are. */
