@@ -1,5 +1,7 @@
 //! Tests of `coseg::viewer`.
 
+#[cfg(unix)]
+pub mod controls;
 pub mod drawing;
 #[cfg(unix)]
 pub mod edit_history;
