@@ -23,6 +23,7 @@ pub use self::association::{Association, Group, associate};
 pub use self::borders::{BlockObjects, JoinedObjects, join_objects};
 pub use self::calibration::{Calibration, LabelErrors};
 pub use self::coloring::{color_all_apart, color_apart};
+pub(crate) use self::edits::farthest;
 pub use self::edits::{
     Corrections, Edited, Editing, Edits, NewObject, Operation, Turn, VERSION as EDITS_VERSION,
     is_name,

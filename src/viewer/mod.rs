@@ -12,7 +12,7 @@ use crate::data::labels::palette::UNLABELLED_COLOR;
 use crate::data::{Class, Classes, NamedCamera, Split};
 use crate::error::{Result, bail, ensure};
 use crate::files::atomic;
-use crate::objects::{Object, Regions, inventory};
+use crate::objects::{Object, Regions, farthest, inventory};
 use crate::splat::Gaussians;
 use crate::splat::camera::{Camera, level_up};
 use base64::Engine;
@@ -109,7 +109,7 @@ impl Viewer<'_> {
         packing::bytes(gaussians, has_labels).div_ceil(3) * 4
     }
 
-    /// The page: 116 bytes for each Gaussian of SH degree 3 (111 without labels), and about 135 kB. A scene with labels has the tree of
+    /// The page: 116 bytes for each Gaussian of SH degree 3 (111 without labels), and about 145 kB. A scene with labels has the tree of
     /// its [`Regions`] too, 16 bytes for each.
     ///
     /// # Errors
@@ -173,17 +173,8 @@ impl Viewer<'_> {
     /// The input of the page's program beside the columns. Places are relative to the origin.
     fn header(&self, listed: &Listed) -> Value {
         let Listed { all, objects, .. } = listed;
-        // Beside other objects of a scene without classes, label 0 may be one too.
-        let is_bare = self.classes.is_empty() && objects.len() == 1;
-        let look = |id: u16| match self.labels {
-            None => (None, [255; 3]),
-            Some(_) if is_bare && id == self.classes.ignore => {
-                (Some("unlabelled"), UNLABELLED_COLOR)
-            }
-            Some(_) => (self.classes.known_name(id), self.classes.legend_color(id)),
-        };
         let entry = |object: &Object| {
-            let (name, color) = look(object.id);
+            let (name, color) = self.look(object.id, objects.len() == 1);
             // The single entry of a scene without labels has no id.
             let id = self.labels.map(|_| object.id);
             json!({
@@ -227,12 +218,29 @@ impl Viewer<'_> {
             "up": up,
             // Without the outermost 1 % on each side.
             "extent": {"low": all.low, "high": all.high},
+            // Of moves, as `coseg edit` takes them; zero is no limit.
+            "farthest": farthest(self.gaussians),
             "start": camera_entry("", Split::Train, &start),
             "objects": objects.iter().map(entry).collect::<Vec<_>>(),
             "absent": absent.collect::<Vec<_>>(),
             "ignore": self.classes.ignore,
             "cameras": views.collect::<Vec<_>>(),
         })
+    }
+
+    /// Name and colour of an object. Unlabelled Gaussians have the colour that they have in the report.
+    fn look(&self, id: u16, is_alone: bool) -> (Option<&str>, [u8; 3]) {
+        if self.labels.is_none() {
+            return (None, [255; 3]);
+        }
+        let name = self.classes.known_name(id);
+        // Beside other objects of a scene without classes, label 0 may be one too.
+        let is_unlabelled = is_alone || !self.classes.is_empty();
+        if id == self.classes.ignore && is_unlabelled {
+            (name.or(Some("unlabelled")), UNLABELLED_COLOR)
+        } else {
+            (name, self.classes.legend_color(id))
+        }
     }
 
     /// The start without cameras: in front of the box `all`, a little above it.

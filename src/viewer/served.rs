@@ -214,7 +214,7 @@ async fn save(
             expected "edits of the scene that is served"; help "load the page again");
         let mut saved = content.saved();
         ensure!(saves == saved.saves, path, "file"; found "edits that another window has saved since";
-            expected "those that this page began with"; help "load the page again, and repeat what is missing");
+            expected "those that this page began with"; help "download these edits, or take the saved ones");
         let there = stamp_of(path);
         ensure!(there.is_none() || there == saved.file, path, "file"; found "a file that another program has changed since";
             expected "the one that the page was saved in or began with"; help "move it away, and save again");

@@ -34,6 +34,12 @@ pub struct Edited {
     pub classes: Classes,
 }
 
+/// The longest move of Gaussians of a scene, world units; zero where all are at one place.
+pub(crate) fn farthest(gaussians: &Gaussians) -> f64 {
+    let corners = bounds(gaussians.positions(DVec3::ZERO).into_iter());
+    MAX_MOVE * corners.map_or(0.0, |(low, high)| low.distance(high))
+}
+
 impl Editing {
     /// Begins with a scene and the table of its labels.
     ///
@@ -41,12 +47,11 @@ impl Editing {
     /// If `labels` does not have one id for each Gaussian.
     pub fn new(gaussians: Gaussians, labels: Vec<u16>, classes: Classes) -> Self {
         assert_eq!(labels.len(), gaussians.len(), "one label for each Gaussian");
-        let corners = bounds(gaussians.positions(DVec3::ZERO).into_iter());
         Self {
             removed: vec![false; labels.len()],
             given: vec![false; labels.len()],
             used: labels.iter().copied().collect(),
-            farthest: MAX_MOVE * corners.map_or(0.0, |(low, high)| low.distance(high)),
+            farthest: farthest(&gaussians),
             gaussians,
             labels,
             classes,

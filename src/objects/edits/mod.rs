@@ -7,6 +7,7 @@ mod editing;
 mod operation;
 
 pub use self::corrections::Corrections;
+pub(crate) use self::editing::farthest;
 pub use self::editing::{Edited, Editing};
 pub use self::operation::{NewObject, Operation, Turn, is_name};
 

@@ -36,7 +36,8 @@ class Details {
     this.shift = [0, 1, 2].map((k) => field(`shift along ${"xyz"[k]}, world units`, "any", along(k)));
     const { name } = scene.upright;
     this.turn = field(`turn about ${name}, degrees`, 15, (degrees) => page.turnTo(this.one, degrees));
-    const lifts = [["Raise", 1], ["Lower", -1]].map(([text, by]) => button(text, "by a hundredth of the scene", () => page.raise(this.one, by)));
+    const lifts = [["Raise", 1, "U"], ["Lower", -1, "J"]].map(([text, by, key]) =>
+      button(text, `by a hundredth of the scene (key ${key})`, () => page.raise(by)));
     this.places = element("div", { className: "places" },
       element("div", { className: "shift" }, "shift", ...this.shift.map((input, k) => element("label", {}, "xyz"[k], input))),
       element("label", {}, `turn about ${name}`, element("span", { className: "fields" }, this.turn, "°")),
@@ -48,6 +49,10 @@ class Details {
       element("div", { className: "buttons put" }, this.put, this.target),
       this.places,
     );
+    /** The field that someone types in, until it is left or what is typed counts. */
+    this.typed = null;
+    this.box.addEventListener("input", (e) => (this.typed = e.target));
+    for (const end of ["change", "focusout"]) this.box.addEventListener(end, () => (this.typed = null), true);
   }
 
   /** What is chosen or selected, in a few words. */
@@ -118,8 +123,9 @@ class Details {
     this.put.parentElement.hidden = !entries.length;
   }
 
-  /** A field that someone types in keeps what it has. */
+  /** A field that someone types in keeps what it has, and a number the form that it has. */
   set(input, value) {
+    if (input === this.typed) return;
     const isSame = input.type === "number" ? Number(input.value) === Number(value) : input.value === value;
     if (!isSame) input.value = value;
   }

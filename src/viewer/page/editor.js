@@ -1,13 +1,18 @@
 // What is chosen in the scene, and what is done to it. The page below draws it.
 
+const REMEMBERED = 20; // selections that can be undone
+
 class Editor {
-  /** `kept`: whether the browser keeps edits across a reload. */
-  constructor(scene, kept) {
+  /** `isKept`: whether the browser keeps edits across a reload. */
+  constructor(scene, isKept) {
     this.scene = scene;
-    this.edits = new Edits(scene, kept, () => this.edited());
+    this.edits = new Edits(scene, isKept, this);
     /** Ids of chosen objects, in the order in which they were chosen. */
     this.chosen = new Set();
     this.selection = new Selection(scene.gaussians);
+    /** What was selected before, since the last edit, and what was selected after where that was undone. */
+    this.earlier = [];
+    this.later = [];
     /** Whether a click or a tap chooses one more object, as with Shift. */
     this.several = false;
     /** Whether the chosen object moves with the pointer. */
@@ -18,21 +23,61 @@ class Editor {
     return this.edits.state;
   }
 
-  /** Objects that are gone are no longer chosen, nor deleted Gaussians selected. */
+  /** Objects that are gone are no longer chosen, nor deleted Gaussians selected. A shape may have found those: it is given up. */
   edited() {
+    this.tools.cancel();
+    this.earlier = [];
+    this.later = [];
     for (const id of this.chosen) if (!this.state.objects.get(id)?.count) this.chosen.delete(id);
     this.selection.restrict(this.state);
     if (this.chosen.size !== 1) this.moving = false;
     this.refresh();
   }
 
+  /** What is selected, within which objects. */
+  picked() {
+    return { ...this.selection.copy(), chosen: [...this.chosen] };
+  }
+
+  /** Keeps what was picked before, if other Gaussians are selected now. */
+  remember(picked) {
+    if (String(picked.runs) === String(runsOf(this.selection.rows()))) return;
+    this.earlier.push(picked);
+    if (this.earlier.length > REMEMBERED) this.earlier.shift();
+    this.later = [];
+  }
+
+  /** Selects what was selected last in `from`; `to` gets what is selected now. False where there is nothing. */
+  pickFrom(from, to) {
+    const picked = from.pop();
+    if (!picked) return false;
+    to.push(this.picked());
+    this.chosen = new Set(picked.chosen);
+    this.moving = false;
+    this.selection.restore(picked);
+    this.refresh();
+    return true;
+  }
+
+  /** A shape, then selections since the last edit, then edits. */
+  undo() {
+    if (this.tools.shape) this.tools.takeBack();
+    else if (!this.pickFrom(this.earlier, this.later)) this.edits.undo();
+  }
+
+  redo() {
+    if (!this.pickFrom(this.later, this.earlier)) this.edits.redo();
+  }
+
   /** Chooses an object alone, adds it ("add"; again drops it), or takes it out ("subtract"). Null means nothing. */
   choose(id, how = "new") {
     const had = this.chosen.has(id);
+    const picked = this.picked();
     if (how === "new") this.chosen.clear();
     if (how === "subtract" || (how === "add" && had)) this.chosen.delete(id);
     else if (id !== null) this.chosen.add(id);
     this.selection.clear();
+    this.remember(picked);
     this.moving = false;
     this.refresh();
     this.panel.list.reveal();
@@ -40,9 +85,12 @@ class Editor {
 
   /** Esc: the selection goes first, then the tool, then what is chosen. */
   back() {
+    const picked = this.picked();
     if (this.tools.shape) this.tools.cancel();
-    else if (this.selection.count || this.selection.growth) this.selection.clear();
-    else if (this.tools.tool !== "objects") this.tools.choose("objects");
+    else if (this.selection.count || this.selection.growth) {
+      this.selection.clear();
+      this.remember(picked);
+    } else if (this.tools.tool !== "objects") this.tools.choose("objects");
     else this.choose(null);
     this.refresh();
   }
@@ -93,10 +141,18 @@ class Editor {
   putInto(id) {
     if (!this.state.objects.has(id)) return;
     const objects = [...this.chosen].filter((other) => other !== id);
-    if (this.selection.count) this.push({ op: "assign", gaussians: this.selection.rows(), object: id });
+    const gaussians = this.takeRows();
+    if (gaussians.length) this.push({ op: "assign", gaussians, object: id });
     else if (objects.length) this.push({ op: "merge", objects, into: id });
     else return;
     this.choose(id);
+  }
+
+  /** The selected Gaussians, for an edit that they are not selected after. */
+  takeRows() {
+    const rows = this.selection.rows();
+    this.selection.clear();
+    return rows;
   }
 
   /** The selected Gaussians become an object of their own, to be named. */
@@ -106,9 +162,10 @@ class Editor {
     const taken = new Set([...this.state.objects.values()].map(({ name }) => name));
     let number = 1;
     while (taken.has(`object ${number}`)) number++;
-    const color = freshColor(this.state.present.map((other) => other.color));
-    const made = { name: `object ${number}`, color };
-    this.push({ op: "assign", gaussians: this.selection.rows(), object, new: made });
+    const gaussians = this.takeRows();
+    const [used, near] = [this.state.present, this.state.objectsNear(gaussians)].map((some) => some.map(({ color }) => color));
+    const made = { name: `object ${number}`, color: freshColor(used, near) };
+    this.push({ op: "assign", gaussians, object, new: made });
     this.tools.choose("objects");
     this.choose(object);
     this.panel.lead(this.details.name);
@@ -129,22 +186,23 @@ class Editor {
     return this.state.isShown(part) && (!this.chosen.size || this.chosen.has(part.object));
   }
 
-  /** Selects the thing that the Gaussian `row` is part of, and the Gaussians of earlier points. */
-  point(row) {
-    const seeds = [...this.selection.seeds, row];
-    const growth = new Growth(this.scene, seeds);
-    this.selection.clear();
-    Object.assign(this.selection, { seeds, growth });
-    this.growTo(growth.proposed);
+  /** Selects the thing that the Gaussian `row` is part of, with that of earlier points, or adds or subtracts it. */
+  point(row, how) {
+    const picked = this.picked();
+    this.selection.plant(row, this.scene, how);
+    this.growTo(this.selection.growth.proposed);
+    this.remember(picked);
+    this.refresh();
   }
 
   /** Lets what points selected grow to a level of its growth. */
   growTo(level) {
-    const { growth } = this.selection;
+    const { growth, base, flag } = this.selection;
     if (!growth) return;
     this.selection.level = Math.max(0, Math.min(growth.levels.length - 1, level));
     this.state.partOf.forEach((_, row) => {
-      this.selection.set(row, Number(growth.holds(row, this.selection.level) && this.isFree(row)));
+      const isTaken = growth.holds(row, this.selection.level) && this.isFree(row);
+      this.selection.set(row, isTaken ? flag : (base?.[row] ?? 0));
     });
     this.refresh();
   }
@@ -153,22 +211,35 @@ class Editor {
   grow() {
     const { superpoints } = this.scene;
     if (!superpoints || !this.selection.count) return;
+    const picked = this.picked();
     const touched = new Set(this.selection.rows().map((row) => superpoints[row]));
     this.selection.endGrowth();
     superpoints.forEach((superpoint, row) => {
       if (touched.has(superpoint) && this.isFree(row)) this.selection.set(row, 1);
     });
+    this.remember(picked);
     this.refresh();
+  }
+
+  /** Whether `coseg edit` takes a move, or a turn about a point, that is so far off; says so where it does not. */
+  isNear(offset) {
+    const { farthest } = this.scene;
+    if (!farthest || Math.hypot(...offset) <= farthest) return true;
+    this.refresh();
+    this.panel.tell("Not moved: that is more than 100 times the size of the scene.");
+    return false;
   }
 
   /** Shifts an object to an offset from where it was at first. */
   moveTo(object, offset) {
     const shift = minus(offset, this.state.object(object).offset);
-    if (shift.some((v) => v !== 0)) this.push({ op: "move", object, shift });
+    if (shift.some((v) => v !== 0) && this.isNear(shift)) this.push({ op: "move", object, shift });
   }
 
-  /** Raises an object by hundredths of the scene, or lowers it. */
-  raise(object, hundredths) {
+  /** Raises the chosen object by hundredths of the scene, or lowers it. */
+  raise(hundredths) {
+    if (this.chosen.size !== 1 || this.selection.count) return;
+    const [object] = this.chosen;
     const { extent, upright } = this.scene;
     const step = (hundredths / 100) * Math.hypot(...minus(extent.high, extent.low));
     this.moveTo(object, add(this.state.object(object).offset, times(step, upright.direction)));
@@ -177,8 +248,8 @@ class Editor {
   /** Turns an object to an angle from how it was at first. */
   turnTo(object, angle) {
     const degrees = angle - this.state.object(object).degrees;
-    const pivot = add(this.state.middle(object), this.scene.origin);
-    const turn = { axis: this.scene.upright.direction, degrees, pivot };
-    if (degrees) this.push({ op: "move", object, turn, shift: [0, 0, 0] });
+    const middle = this.state.middle(object);
+    const turn = { axis: this.scene.upright.direction, degrees, pivot: add(middle, this.scene.origin) };
+    if (degrees && this.isNear(middle)) this.push({ op: "move", object, turn, shift: [0, 0, 0] });
   }
 }

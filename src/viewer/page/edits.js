@@ -1,6 +1,8 @@
 // What was done, in order: undone and done again, kept in the browser, and saved as edits.json.
 
 const VERSION = 1; // of edits.json, as in src/objects/edits
+const TAKEN = "Another window has edits that are not saved. The browser keeps those, but not these: save these before you leave.";
+const OUTDATED = "Another window has saved edits since. Download these, or take the saved ones instead.";
 
 /** Numbers as runs of successive ones: how many to skip, how many to take, and so on. */
 function runsOf(rows) {
@@ -28,11 +30,17 @@ const packed = (operations) => operations.map((o) => (o.gaussians ? { ...o, gaus
 const unpacked = (operations) => operations.map((o) => (o.gaussians?.runs ? { ...o, gaussians: rowsOf(o.gaussians.runs) } : o));
 
 class Edits {
-  /** `changed` is called after each change. With `kept`, the browser keeps the edits across a reload. */
-  constructor(scene, kept, changed) {
+  /** Calls `edited` of `page` where the scene has changed, and else `refresh`. With `isKept`, edits outlive a reload. */
+  constructor(scene, isKept, page) {
     this.scene = scene;
-    this.changed = changed;
-    this.key = kept && scene.labelled ? `coseg edits ${scene.sha256}` : null;
+    this.page = page;
+    // Another server may have the same port later.
+    const server = scene.blocks ? ` ${location.pathname}` : "";
+    this.key = isKept && scene.labelled ? `coseg edits ${scene.sha256}${server}` : null;
+    /** What this window has kept last, or found, as a text. */
+    this.kept = null;
+    /** How often the server had saved edits when these began. */
+    this.saves = scene.saves;
     this.done = [];
     this.undone = [];
     /** What the last saved file holds. */
@@ -43,6 +51,7 @@ class Edits {
     this.trouble = "";
     this.state = new State(scene);
     this.restore();
+    if (this.key) window.addEventListener("storage", (e) => this.hear(e));
   }
 
   /** Does one more thing. */
@@ -83,9 +92,17 @@ class Edits {
     this.finish();
   }
 
+  /** Gives these edits up for those that another window has saved. */
+  takeSaved() {
+    this.undone = [];
+    this.saves = this.scene.saves;
+    this.startFrom({ done: this.scene.saved, saved: true });
+    this.finish();
+  }
+
   finish() {
     this.keep();
-    this.changed();
+    this.page.edited();
   }
 
   /** What belongs into a file: hiding does not. */
@@ -96,6 +113,11 @@ class Edits {
   get isSaved() {
     const now = this.operations;
     return now.length === this.saved.length && now.every((operation, i) => operation === this.saved[i]);
+  }
+
+  /** Whether another window has saved since these began: the server must not write over that. */
+  get isOutdated() {
+    return this.saves !== this.scene.saves;
   }
 
   /** The content of edits.json. */
@@ -109,21 +131,23 @@ class Edits {
   async save() {
     const { operations } = this;
     this.saving = true;
-    this.changed();
-    const trouble = this.scene.blocks ? await this.send() : this.download();
+    this.page.refresh();
+    const trouble = this.scene.blocks && !this.isOutdated ? await this.send() : this.download();
     this.saving = false;
     if (!trouble) {
       this.saved = operations;
       this.keep();
     }
     this.trouble = trouble || this.trouble;
-    this.changed();
+    this.page.refresh();
   }
 
   /** Why the server has not written them, if so. */
   async send() {
     try {
-      return await saveEdits(this.scene, this.text());
+      const trouble = await saveEdits(this.scene, this.text());
+      if (!trouble) this.saves = this.scene.saves;
+      return trouble;
     } catch {
       this.download();
       return "The server has ended: the browser downloads edits.json instead.";
@@ -137,20 +161,41 @@ class Edits {
     return "";
   }
 
+  /** Whether the browser keeps edits of another window that are not saved. */
+  get isTaken() {
+    const there = localStorage.getItem(this.key);
+    if (there === null || there === this.kept) return false;
+    try {
+      return !JSON.parse(there).saved;
+    } catch {
+      return false;
+    }
+  }
+
   keep() {
     if (!this.key) return;
     try {
       const saved = this.isSaved;
+      const isTaken = this.isTaken;
+      this.trouble = isTaken && !saved ? TAKEN : "";
+      if (isTaken) return;
       // Without edits a page differs from its server, too.
       const isKept = this.done.length || (this.scene.blocks && !saved);
       // An older entry must not stay where there is no room for this one.
       localStorage.removeItem(this.key);
-      if (isKept) localStorage.setItem(this.key, JSON.stringify({ done: packed(this.done), saved }));
-      this.trouble = "";
+      this.kept = isKept ? JSON.stringify({ saved, saves: this.saves, done: packed(this.done) }) : null;
+      if (isKept) localStorage.setItem(this.key, this.kept);
     } catch {
       // Private windows keep nothing, and a page keeps 5 MB at most.
       this.trouble = this.isSaved ? "" : "The browser does not keep these edits: save them before you leave.";
     }
+  }
+
+  /** Another window has kept edits, or dropped them; `key` is null where it has dropped everything. */
+  hear({ key }) {
+    if ((key !== null && key !== this.key) || this.isSaved) return;
+    this.keep();
+    this.page.refresh();
   }
 
   /** Takes up what was kept, or what the server has saved since. What does not fit the scene is dropped. */
@@ -158,12 +203,14 @@ class Edits {
     if (!this.key) return;
     const servers = { done: this.scene.saved ?? [], saved: true };
     try {
-      const kept = JSON.parse(localStorage.getItem(this.key)) ?? { done: [], saved: true };
+      this.kept = localStorage.getItem(this.key);
+      const kept = JSON.parse(this.kept) ?? { done: [], saved: true };
       kept.done = unpacked(kept.done);
       // What is hidden is in no file.
       const hidden = kept.done.filter(({ op }) => op === "view");
       if (kept.saved && this.scene.blocks) this.startFrom({ done: [...servers.done, ...hidden], saved: true });
       else this.startFrom(kept);
+      if (!kept.saved) this.saves = kept.saves;
     } catch {
       this.startFrom(servers);
       this.trouble = "Edits of an earlier visit could not be read.";
@@ -173,7 +220,7 @@ class Edits {
   /** Starts from operations, and from whether the saved file has them. */
   startFrom({ done, saved }) {
     this.state = State.after(this.scene, done);
-    this.done = done;
+    this.done = [...done];
     this.saved = saved ? this.operations : [null];
   }
 }

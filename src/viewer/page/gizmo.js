@@ -111,8 +111,7 @@ class Gizmo {
     const { axis, grip, at } = this.held;
     const way = this.along(e, axis, at) - grip;
     if (!Number.isFinite(way) || way === 0) return;
-    this.held.at = add(at, times(way, axis));
-    this.page.moveHeld(this.held, times(way, axis));
+    if (this.page.moveHeld(this.held, times(way, axis))) this.held.at = add(at, times(way, axis));
   }
 
   release() {

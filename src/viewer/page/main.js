@@ -137,8 +137,9 @@ class Page extends Editor {
     return this.fitted;
   }
 
-  /** The camera has moved, or what it looks at has. */
+  /** The camera has moved, or what it looks at has. A shape is of the picture before: it is given up. */
   changed() {
+    this.tools.cancel();
     this.panel.setView(null);
     this.stale = true;
     this.ask();
@@ -193,6 +194,7 @@ class Page extends Editor {
   }
 
   goTo(i) {
+    this.tools.cancel();
     this.source = new Camera(this.scene.cameras[i]);
     this.fitted = this.source.fitted(...this.room());
     this.panel.setView(i);
@@ -239,12 +241,13 @@ class Page extends Editor {
     return pick(this.scene, this.order, this.state, this.fitted, x, y);
   }
 
-  /** Chooses what is at a point; with Shift too, with Alt no longer. The tool of points selects the thing that is there. */
+  /** Chooses what is at a point; with Shift too, with Alt no longer. The wand selects the thing that is there. */
   clicked(x, y, { shiftKey, altKey }) {
     if (!this.scene.labelled || this.watched) return;
     const picked = this.pickAt(x, y);
     if (this.tools.tool === "points") {
-      if (this.scene.superpoints && picked?.coverage >= COVERED && this.isFree(picked.row)) this.point(picked.row);
+      const isThing = this.scene.superpoints && picked?.coverage >= COVERED && this.isFree(picked.row);
+      if (isThing) this.point(picked.row, this.tools.howOf({ shiftKey, altKey }));
       return;
     }
     const found = picked?.object ?? null;
@@ -252,12 +255,6 @@ class Page extends Editor {
     const isAlone = this.chosen.size === 1 && this.chosen.has(found);
     if (how !== "new") this.choose(found, how);
     else this.choose(isAlone ? null : found);
-  }
-
-  /** What a click or a shape in the middle of the picture does, for keys. */
-  takeMiddle(event) {
-    if (this.tools.isDrawing) this.tools.takeMiddle(event);
-    else this.clicked(this.fitted.width / 2, this.fitted.height / 2, event);
   }
 
   /** Moves the chosen object with the pointer, if it is what is held: along the floor, with shift up and down. */
@@ -277,19 +274,20 @@ class Page extends Editor {
       const screen = ((from[1] - to[1]) * depth) / camera.fy / steep;
       way = add(times(((to[0] - from[0]) * depth) / camera.fx, unit(camera.right)), times(screen, ahead));
     }
-    this.moveHeld(held, way);
-    held.point = add(point, way);
+    if (this.moveHeld(held, way)) held.point = add(point, way);
     return true;
   }
 
-  /** Moves the object that a drag holds. All of a drag is one edit. */
+  /** Moves the object that a drag holds, if it may go that far. All of a drag is one edit. */
   moveHeld(held, way) {
+    if (!this.isNear(held.move ? add(held.move.shift, way) : way)) return false;
     this.stale = true;
     if (!held.move || !this.edits.extend(held.move, way)) {
       held.move = { op: "move", object: held.object, shift: way };
       this.push(held.move);
     }
     this.refresh();
+    return true;
   }
 
   /** A drag has ended. */

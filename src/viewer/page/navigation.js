@@ -7,9 +7,13 @@ const KEYS_OF_MOVES = {
 const KEYS_OF_TURNS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }; // yaw, rise
 const STILL = 4; // pixels that a pointer may move in a click
 const STILL_FINGER = 10; // and a finger in a tap
+const ROLL = 150; // milliseconds between two steps of the same roll of a wheel
 
 /** Whether keys are typed into an element. */
-const takesText = (target) => target.matches?.("select, textarea, input:not([type=checkbox])") ?? false;
+const takesText = (target) => target.matches?.("select, textarea, input:not([type=checkbox], [type=range], [type=color])") ?? false;
+
+/** Whether a key is for the element that has the focus, and not for the page. Sliders take those that move them. */
+const isForField = ({ target, code }) => takesText(target) || (target.type === "range" && /^(Arrow|Home|End|Page)/.test(code));
 
 /** The middle of places. */
 const middleOf = (places) => [0, 1].map((k) => places.reduce((sum, place) => sum + place[k], 0) / places.length);
@@ -156,24 +160,30 @@ class Navigation {
     e.preventDefault();
     // Two fingers that spread on a trackpad come as a wheel with ctrl, in small steps.
     const lines = e.ctrlKey ? e.deltaY / 16 : e.deltaMode === 0 ? e.deltaY / 100 : e.deltaY / 3;
+    // To look what is there takes long in a large scene: a roll goes on towards what it began with.
+    if (!this.isRolling(e.timeStamp)) this.pivot = this.hold(this.place(e));
     this.rolled = e.timeStamp;
-    this.pivot = this.hold(this.place(e));
     this.approach(1 - Math.exp(Math.max(-3, Math.min(3, lines)) * 0.16));
     this.view.changed();
   }
 
   key(e, down) {
     if (!down) this.keys.delete(e.code);
-    if (!down || e.ctrlKey || e.metaKey || e.altKey || takesText(e.target)) return;
-    if (!(e.code in KEYS_OF_MOVES) && !(e.code in KEYS_OF_TURNS)) return;
+    if (!down || e.ctrlKey || e.metaKey || e.altKey || isForField(e)) return;
+    const isTurn = e.code in KEYS_OF_TURNS && !this.view.tools.takesArrows(e.target);
+    if (!(e.code in KEYS_OF_MOVES) && !isTurn) return;
     e.preventDefault();
     this.keys.add(e.code);
     this.view.changed();
   }
 
+  isRolling(now) {
+    return now - (this.rolled ?? -Infinity) < ROLL;
+  }
+
   /** Whether the picture is about to change again. */
   isMoving(now) {
-    return (this.pointers.size > 0 && this.moved && !this.drawing) || now - (this.rolled ?? -Infinity) < 150;
+    return (this.pointers.size > 0 && this.moved && !this.drawing) || this.isRolling(now);
   }
 
   /** Moves for `seconds` by the keys that are held; returns whether any are. */

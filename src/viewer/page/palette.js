@@ -1,8 +1,10 @@
-// Colours for new objects: far from those in use, and from those that stand for something else.
+// Colours for new objects: unlike those beside them, and then far from all, and from those that stand for something else.
 
 const LEVELS = 11; // of each channel of the colours to choose from
-/** Black, white, grey, and unlabelled pixels, with how far off all others stay, as in palette.rs. */
-const RESERVED = [[[0, 0, 0], 0.3], [[255, 255, 255], 0.12], [[128, 128, 128], 0.1], [[38, 38, 42], 0.12]];
+const APART = 0.2; // at which colours are told apart at a glance, as in coloring.rs
+const UNLABELLED = [38, 38, 42];
+/** Backgrounds, and unlabelled pixels, with how far off all others stay, as in palette.rs. */
+const RESERVED = [[[0, 0, 0], 0.3], [[255, 255, 255], 0.12], [[128, 128, 128], 0.1], [UNLABELLED, 0.12]];
 
 /** 8-bit sRGB to OKLab (B. Ottosson, 2020). */
 function oklab(color) {
@@ -17,18 +19,19 @@ function oklab(color) {
   ];
 }
 
-/** The colour that is farthest from all of `used`. */
-function freshColor(used) {
+/** The colour that differs from those of `near`, and then is farthest from all of `used`. */
+function freshColor(used, near) {
   const reserved = RESERVED.map(([color, apart]) => [oklab(color), apart]);
-  const taken = [...reserved.map(([lab]) => lab), ...used.map(oklab)];
-  let best = { color: null, apart: -1 };
+  const [beside, taken] = [near.map(oklab), [...reserved.map(([lab]) => lab), ...used.map(oklab)]];
+  const least = (lab, others) => others.reduce((least, other) => Math.min(least, Math.hypot(...minus(lab, other))), Infinity);
+  let best = { color: null, apart: -1, all: -1 };
   for (let i = 0; i < LEVELS ** 3; i++) {
     const steps = [Math.floor(i / LEVELS ** 2), Math.floor(i / LEVELS) % LEVELS, i % LEVELS];
     const color = steps.map((step) => Math.floor((step * 255) / (LEVELS - 1)));
     const lab = oklab(color);
     if (reserved.some(([other, apart]) => Math.hypot(...minus(lab, other)) < apart)) continue;
-    const apart = taken.reduce((least, other) => Math.min(least, Math.hypot(...minus(lab, other))), Infinity);
-    if (apart > best.apart) best = { color, apart };
+    const [apart, all] = [Math.min(APART, least(lab, beside)), least(lab, taken)];
+    if (apart > best.apart || (apart === best.apart && all > best.all)) best = { color, apart, all };
   }
   return best.color;
 }

@@ -8,6 +8,7 @@ function element(tag, properties = {}, ...children) {
 }
 
 const SETTLED = 300; // milliseconds after which what is chosen is spoken
+const TOLD = 6000; // milliseconds that a line stays over the picture
 
 class Panel {
   constructor(page) {
@@ -17,7 +18,7 @@ class Panel {
     at("title").textContent = scene.title;
     document.title = `${scene.title} – coseg`;
     this.count = at("lead");
-    [this.notice, this.spoken, this.words] = [at("notice"), at("spoken"), NOTHING];
+    [this.notice, this.spoken, this.words, this.told] = [at("notice"), at("spoken"), NOTHING, ""];
     this.setReceived(scene.blocks ? 0 : scene.gaussians);
     at("then").textContent = scene.blocks ? "Then:" : "Then, beside edits.json:";
     this.list = new ObjectList(page);
@@ -28,7 +29,7 @@ class Panel {
     at("copy").onclick = () => this.copy(at("copy"));
     at("all").onclick = () => page.showOnly(null);
     this.saves.onclick = () => page.edits.save();
-    this.drops.onclick = () => page.edits.discard();
+    this.drops.onclick = () => (page.edits.isOutdated ? page.edits.takeSaved() : page.edits.discard());
     at("background").onclick = () => page.nextBackground();
     for (const button of document.querySelectorAll("[data-mode]")) button.onclick = () => page.setMode(button.dataset.mode);
     this.views(at("views"));
@@ -59,11 +60,23 @@ class Panel {
     this.note();
   }
 
+  /** Says over the picture why something was not done, for a while. */
+  tell(words) {
+    this.told = words;
+    this.note();
+    this.speak(words);
+    clearTimeout(this.telling);
+    this.telling = setTimeout(() => {
+      this.told = "";
+      this.note();
+    }, TOLD);
+  }
+
   /** Says over the picture what it does not show: Gaussians that are still to come, or the object that is to be moved. */
   note() {
     const { chosen, state, gizmo } = this.page;
     const lost = gizmo.isLost ? `${called(state.object([...chosen][0]))} is out of view: turn towards it to move it.` : "";
-    const text = this.missing || lost;
+    const text = this.told || this.missing || lost;
     if (this.notice.textContent !== text) this.notice.textContent = text;
   }
 
@@ -117,15 +130,19 @@ class Panel {
 
   showEdits() {
     const { edits, scene } = this.page;
-    const { length } = edits.operations;
+    const { isOutdated, operations: { length } } = edits;
     // The file of a server changes also where all edits were undone.
-    const isBehind = scene.blocks > 0 && !edits.isSaved;
-    this.box.hidden = !edits.done.length && !edits.trouble && !isBehind;
+    const differs = scene.blocks > 0 && !edits.isSaved;
+    this.box.hidden = !edits.done.length && !edits.trouble && !differs && !isOutdated;
     const count = `${length} edit${length === 1 ? "" : "s"}`;
     const summary = edits.isSaved ? `${count}, saved` : `${count}, not saved`;
-    this.summary.textContent = edits.trouble || (length || isBehind ? summary : "Only hidden: nothing to save");
-    this.saves.disabled = edits.saving || !(length || isBehind);
-    this.drops.disabled = !edits.done.length;
+    const words = edits.trouble || (length || differs ? summary : "Only hidden: nothing to save");
+    this.summary.textContent = isOutdated ? OUTDATED : words;
+    this.saves.textContent = isOutdated ? "Download edits" : "Save edits";
+    this.saves.disabled = edits.saving || !(length || differs);
+    this.drops.textContent = isOutdated ? "Take saved edits" : "Discard edits";
+    this.drops.title = isOutdated ? "these edits are dropped for good" : "undo everything; Redo brings it back";
+    this.drops.disabled = !edits.done.length && !isOutdated;
     const line = editCommand(scene, edits);
     this.command.parentElement.hidden = !line;
     this.command.textContent = line;

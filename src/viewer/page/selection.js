@@ -8,6 +8,9 @@ class Selection {
     this.seeds = [];
     this.growth = null;
     this.level = 0;
+    /** What was selected when it began to grow, if that stays, and whether growth adds to it (1) or takes from it (0). */
+    this.base = null;
+    this.flag = 1;
   }
 
   set(row, flag) {
@@ -21,15 +24,34 @@ class Selection {
     this.endGrowth();
   }
 
-  /** What `Object.assign` takes back. */
+  /** What `restore` takes back. Runs, as flags of a large scene are too many to keep often. */
   copy() {
-    return { ...this, flags: this.flags.slice() };
+    const { seeds, growth, level, base, flag } = this;
+    return { runs: runsOf(this.rows()), growing: { seeds, growth, level, base, flag } };
+  }
+
+  restore({ runs, growing }) {
+    this.clear();
+    for (const row of rowsOf(runs)) this.set(row, 1);
+    Object.assign(this, growing);
+  }
+
+  /** Grows from one more point by "new", unless nothing grows; else anew, from what is selected. */
+  plant(row, scene, how) {
+    const seeds = how === "new" ? [...this.seeds, row] : [row];
+    if (how !== "new" || !this.growth) {
+      this.base = how === "new" ? null : this.flags.slice();
+      this.flag = how === "subtract" ? 0 : 1;
+    }
+    this.seeds = seeds;
+    this.growth = new Growth(scene, seeds);
   }
 
   /** What is selected stays; the next point begins anew. */
   endGrowth() {
     this.seeds = [];
     this.growth = null;
+    this.base = null;
   }
 
   /** Drops Gaussians that are deleted. */

@@ -15,7 +15,8 @@ const savedEdits = async () => (await answered("edits")).json();
 /** Has the server write the text of edits; why it has not, if so. Throws where there is no server any more. */
 async function saveEdits(scene, text) {
   const answer = await fetch(`edits/${scene.saves}`, { method: "POST", body: text });
-  if (!answer.ok) return `Not saved: ${await answer.text()}`;
-  scene.saves = Number(await answer.text());
-  return "";
+  const said = await answer.text();
+  // Another window may have saved.
+  Object.assign(scene, answer.ok ? { saves: Number(said) } : await savedEdits());
+  return answer.ok ? "" : `Not saved: ${said}`;
 }

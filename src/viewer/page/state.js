@@ -2,6 +2,7 @@
 
 const UNMOVED = { rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], shift: [0, 0, 0] };
 const DELETED = 0; // the part of deleted Gaussians
+const CLOSE = 0.02; // of the scene's size: objects that are as close lie side by side
 const CLIPPED = 0.01; // share of Gaussians beyond a box on each side, as in inventory.rs
 
 /** Points go to rotation (x - pivot) + pivot + shift. */
@@ -33,7 +34,7 @@ class State {
     }
     for (const { id, name, color } of scene.absent) this.objects.set(id, this.entry(id, name, color));
     const { ignore, labelled } = scene;
-    if (labelled && !this.objects.has(ignore)) this.objects.set(ignore, this.entry(ignore, "unlabelled", [0, 0, 0]));
+    if (labelled && !this.objects.has(ignore)) this.objects.set(ignore, this.entry(ignore, "unlabelled", UNLABELLED));
   }
 
   entry(id, name, color) {
@@ -132,15 +133,37 @@ class State {
     return object.box;
   }
 
-  boxAround(id) {
+  /** Where a Gaussian is. */
+  place(row) {
     const { geometry } = this.scene;
+    const { pose } = this.parts[this.partOf[row]];
+    const mean = [0, 1, 2].map((k) => geometry[FLOATS * row + k]);
+    return pose === UNMOVED ? mean : add(apply(pose.rotation, mean), pose.shift);
+  }
+
+  /** Objects that have some of these Gaussians, or others that lie among them or close by. */
+  objectsNear(rows) {
+    const { low, high } = this.scene.extent;
+    const places = rows.map((row) => this.place(row));
+    const edge = (most) => [0, 1, 2].map((k) => places.reduce((edge, place) => most(edge, place[k]), places[0][k]));
+    const [least, greatest] = [edge(Math.min), edge(Math.max)];
+    const margin = CLOSE * Math.hypot(...minus(high, low));
+    const found = new Set();
+    for (let row = 0; row < this.partOf.length; row++) {
+      const id = this.objectOf(row);
+      if (id === null || found.has(id)) continue;
+      const place = this.place(row);
+      if (place.every((v, k) => v >= least[k] - margin && v <= greatest[k] + margin)) found.add(id);
+    }
+    return [...found].map((id) => this.object(id));
+  }
+
+  boxAround(id) {
     const along = [0, 1, 2].map(() => new Float32Array(this.object(id).count));
     let count = 0;
     for (let i = 0; i < this.partOf.length && count < along[0].length; i++) {
-      const { object, pose } = this.parts[this.partOf[i]];
-      if (object !== id) continue;
-      const at = FLOATS * i;
-      const place = add(apply(pose.rotation, [geometry[at], geometry[at + 1], geometry[at + 2]]), pose.shift);
+      if (this.objectOf(i) !== id) continue;
+      const place = this.place(i);
       along.forEach((values, k) => (values[count] = place[k]));
       count++;
     }

@@ -14,8 +14,8 @@ class Toolbar {
       };
     }
     [this.undo, this.redo] = [at("undo"), at("redo")];
-    this.undo.onclick = () => page.edits.undo();
-    this.redo.onclick = () => page.edits.redo();
+    this.undo.onclick = () => page.undo();
+    this.redo.onclick = () => page.redo();
     [this.options, this.radius, this.depth, this.depthText] = [at("options"), at("radius"), at("depth"), at("depth-text")];
     this.radius.oninput = () => {
       page.tools.radius = Number(this.radius.value);
@@ -33,11 +33,11 @@ class Toolbar {
   }
 
   update() {
-    const { tools, edits, selection } = this.page;
+    const { tools, edits, selection, earlier, later } = this.page;
     for (const button of this.buttons) button.setAttribute("aria-pressed", String(button.dataset.tool === tools.tool));
     for (const button of this.ways) button.setAttribute("aria-pressed", String(button.dataset.how === tools.how));
-    this.undo.disabled = !edits.done.length;
-    this.redo.disabled = !edits.undone.length;
+    this.undo.disabled = !edits.done.length && !earlier.length;
+    this.redo.disabled = !edits.undone.length && !later.length;
     this.options.hidden = tools.tool === "objects";
     const { growth, level } = selection;
     this.ask.hidden = tools.isDrawing || growth !== null;
@@ -49,7 +49,6 @@ class Toolbar {
       this.reachText.textContent = `${level + 1} of ${growth.levels.length}`;
       this.reach.setAttribute("aria-valuetext", `${this.reachText.textContent}, ${selection.count} Gaussians`);
     }
-    this.how.hidden = !tools.isDrawing;
     this.depth.parentElement.hidden = !tools.isDrawing;
     this.radius.parentElement.hidden = tools.tool !== "brush";
     this.radius.value = tools.radius;

@@ -1,8 +1,10 @@
-// What clicks and drags do. Brush, lasso and box select Gaussians of the surface that the picture shows.
+// What clicks and drags do. Brush, lasso and box select Gaussians of the surface that the picture shows. With keys, arrows move a
+// crosshair, and Enter is the pointer's button.
 
 const DRAWING = ["brush", "lasso", "box"]; // the others leave drags to the camera: "objects" and "points"
 const RADII = [4, 200]; // pixels of the brush
 const NO_LIMIT = 100; // of the depth slider
+const STRIDE = 8; // pixels that an arrow key moves the crosshair by; with Shift one
 
 /** Sets attributes of an element. */
 function setAll(part, values) {
@@ -27,6 +29,8 @@ class Tools {
     this.slider = 33;
     this.overlay = document.getElementById("overlay");
     this.shape = null;
+    /** Where the crosshair is; null where a pointer is used. */
+    this.aim = null;
     page.canvas.addEventListener("pointerleave", () => this.shape || this.clear());
   }
 
@@ -44,13 +48,14 @@ class Tools {
 
   choose(tool) {
     this.cancel();
+    this.aim = null;
     this.tool = tool;
     document.body.classList.toggle("aiming", tool !== "objects");
     this.page.refresh();
   }
 
   /** A larger brush, or a thing that grows by a level; or smaller. */
-  step(by) {
+  scale(by) {
     if (this.tool === "points") this.page.growTo(this.page.selection.level + by);
     else this.resize(1.25 ** by);
   }
@@ -60,11 +65,18 @@ class Tools {
     this.page.refresh();
   }
 
+  /** What a shape or a click does, with Shift or Alt. */
+  howOf({ shiftKey, altKey }) {
+    return altKey ? "subtract" : shiftKey ? "add" : this.how;
+  }
+
   /** Begins a shape; without modifiers it replaces what is selected. */
-  begin(at, { shiftKey, altKey }) {
-    const how = altKey ? "subtract" : shiftKey ? "add" : this.how;
+  begin(at, event) {
+    this.cancel();
+    this.aim = null;
+    const how = this.howOf(event);
     const { selection } = this.page;
-    this.before = selection.copy();
+    this.before = this.page.picked();
     if (how === "new") selection.clear();
     selection.endGrowth();
     this.flag = how === "subtract" ? 0 : 1;
@@ -91,13 +103,14 @@ class Tools {
 
   /** Takes a shape back: what was selected before it is selected again. */
   takeBack() {
-    if (this.shape) Object.assign(this.page.selection, this.before);
+    if (this.shape) this.page.selection.restore(this.before);
     this.cancel();
     this.page.selected();
   }
 
   /** Gives a shape up. What a brush has taken stays. */
   cancel() {
+    if (this.shape) this.page.remember(this.before);
     this.shape = null;
     this.found = null;
     this.before = null;
@@ -119,19 +132,50 @@ class Tools {
     for (const { row, x, y } of this.found) if (isInside([x, y])) this.page.selection.set(row, this.flag);
   }
 
-  /** Without a pointer: what is under the brush in the middle of the picture. */
-  takeMiddle(event) {
+  /** Whether arrow keys are for the crosshair. */
+  takesArrows(target) {
+    return this.tool !== "objects" && target === this.page.canvas;
+  }
+
+  get middle() {
     const { width, height } = this.page.fitted;
-    const middle = [width / 2, height / 2];
-    this.begin(middle, event);
-    this.brush(middle, middle);
-    this.cancel();
-    this.hover(middle);
-    this.page.selected();
+    return [width / 2, height / 2];
+  }
+
+  /** Moves the crosshair by so many strides, and with it the end of a shape. */
+  step([left, up], { shiftKey }) {
+    const stride = shiftKey ? 1 : STRIDE;
+    const { width, height } = this.page.fitted;
+    const [x, y] = this.aim ?? this.middle;
+    this.aim = [Math.max(0, Math.min(width, x - stride * left)), Math.max(0, Math.min(height, y - stride * up))];
+    // What was its end goes along.
+    if (this.shape && this.tool === "lasso") this.shape.pop();
+    if (this.shape) this.drag(this.aim);
+    else this.draw(this.aim);
+  }
+
+  /** Clicks at the crosshair, or else in the middle; begins a shape there, sets a corner of a lasso, or ends the shape. */
+  press(event) {
+    const at = this.aim ?? this.middle;
+    if (!this.isDrawing) {
+      this.page.clicked(...at, event);
+      return;
+    }
+    if (!this.shape) {
+      this.begin(at, event);
+      this.shape.push(at);
+    } else if (this.tool === "lasso" && String(at) !== String(this.shape.at(-2))) this.shape.push(at);
+    else this.end();
+    this.aim = at;
+    this.draw(at);
   }
 
   /** Shows the brush at the pointer. */
   hover(at) {
+    // A shape that keys draw goes on.
+    if (this.shape) return;
+    if (this.aim) this.clear();
+    this.aim = null;
     if (this.tool === "brush") this.draw(at);
   }
 
@@ -140,6 +184,7 @@ class Tools {
     if (this.tool === "brush") marks.push(["circle", { cx: x, cy: y, r: this.radius }]);
     const corners = this.shape && this.corners();
     if (corners) marks.push(["polygon", { points: corners.map((corner) => corner.join(",")).join(" ") }]);
+    if (this.aim) marks.push(["path", { d: `M${x - 9} ${y}h18M${x} ${y - 9}v18` }]);
     this.overlay.replaceChildren(...marks.map(([kind, values]) => drawn(kind, values)));
   }
 

@@ -29,6 +29,9 @@ pub struct Tab {
     _folder: TempDir,
 }
 
+/// Another window of a tab's profile.
+pub struct Window(Option<String>);
+
 impl Tab {
     /// A tab of this size with the viewer at `path`.
     pub fn open(browser: &str, path: &Path, size: [u32; 2]) -> Self {
@@ -44,7 +47,7 @@ impl Tab {
     }
 
     /// A tab of this size with the page at `url`.
-    pub fn visit(browser: &str, url: &str, [width, height]: [u32; 2]) -> Self {
+    pub fn visit(browser: &str, url: &str, size: [u32; 2]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let pipe = |name: &str| folder.path().join(name);
         let (commands, answers) = (pipe("commands"), pipe("answers"));
@@ -78,16 +81,34 @@ impl Tab {
         };
         let targets = tab.send("Target.getTargets", json!({}));
         let mut targets = targets["targetInfos"].as_array().unwrap().iter();
-        let page = targets.find(|t| t["type"] == "page").unwrap()["targetId"].clone();
-        let attach = json!({"targetId": page, "flatten": true});
-        let session = tab.send("Target.attachToTarget", attach)["sessionId"].clone();
-        tab.session = session.as_str().map(str::to_owned);
-        tab.send("Page.enable", json!({}));
-        tab.send("Runtime.enable", json!({}));
-        tab.resize([width, height], false);
-        tab.send("Page.navigate", json!({"url": url}));
-        tab.wait_for("Page.loadEventFired");
+        let page = &targets.find(|t| t["type"] == "page").unwrap()["targetId"];
+        tab.turn_to(page, url, size);
         tab
+    }
+
+    /// Turns to another window of the same profile, with the viewer at `url`. [`Tab::swap`] turns back to the window that this returns.
+    pub fn window(&mut self, url: &str, size: [u32; 2]) -> Window {
+        let first = Window(self.session.take());
+        let made = self.send("Target.createTarget", json!({"url": "about:blank"}));
+        self.turn_to(&made["targetId"], url, size);
+        self.expect_ready();
+        first
+    }
+
+    /// Turns to the window `other`, which becomes the one that was turned to before.
+    pub fn swap(&mut self, other: &mut Window) {
+        std::mem::swap(&mut self.session, &mut other.0);
+    }
+
+    fn turn_to(&mut self, target: &Value, url: &str, size: [u32; 2]) {
+        let attach = json!({"targetId": target, "flatten": true});
+        let session = self.send("Target.attachToTarget", attach)["sessionId"].clone();
+        self.session = session.as_str().map(str::to_owned);
+        self.send("Page.enable", json!({}));
+        self.send("Runtime.enable", json!({}));
+        self.resize(size, false);
+        self.send("Page.navigate", json!({"url": url}));
+        self.wait_for("Page.loadEventFired");
     }
 
     /// Gives the page this size; a phone has a finger instead of a mouse.
@@ -307,6 +328,9 @@ fn key_event(kind: &str, code: &str, modifiers: u32) -> Value {
         "Tab" => 9,
         "Space" => 32,
         "Escape" => 27,
+        "ArrowLeft" => 37,
+        "ArrowUp" => 38,
+        "ArrowRight" => 39,
         "ArrowDown" => 40,
         _ => u32::from(key.to_uppercase().as_bytes()[0]),
     };

@@ -192,6 +192,34 @@ fn edits_outlive_a_reload_and_leaving_asks_while_they_are_not_saved() {
 }
 
 #[test]
+fn two_windows_keep_what_is_not_saved_of_one_and_warn_in_the_other() {
+    let Some((dir, mut tab)) = opened() else {
+        return;
+    };
+    let page = dir.path().join("page.html").canonicalize().unwrap();
+    let names = "[1, 2].map((id) => page.state.object(id).name)";
+    let summary = "document.getElementById('summary').textContent";
+    let mut first = tab.window(&format!("file://{}", page.display()), [1000, 700]);
+    tab.swap(&mut first);
+    tab.value("page.rename(1, 'mat')");
+    tab.swap(&mut first);
+    tab.until("localStorage.length === 1");
+    tab.value("page.rename(2, 'rug')");
+    let warning = tab.text(summary);
+    assert!(warning.starts_with("Another window has edits"), "{warning}");
+    tab.swap(&mut first);
+    tab.reload();
+    assert_eq!(tab.value(names), json!(["mat", "green"]));
+
+    // As soon as those are saved, the others are kept.
+    tab.value("page.edits.download = () => ''; page.edits.save()");
+    tab.swap(&mut first);
+    tab.until(&format!("{summary} === '1 edit, not saved'"));
+    tab.reload();
+    assert_eq!(tab.value(names), json!(["red", "rug"]));
+}
+
+#[test]
 fn a_large_selection_fits_what_the_browser_keeps() {
     let Some((_dir, mut tab)) = opened() else {
         return;
@@ -313,6 +341,29 @@ fn a_key_during_a_drag_shifts_no_other_move() {
         json!([0.25, 0, 0])
     );
     assert_ne!(tab.value("page.state.object(2).offset"), json!([0, 0, 0]));
+}
+
+#[test]
+fn no_object_moves_farther_than_the_command_takes() {
+    let Some((dir, mut tab)) = opened() else {
+        return;
+    };
+    let done = "page.edits.done.length";
+    let notice = "document.getElementById('notice').textContent";
+    tab.value("page.choose(2); page.details.shift[0].select()");
+    tab.type_text("1e9");
+    tab.key("Enter", 0);
+    assert_eq!(tab.value(done), 0);
+    assert_eq!(tab.text("page.details.shift[0].value"), "0");
+    assert!(tab.text(notice).starts_with("Not moved"));
+    tab.value("page.moveHeld({ object: 2 }, [0, 1e9, 0])");
+    assert_eq!(tab.value(done), 0);
+    tab.value("page.moveTo(2, [(1 - 1e-12) * page.scene.farthest, 0, 0])");
+    assert_eq!(tab.value(done), 1);
+    // So far off it does not turn either.
+    tab.value("page.turnTo(2, 30)");
+    assert_eq!(tab.value(done), 1);
+    assert_applied(&mut tab, dir.path());
 }
 
 #[test]

@@ -154,3 +154,48 @@ fn a_selection_grows_to_the_superpoints_that_it_touches() {
     assert!(want.len() > 1);
     assert_eq!(tab.value("page.selection.rows()"), json!(want));
 }
+
+#[test]
+fn a_new_object_does_not_look_like_what_lies_beside_it() {
+    let Some((_dir, mut tab)) = opened() else {
+        return;
+    };
+    // All colours are in use but those like red: one of these would be farthest from all.
+    tab.value(
+        "(() => { const steps = [0, 1, 2, 3, 4].map((k) => 63 * k); let id = 100; \
+         for (const r of steps) for (const g of steps) for (const b of steps) if (Math.hypot(r - 230, g - 30, b - 30) > 90) \
+         page.state.objects.set(id, { ...page.state.object(4), id: id++, color: [r, g, b] }); })()",
+    );
+    tab.value("page.recolor(1, [230, 30, 30]); page.selection.set(0, 1); page.split()");
+    let color: [f64; 3] =
+        serde_json::from_value(tab.value("page.state.object([...page.chosen][0]).color")).unwrap();
+    let square: f64 = (color.iter().zip([230.0, 30.0, 30.0]))
+        .map(|(a, b)| (a - b).powi(2))
+        .sum();
+    assert!(square > 100.0 * 100.0, "{color:?}");
+    assert_ne!(color, [0.0; 3]);
+}
+
+#[test]
+fn a_stroke_does_not_take_what_is_deleted_during_it() {
+    let Some((dir, mut tab)) = opened() else {
+        return;
+    };
+    let row = [-1.2, -1.05, -0.6].map(|x| spot(&mut tab, [x, 0.0, 0.1]));
+    tab.key("KeyP", 0);
+    tab.value("page.tools.radius = 6");
+    tab.hover(row[0]);
+    tab.press(row[0]);
+    tab.pull(row[1]);
+    assert_eq!(selected(&mut tab), json!([2, "red"]));
+    tab.key("Delete", 0);
+    tab.pull(row[0]);
+    tab.pull(row[2]);
+    tab.release(row[2]);
+    assert_eq!(selected(&mut tab), json!([0, ""]));
+    // What is left is taken by the next stroke, and can be given away.
+    tab.drag(&[row[0], row[2]], 0);
+    assert_eq!(selected(&mut tab), json!([3, "red"]));
+    tab.value("page.putInto(3)");
+    assert_applied(&mut tab, dir.path());
+}

@@ -1,10 +1,14 @@
 //! Tests of `coseg::viewer`.
 
+#[cfg(unix)]
+pub mod controls;
 pub mod drawing;
 #[cfg(unix)]
 pub mod edit_history;
 #[cfg(unix)]
 pub mod gizmo;
+#[cfg(unix)]
+pub mod keys;
 #[cfg(unix)]
 pub mod mends;
 pub mod page;
@@ -14,6 +18,8 @@ pub mod panel;
 pub mod points;
 #[cfg(unix)]
 pub mod room;
+#[cfg(unix)]
+pub mod selections;
 #[cfg(all(unix, feature = "serve"))]
 pub mod served;
 #[cfg(unix)]

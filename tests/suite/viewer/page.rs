@@ -188,6 +188,8 @@ fn the_page_carries_the_scene_to_the_eye_exactly() {
     }
     let names: Vec<_> = objects.iter().map(|o| o["name"].as_str()).collect();
     assert_eq!(names, [Some("void"), Some("wall"), Some("chair")]);
+    // As in the report, and not black as the background.
+    assert_eq!(objects[0]["color"], serde_json::json!([38, 38, 42]));
     assert_eq!(objects[1]["gaussians"], 667);
     assert_eq!(header["cameras"][0]["split"], "test");
     let eye: Vec<f64> = header["cameras"][0]["center"]

@@ -71,8 +71,8 @@ fn clicks_give_a_scene_its_first_labels() {
     tab.drag(&[red], 0);
     assert_eq!(selected(&mut tab), json!([25, "unlabelled"]));
     assert_eq!(
-        tab.value("[...document.querySelectorAll('#options > :not([hidden])')].length"),
-        1
+        tab.value("[...document.querySelectorAll('#options > :not([hidden])')].map((e) => e.id || e.control.id)"),
+        json!(["reach", "how"])
     );
     tab.key("KeyN", 0);
     tab.type_text("plate");

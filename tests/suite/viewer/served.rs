@@ -212,6 +212,50 @@ fn edits_are_saved_and_the_page_starts_from_them() {
 }
 
 #[test]
+fn what_another_window_has_saved_is_not_written_over() {
+    let Some(browser) = browser() else { return };
+    let plates = Plates::new();
+    let dir = tempfile::tempdir().unwrap();
+    let edits = dir.path().join("edits.json");
+    let save = "document.getElementById('save').click()";
+    let outdated =
+        "document.getElementById('summary').textContent.startsWith('Another window has saved')";
+    plates.served(&edits, |address| {
+        let mut tab = Tab::visit(&browser, address, [1000, 700]);
+        tab.until("document.body.dataset.ready === 'yes'");
+        let mut first = tab.window(address, [1000, 700]);
+        tab.value("page.rename(2, 'rug')");
+        tab.value(save);
+        tab.until("page.edits.isSaved");
+        tab.swap(&mut first);
+        tab.value("page.rename(1, 'mat')");
+        tab.value(save);
+        tab.until(outdated);
+        // A page that is loaded again knows of the other's edits, but does not have them.
+        tab.reload();
+        assert_eq!(tab.text("page.state.object(1).name"), "mat");
+        assert_eq!(tab.value(outdated), true);
+        tab.value(
+            "page.edits.download = () => { page.downloaded = page.edits.text(); return ''; }",
+        );
+        tab.value(save);
+        let text = tab.text("page.downloaded");
+        assert!(text.contains("mat") && !text.contains("rug"), "{text}");
+        let saved = std::fs::read_to_string(&edits).unwrap();
+        assert!(saved.contains("rug") && !saved.contains("mat"), "{saved}");
+
+        tab.value("document.getElementById('discard').click()");
+        let names = "[1, 2].map((id) => page.state.object(id).name)";
+        assert_eq!(tab.value(names), json!(["red", "rug"]));
+        assert_eq!(tab.value(outdated), false);
+        tab.value("page.rename(1, 'cat')");
+        tab.value(save);
+        tab.until("page.edits.isSaved");
+    });
+    assert_eq!(Edits::read(&edits).unwrap().operations.len(), 2);
+}
+
+#[test]
 fn only_edits_of_the_scene_are_saved() {
     let plates = Plates::new();
     let dir = tempfile::tempdir().unwrap();
