@@ -100,9 +100,7 @@ fn stage_two(
     let scores = ImageScores::default();
     let scene = &bench.scene;
     let device = &bench.device;
-    let Some(lifted) = lift(gaussians, scene, scores, &config, device, &mut clock)? else {
-        return Ok(());
-    };
+    let lifted = lift(gaussians, scene, scores, &config, device, &mut clock)?;
     let [features, unprojection] = lifted.seconds;
     let inputs = SegmentationInputs {
         lifted: lifted.features,

@@ -165,8 +165,10 @@ impl Work<'_> {
                     viewing.advance(1)
                 });
                 // The first error; photos that were in work then come after it.
-                result = result.and(advanced);
-                stop.fetch_or(result.is_err(), Ordering::Relaxed);
+                if result.is_ok() {
+                    stop.store(advanced.is_err(), Ordering::Relaxed);
+                    result = advanced;
+                }
             }
         });
         result?;
