@@ -174,6 +174,9 @@ fn strangers_learn_and_change_nothing() {
     let origin = "Origin: http://evil.example\r\nContent-Length: 0\r\n";
     let stop = format!("{}stop", client.root);
     assert_eq!(client.ask("POST", &stop, &client.host, origin).0, 403);
+    let stop = format!("{wrong}stop");
+    let length = "Content-Length: 0\r\n";
+    assert_eq!(client.ask("POST", &stop, &client.host, length).0, 404);
     assert!(!watch.stop());
     assert!(!watch.wants_gaussians(), "none of them counts as a visit");
 }
