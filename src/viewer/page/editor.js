@@ -25,7 +25,7 @@ class Editor {
 
   /** Objects that are gone are no longer chosen, nor deleted Gaussians selected. A shape may have found those: it is given up. */
   edited() {
-    this.tools.cancel();
+    if (this.tools.shape) this.tools.cancel();
     this.earlier = [];
     this.later = [];
     for (const id of this.chosen) if (!this.state.objects.get(id)?.count) this.chosen.delete(id);

@@ -139,7 +139,7 @@ class Page extends Editor {
 
   /** The camera has moved, or what it looks at has. A shape is of the picture before: it is given up. */
   changed() {
-    this.tools.cancel();
+    if (this.tools.shape) this.tools.cancel();
     this.panel.setView(null);
     this.stale = true;
     this.ask();
@@ -194,7 +194,7 @@ class Page extends Editor {
   }
 
   goTo(i) {
-    this.tools.cancel();
+    if (this.tools.shape) this.tools.cancel();
     this.source = new Camera(this.scene.cameras[i]);
     this.fitted = this.source.fitted(...this.room());
     this.panel.setView(i);

@@ -169,7 +169,9 @@ fn a_new_object_does_not_look_like_what_lies_beside_it() {
     tab.value("page.recolor(1, [230, 30, 30]); page.selection.set(0, 1); page.split()");
     let color: [f64; 3] =
         serde_json::from_value(tab.value("page.state.object([...page.chosen][0]).color")).unwrap();
-    let square: f64 = (color.iter().zip([230.0, 30.0, 30.0]))
+    let square: f64 = color
+        .iter()
+        .zip([230.0, 30.0, 30.0])
         .map(|(a, b)| (a - b).powi(2))
         .sum();
     assert!(square > 100.0 * 100.0, "{color:?}");
