@@ -5,6 +5,7 @@ use super::{FeatureMap, SCALES};
 use crate::error::{Result, ensure, invalid};
 use crate::files::{self, extension};
 use crate::weights::floats;
+use ndarray::{ArrayView3, ShapeBuilder};
 use npyz::{DType, Endianness, NpyFile, Order, TypeChar};
 use safetensors::{Dtype, SafeTensors};
 use std::path::{Path, PathBuf};
@@ -97,11 +98,8 @@ fn read_npy(path: &Path) -> Result<FeatureMap> {
     let data = match order {
         Order::C => values,
         Order::Fortran => {
-            let cells = (0..height).flat_map(|y| (0..width).map(move |x| (y, x)));
-            cells
-                .flat_map(|(y, x)| (0..channels).map(move |c| (c * width + x) * height + y))
-                .map(|place| values[place])
-                .collect()
+            let map = ArrayView3::from_shape((height, width, channels).f(), &values);
+            map.map_or_else(|_| Vec::new(), |map| map.iter().copied().collect())
         }
     };
     checked(path, "data", [height, width, channels], data)

@@ -36,8 +36,8 @@ pub struct JoinedObjects {
     pub joined: usize,
 }
 
-/// An object of a block.
-type Of = (usize, u16);
+/// An object of a block: the number of the block, and the id there.
+type BlockObject = (usize, u16);
 
 /// Joins the objects of `blocks`. `shared` has pairs of blocks, and of each the Gaussians in the region that both were trained on.
 ///
@@ -54,8 +54,8 @@ pub fn join_objects(
         let entries = of.classes.entries.iter();
         entries.map(move |class| ((block, class.id), class))
     });
-    let entries: BTreeMap<Of, &Class> = entries.collect();
-    let numbers: HashMap<Of, usize> = entries.keys().copied().zip(0..).collect();
+    let entries: BTreeMap<BlockObject, &Class> = entries.collect();
+    let numbers: HashMap<BlockObject, usize> = entries.keys().copied().zip(0..).collect();
     let mut sets = QuickUnionUf::<UnionBySize>::new(entries.len());
     for (pair, rows) in shared {
         for one in overlapping(blocks, *pair, rows)? {
@@ -78,7 +78,7 @@ pub fn join_objects(
             sets.union(first, numbers[object]);
         }
     }
-    let mut root = |object: Of| Some(sets.find(*numbers.get(&object)?));
+    let mut root = |object: BlockObject| Some(sets.find(*numbers.get(&object)?));
     let mut present = BTreeSet::new();
     for (number, block) in blocks.iter().enumerate() {
         let ids: BTreeSet<u16> = block
@@ -149,7 +149,7 @@ fn overlapping(
     blocks: &[BlockObjects<'_>],
     pair: [usize; 2],
     rows: &[Vec<u32>; 2],
-) -> Result<Vec<[Of; 2]>> {
+) -> Result<Vec<[BlockObject; 2]>> {
     let [a, b] = pair.map(|block| blocks[block]);
     let mut both: BTreeMap<[u16; 2], usize> = BTreeMap::new();
     let mut each = [BTreeMap::<u16, usize>::new(), BTreeMap::new()];
