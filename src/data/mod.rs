@@ -259,13 +259,9 @@ impl View {
     /// # Errors
     /// As [`Photo::pixels`].
     pub fn rgb(&self) -> Result<Vec<f32>> {
-        Ok(self
-            .image
-            .pixels()?
-            .as_raw()
-            .iter()
-            .map(|&v| f32::from(v) / 255.0)
-            .collect())
+        let photo = self.image.pixels()?;
+        let values = photo.as_raw().iter();
+        Ok(values.map(|&v| f32::from(v) / 255.0).collect())
     }
 
     /// Refuses a mask of another size than the photo.

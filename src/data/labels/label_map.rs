@@ -48,12 +48,8 @@ impl LabelMap {
         let Some(i) = self.ids.iter().position(|id| is_unknown(*id)) else {
             return Ok(());
         };
-        let unknown: BTreeSet<u16> = self
-            .ids
-            .iter()
-            .copied()
-            .filter(|id| is_unknown(*id))
-            .collect();
+        let ids = self.ids.iter().copied();
+        let unknown: BTreeSet<u16> = ids.filter(|id| is_unknown(*id)).collect();
         let more = match unknown.len() - 1 {
             0 => String::new(),
             more => format!(", and {more} other unknown ids"),

@@ -104,12 +104,9 @@ impl Undistortion {
     /// All that it follows from but its size: intrinsics of the photo and of the pinhole, and the lens.
     pub fn numbers(&self) -> impl Iterator<Item = f64> {
         let intrinsics = |camera: &Camera| [camera.fx, camera.fy, camera.cx, camera.cy];
-        let cameras = [&self.photo, &self.pinhole].map(intrinsics);
-        cameras
-            .into_iter()
-            .flatten()
-            .chain(self.lens.k)
-            .chain(self.lens.p)
+        let cameras = [&self.photo, &self.pinhole].map(intrinsics).into_iter();
+        let numbers = cameras.flatten();
+        numbers.chain(self.lens.k).chain(self.lens.p)
     }
 
     /// Where the pinhole's pixel coordinates lie in the photo.
