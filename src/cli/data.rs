@@ -116,7 +116,7 @@ impl DataArgs {
 impl CheckArgs {
     fn run(self) -> Result<()> {
         let config = self.settings.load(Some(&self.dir))?;
-        check(&self.dir, &LoadOptions::for_training(&config), self.all)
+        check(&self.dir, &LoadOptions::from(&config), self.all)
     }
 }
 
@@ -145,7 +145,7 @@ pub fn check(dir: &Path, options: &LoadOptions, all: bool) -> Result<()> {
 impl InfoArgs {
     fn run(self) -> Result<()> {
         let config = self.settings.load(Some(&self.dir))?;
-        let options = LoadOptions::for_training(&config);
+        let options = LoadOptions::from(&config);
         if let Some(path) = &self.sheet {
             ensure!(extension(path) == "png", argument "--sheet"; found "{}", path.display();
                 expected "a .png file"; help "end the name in .png");

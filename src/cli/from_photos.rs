@@ -36,7 +36,7 @@ Examples:
   coseg from-photos photos --out scenes/street --masks people
   coseg from-photos walk.mp4 --frames 200 --out scenes/living
   coseg from-photos photos --out scenes/living --python venv/bin/python --segmenter net.onnx --classes mine.toml
-  coseg train --data scenes/living --out runs/living --set spatial.scale=0";
+  coseg train --data scenes/living --out runs/living";
 
 /// Arguments of `coseg from-photos`.
 #[derive(Args, Debug)]
@@ -104,7 +104,7 @@ impl FromPhotosArgs {
             made.photos
         ));
         let config = Config::load_for(Some(out), None, &[])?;
-        let options = LoadOptions::for_training(&config);
+        let options = LoadOptions::from(&config);
         check(out, &options, false)?;
         if let Some(model) = &self.segmenter {
             let scene = (out.as_path(), &options);
@@ -124,7 +124,7 @@ impl FromPhotosArgs {
 /// Prints the commands that may follow.
 fn next(out: &Path, labelled: bool) {
     let data = quoted(out.display().to_string());
-    let train = format!("coseg train --data {data} --set spatial.scale=0");
+    let train = format!("coseg train --data {data}");
     let lines = if labelled {
         vec![format!("{train} --set data.raw_labels={LABELS}")]
     } else {

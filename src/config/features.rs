@@ -1,7 +1,8 @@
 //! Settings of the inputs of stage two: image features, their lifting onto Gaussians, the point encoder.
 
+use super::display_as_serialized;
 use super::range::{Range, checked};
-use crate::error::{Result, invalid};
+use crate::error::{Result, ensure, invalid};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use std::path::PathBuf;
@@ -148,22 +149,42 @@ pub enum Encode {
     View,
 }
 
+/// The size of a world unit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(
+    rename_all = "lowercase",
+    expecting = "expected \"auto\" or a number of metres from 0"
+)]
+pub enum SpatialScale {
+    /// From the extent of the cameras for a COLMAP model, whose unit is arbitrary; else a metre.
+    #[default]
+    Auto,
+    /// Metres; 0 means from the extent of the cameras.
+    #[serde(untagged)]
+    Metres(f64),
+}
+
+display_as_serialized!(SpatialScale);
+
 /// The frozen RandLA encoder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
 #[serde(default, deny_unknown_fields)]
 pub struct SpatialConfig {
     /// Which weights.
     pub source: SpatialSource,
-    /// Metres per world unit, applied before encoding; 0 means from the camera extent.
-    #[default(1.0)]
-    pub scale: f64,
+    /// Metres per world unit, applied before encoding.
+    pub scale: SpatialScale,
     /// What is encoded at once.
     pub encode: Encode,
 }
 
 impl SpatialConfig {
     pub(super) fn check(&self) -> Result<()> {
-        checked!(self, "spatial": { scale: NotNegative });
+        let SpatialScale::Metres(scale) = self.scale else {
+            return Ok(());
+        };
+        ensure!(scale.is_finite() && scale >= 0.0, setting "spatial.scale"; found "{scale}";
+            expected "\"auto\" or a finite number from 0"; help "give the metres of a world unit, or 0 to estimate them from the cameras");
         Ok(())
     }
 }

@@ -145,6 +145,8 @@ pub struct Scene {
     pub origin: DVec3,
     /// World direction that points up, unit length.
     pub up: DVec3,
+    /// Whether a world unit may be taken for a metre: not in COLMAP models, whose unit is arbitrary.
+    pub unit_is_metre: bool,
 }
 
 impl Scene {

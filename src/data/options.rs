@@ -1,9 +1,7 @@
 //! How a scene folder is read, and which of its frames.
 
 use super::{Limits, Split};
-use crate::config::{
-    Association, Config, DataConfig, Layout, RawFormat, ScannetClasses, SpatialSource, Variant,
-};
+use crate::config::{Association, Config, DataConfig, Layout, RawFormat, ScannetClasses};
 
 /// How [`super::load`] reads a folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -35,9 +33,6 @@ pub struct LoadOptions {
     pub background: [u8; 3],
     /// Megabytes (2^20 bytes) of decoded photos that a scene keeps; the others are decoded again at each use.
     pub decoded_mb: usize,
-    /// Whether the unit of the scene is taken for a metre, as the point encoder does by default. It only decides whether
-    /// unusual distances between cameras are reported.
-    pub unit_is_metre: bool,
     /// Largest sizes accepted.
     pub limits: Limits,
 }
@@ -64,7 +59,6 @@ impl From<&DataConfig> for LoadOptions {
             scannet_classes: config.scannet_classes,
             background: [0; 3],
             decoded_mb: config.decoded_mb,
-            unit_is_metre: false,
             limits: Limits::default(),
         }
     }
@@ -81,21 +75,6 @@ impl From<&Config> for LoadOptions {
 }
 
 impl LoadOptions {
-    /// Those of a scene that is to be trained by `config`: with [`LoadOptions::unit_is_metre`] as the rows of stage two have it.
-    pub fn for_training(config: &Config) -> Self {
-        let encoded = |row: &Variant| {
-            row.trains_decoder() && !matches!(row, Variant::NoSpatial | Variant::RandomSpatial)
-        };
-        let spatial = &config.spatial;
-        let unit_is_metre = spatial.scale == 1.0
-            && spatial.source != SpatialSource::Random
-            && config.segmentation.rows().iter().any(encoded);
-        Self {
-            unit_is_metre,
-            ..Self::from(config)
-        }
-    }
-
     /// Which frames are read, as (index, split), ascending. `given` are the splits that the folder defines. Without any, every 8th
     /// frame that is read is a test frame, from the first on.
     pub(crate) fn pick(&self, given: &[Option<Split>]) -> Vec<(usize, Split)> {

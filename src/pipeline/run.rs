@@ -150,7 +150,7 @@ pub fn run(
     progress: &mut dyn Progress,
 ) -> Result<Outcome> {
     let start = Instant::now();
-    let scene = load(config, &LoadOptions::for_training(config))?;
+    let scene = load(config, &LoadOptions::from(config))?;
     let loading = start.elapsed().as_secs_f64();
     let mut outcome = run_on(scene, config, Scored::Labels, out, device, progress)?;
     outcome.seconds.total += loading;

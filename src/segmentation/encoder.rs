@@ -4,7 +4,7 @@ use super::randla::{LAYERS, NEIGHBOURS, POSITION_CHANNELS, RATIO, RandlaEncoder,
 use super::sampling::Hierarchy;
 use crate::backend::check_finite;
 use crate::backend::device::{read, upload};
-use crate::config::{SpatialConfig, SpatialSource};
+use crate::config::{SpatialConfig, SpatialScale, SpatialSource};
 use crate::error::{Result, ensure, invalid};
 use crate::files::sha256;
 use crate::ops::SparseMatrix;
@@ -152,25 +152,20 @@ pub(crate) fn encoder_input(
     }
 }
 
-/// Metres per world unit: the setting. Where it is 0, the cameras' extent (the largest distance of a camera from their mean, world
-/// units) is assumed to be two metres.
+/// Metres per world unit by the setting. To estimate them, the cameras' extent (the largest distance of a camera from their mean, world
+/// units) is taken for two metres. `unit_is_metre` is [`crate::data::Scene::unit_is_metre`].
 ///
 /// # Errors
-/// [`crate::Error::Config`] for a negative or non-finite setting, and for 0 without a usable extent.
-pub fn metres_per_unit(config: &SpatialConfig, camera_extent: f64) -> Result<f64> {
-    let (scale, help) = if config.scale == 0.0 {
-        let help = "set spatial.scale: the cameras do not tell how large the scene is";
-        (ASSUMED_EXTENT / camera_extent, help)
-    } else {
-        let help = "give metres per world unit, or 0 to derive it from the cameras";
-        (config.scale, help)
-    };
-    if scale.is_finite() && scale > 0.0 {
-        return Ok(scale);
+/// [`crate::Error::Config`] without a usable extent, where that is needed.
+pub fn metres_per_unit(scale: SpatialScale, unit_is_metre: bool, extent: f64) -> Result<f64> {
+    match scale {
+        SpatialScale::Auto if unit_is_metre => return Ok(1.0),
+        SpatialScale::Metres(metres) if metres > 0.0 => return Ok(metres),
+        SpatialScale::Auto | SpatialScale::Metres(_) => {}
     }
-    let found = config.scale.to_string();
-    let expected = "a finite number above 0, or 0";
-    Err(invalid!(setting "spatial.scale"; found "{found}"; expected "{expected}"; help "{help}"))
+    ensure!(extent.is_finite() && extent > 0.0, setting "spatial.scale"; found "{scale}, and cameras within {extent} units";
+        expected "cameras at several places"; help "give the metres of a world unit: the cameras do not tell how large the scene is");
+    Ok(ASSUMED_EXTENT / extent)
 }
 
 /// The encoder that the settings ask for, frozen, and how a run names it: `pretrained FILE`, `trained here`, `random`.

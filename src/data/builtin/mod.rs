@@ -171,5 +171,6 @@ fn assemble(options: &BuiltinOptions) -> Scene {
         drawn: false,
         origin: DVec3::ZERO,
         up: DVec3::Z,
+        unit_is_metre: true,
     }
 }

@@ -19,8 +19,6 @@ use std::path::Path;
 const MIN_CAMERA_DISTANCE: f64 = 1e-6;
 /// Range of the fields of view, in degrees, of lenses without fisheye projection.
 const USUAL_FIELDS_OF_VIEW: [f64; 2] = [5.0, 170.0];
-/// Range of the distance from the farthest camera to the mean of all, in metres, for captures of a room.
-const USUAL_EXTENTS: [f64; 2] = [1.0, 4.0];
 
 /// Lists the frames of a folder, with notices on poses, intrinsics, labels and masks.
 pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
@@ -35,7 +33,6 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     let others = [
         large_photos(&listing, options.max_side),
         assumed_undistorted(&listing, options),
-        unit(&listing, options.unit_is_metre),
         without_mask(&listing, masks),
         without_raw(&listing),
         held_out_drawn_labels(&listing),
@@ -57,21 +54,6 @@ pub(crate) fn list_sound(dir: &Path, options: &LoadOptions) -> Result<Listing> {
 fn listed<'a>(frames: impl Iterator<Item = &'a Frame>) -> Option<(usize, String)> {
     let names: Vec<&str> = frames.map(|frame| &*frame.name).collect();
     (!names.is_empty()).then(|| (names.len(), first_names(&names)))
-}
-
-/// Cameras of a COLMAP model, whose unit is arbitrary, with distances that are unusual in metres. Checked if `unit_is_metre`.
-/// Without labels the unit does not matter.
-fn unit(listing: &Listing, unit_is_metre: bool) -> Option<String> {
-    let labelled = listing.frames.iter().any(|frame| frame.raw.is_some());
-    let (_, extent) = listing.spread();
-    let [low, high] = USUAL_EXTENTS;
-    let applies = listing.layout == Layout::Colmap && unit_is_metre && labelled;
-    (applies && !(low..=high).contains(&extent)).then(|| {
-        format!(
-            "cameras are up to {extent:.3} units from their mean. The point encoder takes a unit for a metre, but the unit of a \
-             COLMAP model is arbitrary: --set spatial.scale=0 takes a scale from the cameras, or give the metres of a unit"
-        )
-    })
 }
 
 /// Photos that are reduced to at most `most` pixels a side; 0 means no limit.

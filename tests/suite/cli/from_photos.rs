@@ -28,13 +28,7 @@ fn photos_become_a_scene_folder_once() {
         } else {
             "poses by colmap"
         };
-        for part in [
-            by,
-            "6 photos",
-            "no problems",
-            "coseg train --data",
-            "spatial.scale=0",
-        ] {
+        for part in [by, "6 photos", "no problems", "coseg train --data"] {
             assert!(said.contains(part), "{part:?} is not in: {said}");
         }
         assert_eq!(place.log(), STEPS);

@@ -1,10 +1,8 @@
 //! What loads and is seldom meant: degenerate poses, odd intrinsics, labels that say nothing; and floods of one fault.
 
-use crate::support::colmap;
 use crate::support::plates::{HEIGHT, WIDTH, scene};
 use crate::support::program::{fails, succeeds, utf8};
 use crate::support::transforms_json::edit;
-use coseg::config::Config;
 use coseg::data::{LabelMap, LoadOptions, check, load};
 use serde_json::{Value, json};
 use std::fs;
@@ -170,59 +168,6 @@ fn raw_labels_that_say_nothing_are_told() {
         found[1].contains("3 of 3") && found[1].contains("nothing to learn from"),
         "{found:?}"
     );
-}
-
-#[test]
-fn the_unit_of_a_colmap_model_is_seldom_a_metre() {
-    let folder = colmap::scene(colmap::text, &colmap::pinhole());
-    let dir = folder.path();
-    let told = |step: f64, sets: &[&str]| {
-        let image = |i: usize| {
-            format!(
-                "{} 1 0 0 0 {} 0 0 7 {}\n\n",
-                i + 1,
-                -step * i as f64,
-                colmap::name(i)
-            )
-        };
-        fs::write(
-            dir.join("sparse/0/images.txt"),
-            (0..colmap::VIEWS).map(image).collect::<String>(),
-        )
-        .unwrap();
-        let sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
-        let notices = check(
-            dir,
-            &LoadOptions::for_training(&Config::load(None, &sets).unwrap()),
-        )
-        .notices;
-        notices
-            .into_iter()
-            .filter(|notice| notice.contains("spatial.scale"))
-            .collect::<Vec<_>>()
-    };
-    // Nine cameras in a row: the outer ones stand four steps from the middle.
-    one(
-        &told(2.0, &[]),
-        &[
-            "cameras are up to 8.000 units",
-            "--set spatial.scale=0",
-            "metres of a unit",
-        ],
-    );
-    one(&told(0.1, &[]), &["0.400 units"]);
-    assert!(told(0.5, &[]).is_empty(), "as in a room");
-    // Who says it, or trains nothing that asks for it, is not told.
-    for set in [
-        "spatial.scale=0",
-        "spatial.scale=0.3",
-        "spatial.source=random",
-        "segmentation.rows=raw,vote,no_spatial",
-    ] {
-        assert!(told(2.0, &[set]).is_empty(), "{set}");
-    }
-    fs::remove_dir_all(dir.join("labels_raw")).unwrap();
-    assert!(told(2.0, &[]).is_empty(), "nothing to train on");
 }
 
 #[test]

@@ -241,6 +241,7 @@ fn a_real_scene_is_the_same_as_a_colmap_model() {
     fs::write(dir.path().join("sparse/0/points3D.txt"), points).expect("points");
     let model = load(dir.path(), &LoadOptions::default()).expect("scene");
     assert!((model.origin - transforms.origin).length() < 1e-9);
+    assert!(transforms.unit_is_metre && !model.unit_is_metre);
     assert_eq!(
         (model.views.len(), model.points.len()),
         (transforms.views.len(), transforms.points.len())

@@ -259,6 +259,7 @@ fn extraction_reduces_the_maps_and_names_the_file() {
         drawn: false,
         origin: DVec3::ZERO,
         up: DVec3::Z,
+        unit_is_metre: true,
     };
     let cached = Some(dir.path().join("cache"));
     let config = FeatureConfig {

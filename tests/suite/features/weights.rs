@@ -2,7 +2,7 @@
 
 use base64::Engine;
 use coseg::Error;
-use coseg::config::{SpatialConfig, SpatialSource};
+use coseg::config::{SpatialConfig, SpatialScale, SpatialSource};
 use coseg::segmentation::encoder::{load_spatial, metres_per_unit, random_weights};
 use coseg::segmentation::randla::RandlaEncoder;
 use coseg::weights::{HostTensor, WeightFile};
@@ -137,27 +137,19 @@ fn settings_choose_the_weights_and_unusable_ones_are_refused() {
     let (_, name) =
         load_spatial(&SpatialConfig::default(), 0, &device).expect("the weights inside this crate");
     assert_eq!(name, "trained here");
-    let scaled = |scale: f64, extent: f64| {
-        metres_per_unit(
-            &SpatialConfig {
-                scale,
-                ..SpatialConfig::default()
-            },
-            extent,
-        )
-    };
-    assert_eq!(scaled(3.0, f64::NAN).expect("given"), 3.0);
-    assert_eq!(scaled(0.0, 8.0).expect("derived"), 0.25);
-    for (scale, extent) in [
-        (-1.0, 1.0),
-        (f64::NAN, 1.0),
-        (0.0, 0.0),
-        (0.0, f64::INFINITY),
-        (f64::INFINITY, 1.0),
-    ] {
-        assert!(
-            matches!(scaled(scale, extent), Err(Error::Config { .. })),
-            "{scale} {extent}"
-        );
+}
+
+#[test]
+fn the_unit_is_given_or_a_metre_or_follows_from_the_cameras() {
+    let metre = |extent| metres_per_unit(SpatialScale::Auto, true, extent).ok();
+    let arbitrary = |extent| metres_per_unit(SpatialScale::Auto, false, extent).ok();
+    let set = |scale, extent| metres_per_unit(SpatialScale::Metres(scale), true, extent).ok();
+    assert_eq!(metre(f64::NAN), Some(1.0));
+    assert_eq!(arbitrary(8.0), Some(0.25));
+    assert_eq!(set(3.0, f64::NAN), Some(3.0));
+    assert_eq!(set(0.0, 8.0), Some(0.25));
+    for extent in [0.0, f64::INFINITY, f64::NAN] {
+        assert_eq!(arbitrary(extent), None, "{extent}");
+        assert_eq!(set(0.0, extent), None, "{extent}");
     }
 }

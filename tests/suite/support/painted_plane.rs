@@ -93,6 +93,7 @@ pub fn scene() -> Scene {
         drawn: false,
         origin: DVec3::ZERO,
         up: DVec3::Z,
+        unit_is_metre: true,
     }
 }
 

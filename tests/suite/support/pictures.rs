@@ -48,6 +48,7 @@ pub fn scene(views: Vec<View>, classes: Classes) -> Scene {
         drawn: false,
         origin: DVec3::ZERO,
         up: DVec3::Z,
+        unit_is_metre: true,
     }
 }
 
