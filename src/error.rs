@@ -18,9 +18,7 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 pub(crate) fn in_order<T: Send>(
     results: impl IndexedParallelIterator<Item = Result<T>>,
 ) -> Result<Vec<T>> {
-    let mut all = Vec::new();
-    results.collect_into_vec(&mut all);
-    all.into_iter().collect()
+    results.collect::<Vec<_>>().into_iter().collect()
 }
 
 /// An error with its parts by name; each part is a format string, perhaps with arguments. [`Error::Input`] names a file and a

@@ -19,6 +19,9 @@ pub use self::diagnostics::info::{CameraBox, ClassShare, Info, Thumbnail, info, 
 pub use self::formats::camera_file::read_cameras;
 pub use self::formats::folder::scene_name;
 pub use self::formats::layout::locate;
+pub use self::formats::points::Points;
+pub use self::labels::classes::{Class, Classes, ObjectOf};
+pub use self::labels::label_map::LabelMap;
 pub use self::labels::label_runs::LabelRuns;
 pub use self::labels::map_geometry::MapGeometry;
 pub use self::labels::palette::class_color;
@@ -258,13 +261,9 @@ impl View {
     /// # Errors
     /// As [`Photo::pixels`].
     pub fn rgb(&self) -> Result<Vec<f32>> {
-        Ok(self
-            .image
-            .pixels()?
-            .as_raw()
-            .iter()
-            .map(|&v| f32::from(v) / 255.0)
-            .collect())
+        let photo = self.image.pixels()?;
+        let values = photo.as_raw().iter();
+        Ok(values.map(|&v| f32::from(v) / 255.0).collect())
     }
 
     /// Refuses a mask of another size than the photo.
@@ -273,91 +272,6 @@ impl View {
         self.mask
             .iter()
             .try_for_each(|mask| mask.expect_size(&format!("view {}", self.name), width, height))
-    }
-}
-
-/// Label ids of an image, `[H, W]` row-major. Ids are those of the [`Classes`] table.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct LabelMap {
-    /// Pixels across.
-    pub width: usize,
-    /// Pixels down.
-    pub height: usize,
-    /// Row-major ids, length `width * height`.
-    pub ids: Vec<u16>,
-}
-
-impl AsRef<[u16]> for LabelMap {
-    fn as_ref(&self) -> &[u16] {
-        &self.ids
-    }
-}
-
-/// Points with colours, for initialisation.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Points {
-    /// `[N, 3]`, world units relative to the scene origin.
-    pub positions: Vec<[f32; 3]>,
-    /// `[N, 3]` sRGB in 0..1.
-    pub colors: Vec<[f32; 3]>,
-}
-
-/// One class of a scene.
-#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub struct Class {
-    /// Id in the label maps.
-    pub id: u16,
-    /// Name for people.
-    pub name: String,
-    /// Colour in legends and pictures, 8-bit sRGB.
-    pub color: [u8; 3],
-    /// What it is, where the entry is an object that association found and its segments have classes.
-    pub object_of: Option<ObjectOf>,
-}
-
-/// What an object is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
-pub struct ObjectOf {
-    /// Id in the class table of the scene's true labels.
-    pub class: u16,
-    /// Whether it is one of several things, and not all stuff of its class.
-    pub thing: bool,
-}
-
-/// The class table: id, name, colour, and the id that means 'unlabelled'.
-///
-/// *Class indices* (0..len, the channels of logits) are positions in [`Classes::entries`]; *ids* are what files hold.
-#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub struct Classes {
-    /// All classes but the ignored one, ascending by id.
-    pub entries: Vec<Class>,
-    /// The id of unlabelled pixels: never counted, never trained on.
-    pub ignore: u16,
-}
-
-impl Classes {
-    /// Number of classes, the ignored one not counted.
-    pub fn len(&self) -> usize {
-        self.entries.len()
-    }
-
-    /// Whether the table is empty.
-    pub fn is_empty(&self) -> bool {
-        self.entries.is_empty()
-    }
-
-    /// Class index of an id; `None` for the ignored id and for ids not in the table.
-    pub fn index(&self, id: u16) -> Option<usize> {
-        self.entries.binary_search_by_key(&id, |c| c.id).ok()
-    }
-
-    /// Table from id to class index, `u16::MAX` where there is none; length 65536.
-    pub fn lookup(&self) -> Vec<u16> {
-        let mut table = vec![u16::MAX; 1 << 16];
-        for (i, c) in self.entries.iter().enumerate() {
-            table[c.id as usize] = i as u16;
-        }
-        table
     }
 }
 

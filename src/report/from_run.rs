@@ -100,11 +100,8 @@ pub fn held_out_views<'a>(
     let stored = outcome.stored().map(|(row, _)| row.variant);
     let shown =
         |row: Variant| Some(row) == stored || matches!(row, Variant::Vote | Variant::PerGaussian);
-    let rows: Vec<_> = outcome
-        .rows
-        .iter()
-        .filter(|r| shown(r.variant) && r.identities.is_some())
-        .collect();
+    let is_shown = |row: &&VariantOutcome| shown(row.variant) && row.identities.is_some();
+    let rows: Vec<_> = outcome.rows.iter().filter(is_shown).collect();
     let source = config.segmentation.render;
     let coverage = config.segmentation.min_coverage as f32;
     let classes = &outcome.scene.classes;

@@ -91,11 +91,9 @@ impl HeldOutView<'_> {
         let mut error = pictures::rgb_error(rgb, &*self.view.image.pixels()?);
         if let Some(mask) = &self.view.mask {
             let [_, _, void] = pictures::AGREEMENT;
-            error
-                .pixels_mut()
-                .enumerate()
-                .filter(|(i, _)| !mask.uses(*i))
-                .for_each(|(_, pixel)| pixel.0 = void);
+            let pixels = error.pixels_mut().enumerate();
+            let left_out = pixels.filter(|(i, _)| !mask.uses(*i));
+            left_out.for_each(|(_, pixel)| pixel.0 = void);
         }
         Ok(error)
     }

@@ -79,11 +79,8 @@ pub fn rgb_error(a: &RgbImage, b: &RgbImage) -> RgbImage {
     let (width, height) = (a.width().min(b.width()), a.height().min(b.height()));
     RgbImage::from_fn(width, height, |x, y| {
         let (p, q) = (a.get_pixel(x, y).0, b.get_pixel(x, y).0);
-        let sum: u32 = p
-            .iter()
-            .zip(q)
-            .map(|(&p, q)| u32::from(p.abs_diff(q)))
-            .sum();
+        let pairs = p.iter().zip(q);
+        let sum: u32 = pairs.map(|(&p, q)| u32::from(p.abs_diff(q))).sum();
         Rgb(heat(sum as f32 / (3.0 * 255.0) / ERROR_FULL))
     })
 }

@@ -88,10 +88,8 @@ impl Gaussians {
     /// View-independent colours from the constant SH term, `[N, 3]` sRGB in 0..1.
     pub fn base_colors(&self) -> Vec<[f32; 3]> {
         let colour = |dc: &[f32]| [0, 1, 2].map(|c| (dc[c] * SH_0 + 0.5).clamp(0.0, 1.0));
-        self.sh
-            .chunks_exact(3 * self.sh_len())
-            .map(colour)
-            .collect()
+        let rows = self.sh.chunks_exact(3 * self.sh_len());
+        rows.map(colour).collect()
     }
 
     /// The same Gaussians in these view-independent colours, sRGB in 0..1, one per Gaussian.
@@ -101,11 +99,8 @@ impl Gaussians {
     #[must_use]
     pub fn painted(self, colors: &[[f32; 3]]) -> Self {
         assert_eq!(colors.len(), self.len(), "one colour per Gaussian");
-        let sh = colors
-            .as_flattened()
-            .iter()
-            .map(|c| (c - 0.5) / SH_0)
-            .collect();
+        let values = colors.as_flattened().iter();
+        let sh = values.map(|c| (c - 0.5) / SH_0).collect();
         Self {
             sh,
             sh_degree: 0,

@@ -205,16 +205,12 @@ impl Block {
                 found "{} frames that {} does not have, such as {name}", splits.len(), listing.file.display();
                 expected "frames of the scene"; help "{AGAIN}: it has changed"));
         }
-        let given: Vec<_> = listing
-            .frames
-            .iter()
-            .map(|frame| Some(frame.split))
-            .collect();
+        let splits = listing.frames.iter().map(|frame| Some(frame.split));
+        let given: Vec<_> = splits.collect();
         let mut picked = vec![false; given.len()];
-        options
-            .pick(&given)
-            .iter()
-            .for_each(|(i, _)| picked[*i] = true);
+        for (i, _) in options.pick(&given) {
+            picked[i] = true;
+        }
         let mut picked = picked.into_iter();
         listing.frames.retain(|_| picked.next().unwrap_or(true));
         listing.region = Some(self.region());

@@ -85,14 +85,14 @@ fn members(listing: &Listing, points: &Points, origin: DVec3, grid: &Grid) -> Ve
     let chosen = evenly(points.len(), MAX_POINTS).into_iter();
     let world = |i: usize| DVec3::from(points.positions[i].map(f64::from)) + origin;
     let places: Vec<DVec3> = chosen.map(world).collect();
-    let blocks: Vec<[usize; 2]> = places.iter().map(|place| grid.cell(*place)).collect();
+    let cells: Vec<[usize; 2]> = places.iter().map(|place| grid.cell(*place)).collect();
     let regions: Vec<_> = grid.indices().map(|index| grid.extended(index)).collect();
     let blocks_of = |frame: &Frame| -> Vec<bool> {
         let shown = nearest(&frame.camera, &places);
         let mut counts: HashMap<[usize; 2], usize> = HashMap::new();
         shown
             .iter()
-            .for_each(|&point| *counts.entry(blocks[point]).or_default() += 1);
+            .for_each(|&point| *counts.entry(cells[point]).or_default() += 1);
         let least = MIN_SHARE * shown.len().max(1) as f64;
         let belongs = grid.indices().zip(&regions).map(|(index, region)| {
             let count = counts.get(&index).copied().unwrap_or(0);
@@ -100,16 +100,7 @@ fn members(listing: &Listing, points: &Points, origin: DVec3, grid: &Grid) -> Ve
         });
         belongs.collect()
     };
-    let mut of_frames = Vec::new();
-    listing
-        .frames
-        .par_iter()
-        .map(blocks_of)
-        .collect_into_vec(&mut of_frames);
-    let of_block = |block: usize| {
-        (0..of_frames.len())
-            .filter(|&i| of_frames[i][block])
-            .collect()
-    };
-    (0..regions.len()).map(of_block).collect()
+    let blocks: Vec<Vec<bool>> = listing.frames.par_iter().map(blocks_of).collect();
+    let members = |block: usize| (0..blocks.len()).filter(|&i| blocks[i][block]).collect();
+    (0..regions.len()).map(members).collect()
 }

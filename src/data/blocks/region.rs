@@ -41,11 +41,8 @@ impl Region {
         let mut kept: Vec<bool> = (0..points.len()).map(|i| self.contains(world(i))).collect();
         let chosen = evenly(points.len(), MAX_POINTS);
         let places: Vec<DVec3> = chosen.iter().map(|&i| world(i)).collect();
-        let mut seen = Vec::new();
-        let shown = frames
-            .par_iter()
-            .map(|frame| nearest(&frame.camera, &places));
-        shown.collect_into_vec(&mut seen);
+        let shown = |frame: &&Frame| nearest(&frame.camera, &places);
+        let seen: Vec<_> = frames.par_iter().map(shown).collect();
         seen.iter().flatten().for_each(|&i| kept[chosen[i]] = true);
         points.retain(&kept);
     }

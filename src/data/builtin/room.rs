@@ -152,11 +152,8 @@ impl Room {
 
     /// Distance from `p` to the nearest piece of furniture or wall, metres; a lower bound for round shapes.
     pub fn clearance(&self, p: DVec3) -> f64 {
-        self.solids
-            .all
-            .iter()
-            .map(|s| s.clearance(p))
-            .fold(f64::INFINITY, f64::min)
+        let distances = self.solids.all.iter().map(|s| s.clearance(p));
+        distances.fold(f64::INFINITY, f64::min)
     }
 }
 

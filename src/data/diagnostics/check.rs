@@ -48,19 +48,14 @@ pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
 fn check_listing(listing: &Listing, options: &LoadOptions, problems: &mut Problems) -> Vec<String> {
     let limits = &options.limits;
     problems.ok(listing.check_sizes(limits));
-    let mut checks = Vec::new();
     let frames = &listing.frames;
     for frame in frames.iter().filter(|frame| frame.posed) {
         problems.ok(check_intrinsics(&listing.file, &frame.name, &frame.camera));
     }
-    frames
-        .par_iter()
-        .map(|frame| FrameCheck::new(listing, frame, options))
-        .collect_into_vec(&mut checks);
-    let train = frames
-        .iter()
-        .zip(&checks)
-        .filter(|(frame, _)| frame.split == Split::Train);
+    let check = |frame| FrameCheck::new(listing, frame, options);
+    let checks: Vec<_> = frames.par_iter().map(check).collect();
+    let checked = frames.iter().zip(&checks);
+    let train = checked.filter(|(frame, _)| frame.split == Split::Train);
     let void = train.filter_map(|(frame, check)| Some((&*frame.name, check.void?)));
     let turned = frames.iter().zip(checks.iter().map(|check| check.turned));
     let notices = [

@@ -114,12 +114,8 @@ pub(crate) fn of_listing(listing: &Listing, points: &Points, limits: &Limits) ->
         let points = checked_points(points, listing.origin());
         return verdict(listing.layout, &listing.file, &views, &points);
     };
-    let files: Vec<_> = listing
-        .frames
-        .iter()
-        .zip(&depth.files)
-        .filter(|(frame, _)| frame.posed)
-        .collect();
+    let all = listing.frames.iter().zip(&depth.files);
+    let files: Vec<_> = all.filter(|(frame, _)| frame.posed).collect();
     let made = views.par_iter().enumerate().map(|(index, view)| {
         let (frame, Some(file)) = files[chosen[index]] else {
             return Vec::new();

@@ -25,12 +25,8 @@ impl Listing {
         if self.z_up {
             return DVec3::Z;
         }
-        let cameras: Vec<Camera> = self
-            .frames
-            .iter()
-            .map(|frame| frame.camera.clone())
-            .collect();
-        level_up(&cameras)
+        let cameras = self.frames.iter().map(|frame| frame.camera.clone());
+        level_up(&cameras.collect::<Vec<Camera>>())
     }
 
     /// Decodes everything, a few files at a time. The second value says for each frame whether its labels may belong to a

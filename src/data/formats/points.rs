@@ -1,9 +1,10 @@
 //! Initial point clouds from PLY files.
 
 use super::camera_checks::is_coordinate;
-use crate::data::{Limits, Points};
+use crate::data::Limits;
 use crate::error::{Result, bail};
 use crate::files::ply::PlyFile;
+use crate::splat::median;
 use glam::DVec3;
 use ply_rs_bw::ply::ScalarType;
 use std::path::Path;
@@ -12,6 +13,15 @@ use std::path::Path;
 pub(super) const MAX_STRAY: f64 = 1_000.0;
 /// Clouds of fewer points have none.
 const MIN_POINTS: usize = 16;
+
+/// Points with colours, for initialisation.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Points {
+    /// `[N, 3]`, world units relative to the scene origin.
+    pub positions: Vec<[f32; 3]>,
+    /// `[N, 3]` sRGB in 0..1.
+    pub colors: Vec<[f32; 3]>,
+}
 
 impl Points {
     /// Number of points.
@@ -31,12 +41,10 @@ impl Points {
         if count < MIN_POINTS {
             return 0;
         }
-        let median =
-            |mut values: Vec<f64>| *values.select_nth_unstable_by(count / 2, f64::total_cmp).1;
-        let all = |axis: usize| self.positions.iter().map(|p| f64::from(p[axis])).collect();
-        let middle = DVec3::from([0, 1, 2].map(|axis| median(all(axis))));
+        let along = |axis: usize| self.positions.iter().map(move |p| f64::from(p[axis]));
+        let middle = DVec3::from([0, 1, 2].map(|axis| median(along(axis))));
         let distance = |p: &[f32; 3]| DVec3::from(p.map(f64::from)).distance(middle);
-        let most = MAX_STRAY * median(self.positions.iter().map(distance).collect());
+        let most = MAX_STRAY * median(self.positions.iter().map(distance));
         // Where half of all points lie in one place, nobody knows.
         let is_kept = |p: &[f32; 3]| most == 0.0 || distance(p) <= most;
         let kept: Vec<bool> = self.positions.iter().map(is_kept).collect();

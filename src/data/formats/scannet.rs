@@ -44,11 +44,8 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
         dir.join("pose").join(name.file_name().unwrap_or_default())
     };
     let photos: Vec<(usize, PathBuf)> = photos.into_iter().collect();
-    let mut poses = Vec::new();
-    photos
-        .par_iter()
-        .map(|(_, image)| read_matrix(&pose_file(image)))
-        .collect_into_vec(&mut poses);
+    let read = |(_, image): &(usize, PathBuf)| read_matrix(&pose_file(image));
+    let poses: Vec<_> = photos.par_iter().map(read).collect();
     let mut lost = 0;
     let mut posed: Vec<(usize, &PathBuf, Pose)> = Vec::with_capacity(photos.len());
     for ((number, image), pose) in photos.iter().zip(poses) {

@@ -1,6 +1,6 @@
 //! Class tables: `classes.json` in and out, and the colours of legends.
 
-use crate::data::{Class, Classes, ObjectOf, class_color};
+use crate::data::class_color;
 use crate::error::{Result, bail, ensure, invalid};
 use crate::files::{self, atomic};
 use serde::{Deserialize, Deserializer, Serialize, de};
@@ -13,9 +13,66 @@ const VOID: u16 = 0;
 /// Names of id 0 that mean 'unlabelled', separated by blanks.
 const VOID_NAMES: &str = "void ignore ignored unlabelled unlabeled unknown undefined";
 
+/// One class of a scene.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Class {
+    /// Id in the label maps.
+    pub id: u16,
+    /// Name for people.
+    pub name: String,
+    /// Colour in legends and pictures, 8-bit sRGB.
+    pub color: [u8; 3],
+    /// What it is, where the entry is an object that association found and its segments have classes.
+    pub object_of: Option<ObjectOf>,
+}
+
+/// What an object is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+pub struct ObjectOf {
+    /// Id in the class table of the scene's true labels.
+    pub class: u16,
+    /// Whether it is one of several things, and not all stuff of its class.
+    pub thing: bool,
+}
+
+/// The class table: id, name, colour, and the id that means 'unlabelled'.
+///
+/// *Class indices* (0..len, the channels of logits) are positions in [`Classes::entries`]; *ids* are what files hold.
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Classes {
+    /// All classes but the ignored one, ascending by id.
+    pub entries: Vec<Class>,
+    /// The id of unlabelled pixels: never counted, never trained on.
+    pub ignore: u16,
+}
+
 impl Classes {
     /// The name of the file with the table of a folder.
     pub(crate) const FILE: &str = "classes.json";
+
+    /// Number of classes, the ignored one not counted.
+    pub fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// Whether the table is empty.
+    pub fn is_empty(&self) -> bool {
+        self.entries.is_empty()
+    }
+
+    /// Class index of an id; `None` for the ignored id and for ids not in the table.
+    pub fn index(&self, id: u16) -> Option<usize> {
+        self.entries.binary_search_by_key(&id, |c| c.id).ok()
+    }
+
+    /// Table from id to class index, `u16::MAX` where there is none; length 65536.
+    pub fn lookup(&self) -> Vec<u16> {
+        let mut table = vec![u16::MAX; 1 << 16];
+        for (i, c) in self.entries.iter().enumerate() {
+            table[c.id as usize] = i as u16;
+        }
+        table
+    }
 
     /// A table of classes with colours from [`class_color`], ascending by id. Entries with the ignored id and repeated
     /// ids (after the first) are left out.

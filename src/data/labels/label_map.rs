@@ -1,7 +1,7 @@
 //! Label maps as grey PNG files, 8 or 16 bits a pixel: the value is the class id.
 
 use crate::data::photos::image_file::ImageFile;
-use crate::data::{Classes, LabelMap, Limits};
+use crate::data::{Classes, Limits};
 use crate::error::{Error, Result, bail, invalid};
 use crate::files::{atomic, check_limit};
 use image::{DynamicImage, GrayImage, ImageBuffer, Luma, codecs::png::PngEncoder};
@@ -11,6 +11,17 @@ use std::path::Path;
 
 /// The id that datasets and segmenters write for unlabelled pixels (Cityscapes, ADE20K, mmsegmentation).
 const USUALLY_IGNORED: u16 = 255;
+
+/// Label ids of an image, `[H, W]` row-major. Ids are those of the [`Classes`] table.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LabelMap {
+    /// Pixels across.
+    pub width: usize,
+    /// Pixels down.
+    pub height: usize,
+    /// Row-major ids, length `width * height`.
+    pub ids: Vec<u16>,
+}
 
 impl LabelMap {
     /// Reads a grey PNG of 8 or 16 bits.
@@ -37,12 +48,8 @@ impl LabelMap {
         let Some(i) = self.ids.iter().position(|id| is_unknown(*id)) else {
             return Ok(());
         };
-        let unknown: BTreeSet<u16> = self
-            .ids
-            .iter()
-            .copied()
-            .filter(|id| is_unknown(*id))
-            .collect();
+        let ids = self.ids.iter().copied();
+        let unknown: BTreeSet<u16> = ids.filter(|id| is_unknown(*id)).collect();
         let more = match unknown.len() - 1 {
             0 => String::new(),
             more => format!(", and {more} other unknown ids"),
@@ -53,6 +60,34 @@ impl LabelMap {
             expected "{} (ignored) or one of the {} class ids [{}]", classes.ignore, ids.len(), ids.join(" ");
             help "add the id to classes.json or correct the map{or}"),
         )
+    }
+
+    /// Nearest ids at `place(u, v)` for each of `width` x `height` pixels; `place` gives shares of this map's width and
+    /// height for pixel coordinates.
+    pub(crate) fn sampled(
+        &self,
+        width: usize,
+        height: usize,
+        place: impl Fn(f64, f64) -> (f64, f64),
+    ) -> Self {
+        let nearest =
+            |share: f64, length: usize| ((share * length as f64).max(0.0) as usize).min(length - 1);
+        let mut ids = Vec::with_capacity(width * height);
+        for row in 0..height {
+            for column in 0..width {
+                let (x, y) = place(column as f64 + 0.5, row as f64 + 0.5);
+                ids.push(self.ids[nearest(y, self.height) * self.width + nearest(x, self.width)]);
+            }
+        }
+        Self { width, height, ids }
+    }
+
+    /// The map at another size, nearest.
+    pub(crate) fn resized(self, width: usize, height: usize) -> Self {
+        if (self.width, self.height) == (width, height) {
+            return self;
+        }
+        self.sampled(width, height, |u, v| (u / width as f64, v / height as f64))
     }
 
     /// Replaces ids by their entries in `table` (length 65536).
@@ -214,6 +249,12 @@ impl LabelMap {
                 .write_with_encoder(encoder)
         };
         written.map_err(io::Error::other)
+    }
+}
+
+impl AsRef<[u16]> for LabelMap {
+    fn as_ref(&self) -> &[u16] {
+        &self.ids
     }
 }
 

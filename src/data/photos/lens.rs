@@ -104,12 +104,9 @@ impl Undistortion {
     /// All that it follows from but its size: intrinsics of the photo and of the pinhole, and the lens.
     pub fn numbers(&self) -> impl Iterator<Item = f64> {
         let intrinsics = |camera: &Camera| [camera.fx, camera.fy, camera.cx, camera.cy];
-        let cameras = [&self.photo, &self.pinhole].map(intrinsics);
-        cameras
-            .into_iter()
-            .flatten()
-            .chain(self.lens.k)
-            .chain(self.lens.p)
+        let cameras = [&self.photo, &self.pinhole].map(intrinsics).into_iter();
+        let numbers = cameras.flatten();
+        numbers.chain(self.lens.k).chain(self.lens.p)
     }
 
     /// Where the pinhole's pixel coordinates lie in the photo.
@@ -172,35 +169,5 @@ impl Undistortion {
             let (x, y) = self.source(u, v);
             (x / width as f64, y / height as f64)
         })
-    }
-}
-
-impl LabelMap {
-    /// Nearest ids at `place(u, v)` for each of `width` x `height` pixels; `place` gives shares of this map's width and
-    /// height for pixel coordinates.
-    pub(crate) fn sampled(
-        &self,
-        width: usize,
-        height: usize,
-        place: impl Fn(f64, f64) -> (f64, f64),
-    ) -> Self {
-        let nearest =
-            |share: f64, length: usize| ((share * length as f64).max(0.0) as usize).min(length - 1);
-        let mut ids = Vec::with_capacity(width * height);
-        for row in 0..height {
-            for column in 0..width {
-                let (x, y) = place(column as f64 + 0.5, row as f64 + 0.5);
-                ids.push(self.ids[nearest(y, self.height) * self.width + nearest(x, self.width)]);
-            }
-        }
-        Self { width, height, ids }
-    }
-
-    /// The map at another size, nearest.
-    pub(crate) fn resized(self, width: usize, height: usize) -> Self {
-        if (self.width, self.height) == (width, height) {
-            return self;
-        }
-        self.sampled(width, height, |u, v| (u / width as f64, v / height as f64))
     }
 }

@@ -123,11 +123,8 @@ impl Photo {
                 if self.transparent {
                     hash.update(file.preprocessing.background);
                 }
-                let numbers = file
-                    .preprocessing
-                    .undistortion
-                    .iter()
-                    .flat_map(Undistortion::numbers);
+                let undistortion = file.preprocessing.undistortion.iter();
+                let numbers = undistortion.flat_map(Undistortion::numbers);
                 numbers.for_each(|number| hash.update(number.to_le_bytes()));
             }
         }

@@ -26,12 +26,8 @@ pub(super) fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
     let mut gaussians = Gaussians::default();
     for row in rows {
         let (floats, bytes) = row.split_at(24);
-        let mut floats = floats
-            .as_chunks::<4>()
-            .0
-            .iter()
-            .copied()
-            .map(f32::from_le_bytes);
+        let words = floats.as_chunks::<4>().0.iter();
+        let mut floats = words.copied().map(f32::from_le_bytes);
         let mut three = || [0; 3].map(|_| floats.next().unwrap_or_default());
         gaussians.means.push(three());
         // A flat Gaussian has a standard deviation of 0, whose logarithm is infinite.

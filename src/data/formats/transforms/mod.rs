@@ -56,10 +56,8 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
     let kept = sources.pick(options, problems);
     limits.check_views(&sources.file, kept.len())?;
     let files = LabelFiles::new(folder, &sources, problems);
-    let mut looked_at = Vec::new();
-    kept.par_iter()
-        .map(|kept| frame(dir, &sources.files[kept.source], kept, limits))
-        .collect_into_vec(&mut looked_at);
+    let look_at = |kept: &Kept| frame(dir, &sources.files[kept.source], kept, limits);
+    let looked_at: Vec<_> = kept.par_iter().map(look_at).collect();
     let mut frames = Vec::with_capacity(kept.len());
     for (Kept { source, index, .. }, (frame, faults)) in kept.iter().zip(looked_at) {
         faults.into_iter().for_each(|fault| problems.push(fault));
