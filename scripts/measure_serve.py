@@ -1,0 +1,116 @@
+"""How soon `coseg view --serve` shows a large scene in headless Chromium, and how much memory that takes.
+
+Makes a scene of random Gaussians of SH degree 0, serves it, opens the page and waits for all blocks. Prints the seconds from
+the start of `coseg` to the address, and from there to the first picture and to the last block; the memory of the server and of the
+browser's page. Chromium draws on the CPU here, in a small window. Linux, no packages.
+
+    python3 scripts/measure_serve.py --coseg target/release/coseg [--gaussians 1000000]
+"""
+
+import argparse
+import json
+import os
+import random
+import re
+import struct
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+COLUMNS = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+SIZE = "640,360"
+
+
+def write_scene(path, count):
+    """A ball of small Gaussians."""
+    draw = random.Random(0).gauss
+    rows = bytearray()
+    for _ in range(count):
+        position, color = [draw(0, 1) for _ in range(3)], [draw(0, 1) for _ in range(3)]
+        rows += struct.pack("<14f", *position, *color, 2.0, -5.0, -5.0, -5.0, 1.0, 0.0, 0.0, 0.0)
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
+    lines += [f"property float {name}" for name in COLUMNS] + ["end_header", ""]
+    path.write_bytes("\n".join(lines).encode() + rows)
+
+
+class Browser:
+    """Chromium with one page, over pipes of its DevTools protocol."""
+
+    def __init__(self, chromium, profile):
+        (into, self.commands), (self.answers, out) = os.pipe(), os.pipe()
+
+        def pipes():
+            os.dup2(into, 30), os.dup2(out, 31)
+            os.dup2(30, 3), os.dup2(31, 4)
+
+        flags = ["--headless", "--no-sandbox", "--enable-unsafe-swiftshader", "--remote-debugging-pipe", f"--window-size={SIZE}"]
+        self.process = subprocess.Popen([chromium, *flags, f"--user-data-dir={profile}"], preexec_fn=pipes, close_fds=False,
+                                        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self.sent, self.buffer, self.session = 0, b"", None
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self.session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+
+    def call(self, method, **params):
+        self.sent += 1
+        message = {"id": self.sent, "method": method, "params": params}
+        if self.session:
+            message["sessionId"] = self.session
+        os.write(self.commands, json.dumps(message).encode() + b"\0")
+        while True:
+            while b"\0" not in self.buffer:
+                self.buffer += os.read(self.answers, 1 << 20)
+            text, self.buffer = self.buffer.split(b"\0", 1)
+            answer = json.loads(text)
+            if answer.get("id") == self.sent:
+                return answer["result"]
+
+    def value(self, expression):
+        return self.call("Runtime.evaluate", expression=expression, returnByValue=True)["result"].get("value")
+
+    def until(self, expression):
+        while not self.value(expression):
+            time.sleep(0.05)
+
+    def memory(self):
+        """Bytes of the process that has the page: the largest renderer."""
+        children = subprocess.run(["ps", "-eo", "rss,args"], capture_output=True, text=True).stdout.splitlines()
+        return max(int(line.split()[0]) << 10 for line in children if "--type=renderer" in line)
+
+
+def resident(process):
+    text = Path(f"/proc/{process}/status").read_text()
+    return int(re.search(r"VmHWM:\s+(\d+)", text)[1]) << 10
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--coseg", default="coseg")
+    parser.add_argument("--chromium", default="chromium")
+    parser.add_argument("--gaussians", type=int, default=1_000_000)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        scene = Path(folder) / "scene.ply"
+        write_scene(scene, options.gaussians)
+        browser = Browser(options.chromium, f"{folder}/profile")
+        clock = time.monotonic()
+        server = subprocess.Popen([options.coseg, "view", "--scene", scene, "--serve"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        try:
+            address = re.search(r"http://\S+", server.stdout.readline())[0]
+            print(f"address after {time.monotonic() - clock:.1f} s")
+            clock = time.monotonic()
+            browser.call("Page.navigate", url=address)
+            browser.until("window.page?.panel && / of /.test(document.getElementById('lead')?.textContent)")
+            browser.call("Page.captureScreenshot")
+            print(f"first picture after {time.monotonic() - clock:.1f} s: {browser.value('document.getElementById(`lead`).textContent')}")
+            browser.until("document.body.dataset.ready === 'yes'")
+            print(f"all after {time.monotonic() - clock:.1f} s")
+            print(f"server {resident(server.pid) / 1e6:.0f} MB at most, page {browser.memory() / 1e6:.0f} MB")
+        finally:
+            server.kill()
+            browser.process.kill()
+            browser.process.wait()
+
+
+if __name__ == "__main__":
+    main()
