@@ -68,9 +68,14 @@ class Browser:
     def value(self, expression):
         return self.call("Runtime.evaluate", expression=expression, returnByValue=True)["result"].get("value")
 
-    def until(self, expression):
+    def until(self, expression, seconds=float("inf")):
+        """Whether the expression becomes true within this time."""
+        start = time.monotonic()
         while not self.value(expression):
+            if time.monotonic() - start > seconds:
+                return False
             time.sleep(0.05)
+        return True
 
     def memory(self):
         """Bytes of the process that has the page: the largest renderer."""
@@ -88,6 +93,7 @@ def main():
     parser.add_argument("--coseg", default="coseg")
     parser.add_argument("--chromium", default="chromium")
     parser.add_argument("--gaussians", type=int, default=1_000_000)
+    parser.add_argument("--seconds", type=float, default=300, help="the longest time that all blocks may take")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         scene = Path(folder) / "scene.ply"
@@ -103,8 +109,8 @@ def main():
             browser.until("window.page?.panel && / of /.test(document.getElementById('lead')?.textContent)")
             browser.call("Page.captureScreenshot")
             print(f"first picture after {time.monotonic() - clock:.1f} s: {browser.value('document.getElementById(`lead`).textContent')}")
-            browser.until("document.body.dataset.ready === 'yes'")
-            print(f"all after {time.monotonic() - clock:.1f} s")
+            ready = browser.until("document.body.dataset.ready === 'yes'", options.seconds)
+            print(f"{'all' if ready else 'not all'} after {time.monotonic() - clock:.1f} s")
             print(f"server {resident(server.pid) / 1e6:.0f} MB at most, page {browser.memory() / 1e6:.0f} MB")
         finally:
             server.kill()

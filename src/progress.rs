@@ -96,8 +96,8 @@ pub trait Progress {
     /// Called after each event.
     fn event(&mut self, event: &Event);
 
-    /// Whether to end the run with [`Error::Stopped`]. Called after each iteration, after each view of features, unprojection and association, and
-    /// between the parts of a run. A resumed run continues training from a checkpoint, and repeats a stage that learns nothing.
+    /// Whether to end the run with [`Error::Stopped`]. Called after each iteration, after each view of features, unprojection and
+    /// association, and between the parts of a run. A resumed run continues training from a checkpoint, and repeats a stage that learns nothing.
     fn stop(&mut self) -> bool {
         false
     }
@@ -152,7 +152,7 @@ impl<'p> Viewing<'p> {
 /// Asks whether to continue.
 ///
 /// # Errors
-/// [`Error::Stopped`] where not.
+/// [`Error::Stopped`] if the work is to end.
 pub(crate) fn go_on(progress: &mut dyn Progress) -> Result<()> {
     if progress.stop() {
         return Err(Error::Stopped);

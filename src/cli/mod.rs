@@ -211,7 +211,7 @@ const INPUTS: [&str; 11] = [
     "config",
 ];
 
-/// Says what the command reads, before it does: that may take long, and bars are drawn on terminals alone.
+/// Says what the command reads before it reads it, which may take long. Bars are drawn only on terminals.
 pub fn announce(matches: &ArgMatches) {
     let mut given = matches;
     while let Some((_, of_action)) = given.subcommand() {

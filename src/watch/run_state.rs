@@ -27,7 +27,7 @@ pub(super) struct RunState {
     seen_end: bool,
     /// When the Gaussians may be copied again.
     next_copy: Instant,
-    /// So many Gaussians are too many for the page.
+    /// From this number of Gaussians on, the page has no room for them.
     too_many: usize,
     alpha_max: f64,
     scene: Arc<SceneInfo>,

@@ -40,6 +40,13 @@ impl Tab {
         tab
     }
 
+    /// A tab of this size with the viewer that is served at `url`.
+    pub fn served(browser: &str, url: &str, size: [u32; 2]) -> Self {
+        let mut tab = Self::visit(browser, url, size);
+        tab.expect_ready();
+        tab
+    }
+
     /// A tab of this size with the page at `path`.
     pub fn page(browser: &str, path: &Path, size: [u32; 2]) -> Self {
         let url = format!("file://{}", path.canonicalize().unwrap().display());

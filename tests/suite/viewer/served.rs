@@ -112,8 +112,7 @@ fn blocks_make_the_scene_of_the_offline_page() {
     let (want, drawn) = (tab.value(DIGEST), tab.text(picture));
     drop(tab);
     plates.served(&dir.path().join("edits.json"), |address| {
-        let mut tab = Tab::visit(&browser, address, [600, 400]);
-        tab.until("document.body.dataset.ready === 'yes'");
+        let mut tab = Tab::served(&browser, address, [600, 400]);
         assert_eq!(tab.value("page.scene.blocks"), 6);
         assert_eq!(tab.value(DIGEST), want);
         assert_eq!(tab.text(picture), drawn);
@@ -144,8 +143,7 @@ fn edits_are_saved_and_the_page_starts_from_them() {
     let dir = tempfile::tempdir().unwrap();
     let edits = dir.path().join("edits.json");
     plates.served(&edits, |address| {
-        let mut tab = Tab::visit(&browser, address, [1000, 700]);
-        tab.until("document.body.dataset.ready === 'yes'");
+        let mut tab = Tab::served(&browser, address, [1000, 700]);
         let red = spot(&mut tab, [-0.9, 0.0, 0.1]);
         tab.key("KeyC", 0);
         tab.drag(&[red], 0);
@@ -169,8 +167,7 @@ fn edits_are_saved_and_the_page_starts_from_them() {
 
     // Another port is another origin: the browser has kept nothing for it.
     let mut tab = plates.served(&edits, |address| {
-        let mut tab = Tab::visit(&browser, address, [1000, 700]);
-        tab.until("document.body.dataset.ready === 'yes'");
+        let mut tab = Tab::served(&browser, address, [1000, 700]);
         assert_eq!(tab.text("page.state.object(5).name"), "rug");
         assert_eq!(
             tab.value("[page.edits.isSaved, page.edits.done.length]"),
@@ -188,7 +185,6 @@ fn edits_are_saved_and_the_page_starts_from_them() {
         let summary = "document.getElementById('summary').textContent";
         assert_eq!(tab.text(summary), "0 edits, not saved");
         tab.reload();
-        tab.until("document.body.dataset.ready === 'yes'");
         assert_eq!(tab.text(summary), "0 edits, not saved");
         tab.value("document.getElementById('save').click()");
         tab.until("page.edits.isSaved");
@@ -198,8 +194,7 @@ fn edits_are_saved_and_the_page_starts_from_them() {
         tab.value("page.rename(1, 'mat')");
         tab.value("document.getElementById('save').click()");
         tab.until("page.edits.isSaved");
-        let mut other = Tab::visit(&browser, address, [600, 400]);
-        other.until("document.body.dataset.ready === 'yes'");
+        let mut other = Tab::served(&browser, address, [600, 400]);
         assert_eq!(other.text("page.state.object(1).name"), "mat");
         tab
     });
@@ -221,8 +216,7 @@ fn what_another_window_has_saved_is_not_written_over() {
     let outdated =
         "document.getElementById('summary').textContent.startsWith('Another window has saved')";
     plates.served(&edits, |address| {
-        let mut tab = Tab::visit(&browser, address, [1000, 700]);
-        tab.until("document.body.dataset.ready === 'yes'");
+        let mut tab = Tab::served(&browser, address, [1000, 700]);
         let mut first = tab.window(address, [1000, 700]);
         tab.value("page.rename(2, 'rug')");
         tab.value(save);
