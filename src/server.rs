@@ -21,11 +21,11 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use tokio::sync::{Semaphore, oneshot};
 
-/// Connections at a time. Others wait in the system, where they take no open file of this process: a run needs these.
+/// Connections at a time. Further clients wait in the queue of the system, and use none of the open files that a run needs.
 const CONNECTIONS: usize = 64;
-/// A connection is closed when it has asked for nothing, or for half of something, for this long.
+/// A connection is closed when the head of a request has not come, or not whole, for this long.
 const SILENCE: Duration = Duration::from_secs(30);
-/// A pause after a connection that could not be taken.
+/// How long to wait after a connection that could not be accepted.
 const PAUSE: Duration = Duration::from_millis(100);
 
 /// Sent with every answer: nothing is kept, framed, or loaded from elsewhere.
@@ -125,9 +125,13 @@ async fn serve(listener: TcpListener, routes: Router, silence: Duration) -> io::
     loop {
         let permit = free.clone().acquire_owned().await;
         let permit = permit.map_err(io::Error::other)?;
-        let Ok((stream, _)) = listener.accept().await else {
-            tokio::time::sleep(PAUSE).await;
-            continue;
+        let stream = match listener.accept().await {
+            Ok((stream, _)) => stream,
+            Err(error) => {
+                tracing::warn!("a connection was not accepted: {error}");
+                tokio::time::sleep(PAUSE).await;
+                continue;
+            }
         };
         let routes = TowerToHyperService::new(routes.clone());
         let connection = http.serve_connection(TokioIo::new(stream), routes);

@@ -165,33 +165,33 @@ impl Command {
             _ => &[],
         };
         own::guard(&[&[name], others].concat());
+        let succeeds = |()| ExitCode::SUCCESS;
         let done = match self {
-            Self::Train(args) => return args.run(),
-            Self::Compare(args) => return args.run(),
-            Self::Label(args) => args.run(),
-            Self::FromPhotos(args) => args.run(),
-            Self::Data(args) => args.run(),
-            Self::Eval(args) => args.run(),
-            Self::Render(args) => args.run(),
-            Self::View(args) => args.run(),
-            Self::Vote(args) => args.run(),
-            Self::Associate(args) => args.run(),
-            Self::Objects(args) => args.run(),
-            Self::Select(args) => args.run(),
-            Self::Query(args) => args.run(),
-            Self::Separate(args) => args.run(),
-            Self::Edit(args) => args.run(),
-            Self::Export(args) => args.run(),
-            Self::Prune(args) => args.run(),
-            Self::Split(args) => args.run(),
-            Self::Merge(args) => args.run(),
-            Self::Bench(args) => args.run(),
-            Self::Completions(args) => args.run(),
+            Self::Train(args) => args.run(),
+            Self::Compare(args) => args.run(),
+            Self::Label(args) => args.run().map(succeeds),
+            Self::FromPhotos(args) => args.run().map(succeeds),
+            Self::Data(args) => args.run().map(succeeds),
+            Self::Eval(args) => args.run().map(succeeds),
+            Self::Render(args) => args.run().map(succeeds),
+            Self::View(args) => args.run().map(succeeds),
+            Self::Vote(args) => args.run().map(succeeds),
+            Self::Associate(args) => args.run().map(succeeds),
+            Self::Objects(args) => args.run().map(succeeds),
+            Self::Select(args) => args.run().map(succeeds),
+            Self::Query(args) => args.run().map(succeeds),
+            Self::Separate(args) => args.run().map(succeeds),
+            Self::Edit(args) => args.run().map(succeeds),
+            Self::Export(args) => args.run().map(succeeds),
+            Self::Prune(args) => args.run().map(succeeds),
+            Self::Split(args) => args.run().map(succeeds),
+            Self::Merge(args) => args.run().map(succeeds),
+            Self::Bench(args) => args.run().map(succeeds),
+            Self::Completions(args) => args.run().map(succeeds),
         };
         match done {
-            Ok(()) => Ok(ExitCode::SUCCESS),
             Err(Error::Stopped) => Ok(interrupt::stopped("the same command continues")),
-            Err(error) => Err(error),
+            done => done,
         }
     }
 }
@@ -211,6 +211,9 @@ const INPUTS: [&str; 11] = [
     "config",
 ];
 
+/// So many inputs are named.
+const NAMED: usize = 3;
+
 /// Says what the command reads before it reads it, which may take long. Bars are drawn only on terminals.
 pub fn announce(matches: &ArgMatches) {
     let mut given = matches;
@@ -223,7 +226,14 @@ pub fn announce(matches: &ArgMatches) {
     match matches.subcommand_name() {
         Some("completions") => {}
         _ if inputs.is_empty() => terminal::note("reading the settings"),
-        _ => terminal::note(&format!("reading {}", inputs.join(", "))),
+        _ => {
+            let first = inputs[..inputs.len().min(NAMED)].join(", ");
+            let more = match inputs.len().saturating_sub(NAMED) {
+                0 => String::new(),
+                more => format!(" and {more} more"),
+            };
+            terminal::note(&format!("reading {first}{more}"));
+        }
     }
 }
 

@@ -145,8 +145,21 @@ pub struct Scene {
     pub origin: DVec3,
     /// World direction that points up, unit length.
     pub up: DVec3,
-    /// Whether a world unit may be taken for a metre: not in COLMAP models, whose unit is arbitrary.
-    pub unit_is_metre: bool,
+    /// What a world unit is taken for.
+    pub unit: WorldUnit,
+}
+
+/// What the layout says of the size of a world unit.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum WorldUnit {
+    /// A metre.
+    #[default]
+    Metre,
+    /// Arbitrary, as in a COLMAP model.
+    Arbitrary {
+        /// The largest distance of a camera from the mean of all, world units. A block has that of the whole scene.
+        extent: f64,
+    },
 }
 
 impl Scene {

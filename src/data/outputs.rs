@@ -54,7 +54,7 @@ pub fn check_output_file(
     Ok(())
 }
 
-/// Whether a scene that lies in `folder` or above reads files in it, or will once it has that name.
+/// Whether a scene that lies in `folder` or above reads files in it, or would if the folder existed.
 fn is_read_by_scene_above(folder: &Path) -> bool {
     let options = LoadOptions::default();
     let mut scenes = folder.ancestors().take(LEVELS + 1);

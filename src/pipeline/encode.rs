@@ -42,7 +42,7 @@ pub fn encode(inputs: &SegmentationInputs, spatial: &SpatialConfig) -> Result<En
     let (encoder, weights) = load_spatial(spatial, seed, inputs.device)?;
     let train = inputs.scene.split(Split::Train).collect::<Vec<_>>();
     let (_, extent) = spread(train.iter().map(|view| view.camera.center));
-    let scale = metres_per_unit(spatial.scale, inputs.scene.unit_is_metre, extent)?;
+    let scale = metres_per_unit(spatial.scale, inputs.scene.unit, extent)?;
     let colors: Vec<[f32; 3]> = gaussians.base_colors();
     let encoded = |positions: &[[f32; 3]], colors: &[[f32; 3]]| {
         let cloud = Cloud {

@@ -292,10 +292,12 @@ impl Outcome {
         let earlier: f64 = self.rows.iter().map(|row| row.earlier_seconds).sum();
         self.seconds.segmentation = clock.elapsed().as_secs_f64() + earlier;
         self.seconds.total += earlier;
-        self.color_objects()
+        self.color_objects()?;
+        progress.scene(&self.scene);
+        Ok(())
     }
 
-    /// Gives objects that lie side by side colours that differ. Corrections come with the colours of a person.
+    /// Gives objects that lie side by side colours that differ. With corrections, the colours that a person chose stay.
     fn color_objects(&mut self) -> Result<()> {
         if self.association.is_none() || self.corrections.is_some() {
             return Ok(());

@@ -5,6 +5,7 @@ use super::sampling::Hierarchy;
 use crate::backend::check_finite;
 use crate::backend::device::{read, upload};
 use crate::config::{SpatialConfig, SpatialScale, SpatialSource};
+use crate::data::WorldUnit;
 use crate::error::{Result, ensure, invalid};
 use crate::files::sha256;
 use crate::ops::SparseMatrix;
@@ -152,20 +153,26 @@ pub(crate) fn encoder_input(
     }
 }
 
-/// Metres per world unit by the setting. To estimate them, the cameras' extent (the largest distance of a camera from their mean, world
-/// units) is taken for two metres. `unit_is_metre` is [`crate::data::Scene::unit_is_metre`].
+/// Metres per world unit by the setting. To estimate them, the extent of the cameras (the largest distance of one from their mean,
+/// world units) is taken for two metres: that of the whole scene for `"auto"`, `extent` for 0. With `"auto"`, a unit of which nothing
+/// is known is a metre too.
 ///
 /// # Errors
-/// [`crate::Error::Config`] without a usable extent, where that is needed.
-pub fn metres_per_unit(scale: SpatialScale, unit_is_metre: bool, extent: f64) -> Result<f64> {
-    match scale {
-        SpatialScale::Auto if unit_is_metre => return Ok(1.0),
-        SpatialScale::Metres(metres) if metres > 0.0 => return Ok(metres),
-        SpatialScale::Auto | SpatialScale::Metres(_) => {}
+/// [`crate::Error::Config`] for 0 without a usable extent.
+pub fn metres_per_unit(scale: SpatialScale, unit: WorldUnit, extent: f64) -> Result<f64> {
+    let is_usable = |extent: f64| extent.is_finite() && extent > 0.0;
+    match (scale, unit) {
+        (SpatialScale::Auto, WorldUnit::Arbitrary { extent }) if is_usable(extent) => {
+            Ok(ASSUMED_EXTENT / extent)
+        }
+        (SpatialScale::Auto, _) => Ok(1.0),
+        (SpatialScale::Metres(metres), _) if metres > 0.0 => Ok(metres),
+        (SpatialScale::Metres(_), _) => {
+            ensure!(is_usable(extent), setting "spatial.scale"; found "0, and cameras within {extent} units";
+                expected "cameras at several places"; help "give the metres of a world unit: the cameras do not tell how large the scene is");
+            Ok(ASSUMED_EXTENT / extent)
+        }
     }
-    ensure!(extent.is_finite() && extent > 0.0, setting "spatial.scale"; found "{scale}, and cameras within {extent} units";
-        expected "cameras at several places"; help "give the metres of a world unit: the cameras do not tell how large the scene is");
-    Ok(ASSUMED_EXTENT / extent)
 }
 
 /// The encoder that the settings ask for, frozen, and how a run names it: `pretrained FILE`, `trained here`, `random`.

@@ -160,15 +160,15 @@ impl Work<'_> {
             }
             drop(sender);
             for labelled in &done {
-                let advanced = labelled.and_then(|was_cached| {
+                // Photos that were in progress still come after the first error.
+                if result.is_err() {
+                    continue;
+                }
+                result = labelled.and_then(|was_cached| {
                     cached += usize::from(was_cached);
                     viewing.advance(1)
                 });
-                // The first error; photos that were in work then come after it.
-                if result.is_ok() {
-                    stop.store(advanced.is_err(), Ordering::Relaxed);
-                    result = advanced;
-                }
+                stop.store(result.is_err(), Ordering::Relaxed);
             }
         });
         result?;

@@ -159,12 +159,14 @@ fn routes(token: &str, content: Arc<Content>) -> Router {
         .with_state(content)
 }
 
-/// Refuses a body that says that it is too long, before any of it is read.
+/// Refuses a body whose Content-Length is too large, without reading it.
 async fn bounded(request: Request, next: Next) -> Response {
     let length = request.headers().get(header::CONTENT_LENGTH);
     let length = length.and_then(|length| length.to_str().ok()?.parse::<usize>().ok());
     if length.is_some_and(|length| length > MAX_EDITS) {
-        return StatusCode::PAYLOAD_TOO_LARGE.into_response();
+        let most = MAX_EDITS >> 20;
+        let said = format!("the edits have more than {most} MiB");
+        return (StatusCode::PAYLOAD_TOO_LARGE, said).into_response();
     }
     next.run(request).await
 }

@@ -192,6 +192,7 @@ impl Block {
     ) -> Result<Listing> {
         let (scene, whole) = self.whole(dir, options)?;
         let mut listing = layout::list(&scene, &whole, problems)?;
+        listing.whole_extent = Some(listing.spread().1);
         let train = self.train.iter().map(|name| (&**name, Split::Train));
         let test = self.test.iter().map(|name| (&**name, Split::Test));
         let mut splits: HashMap<&str, Split> = train.chain(test).collect();

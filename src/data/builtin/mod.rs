@@ -21,7 +21,7 @@ pub use self::corrupt::{Corruption, corrupt};
 pub use self::points::{LabelledPoints, PRETRAINING_SEEDS, labelled_points};
 pub use self::room::{Room, Truth, render_truth};
 
-use super::{Classes, LabelMap, Scene, Split, View};
+use super::{Classes, LabelMap, Scene, Split, View, WorldUnit};
 use crate::error::{Result, bail};
 use build::class;
 use glam::DVec3;
@@ -171,6 +171,6 @@ fn assemble(options: &BuiltinOptions) -> Scene {
         drawn: false,
         origin: DVec3::ZERO,
         up: DVec3::Z,
-        unit_is_metre: true,
+        unit: WorldUnit::Metre,
     }
 }

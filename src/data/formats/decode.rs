@@ -6,7 +6,6 @@ use super::frame::Frame;
 use super::frame_labels::FrameLabels;
 use super::listing::{Cloud, Listing};
 use super::points::MAX_STRAY;
-use crate::config::Layout;
 use crate::data::photos::photo::Preprocessing;
 use crate::data::{
     Classes, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, View,
@@ -48,7 +47,7 @@ impl Listing {
             drawn: self.raw.drawings().is_some(),
             origin,
             up: self.up(),
-            unit_is_metre: self.layout != Layout::Colmap,
+            unit: self.unit(),
         };
         Ok((scene, turned))
     }

@@ -8,7 +8,7 @@ use crate::config::Layout;
 use crate::data::blocks::Region;
 use crate::data::labels::map_geometry::MapGeometries;
 use crate::data::labels::raw::{self, RawFile, RawLabels};
-use crate::data::{Classes, Limits, LoadOptions, Split};
+use crate::data::{Classes, Limits, LoadOptions, Split, WorldUnit};
 use crate::error::{Result, ensure, invalid};
 use crate::splat::camera::spread;
 use glam::DVec3;
@@ -38,6 +38,8 @@ pub(crate) struct Listing {
     pub cloud: Cloud,
     /// The region of a block, where the folder is one: the cloud is thinned out outside it.
     pub region: Option<Region>,
+    /// The extent of the cameras of the whole scene, where the folder is a block.
+    pub whole_extent: Option<f64>,
     /// Whether +z is up in the world; else the cameras tell.
     pub z_up: bool,
     /// Sentences on what is left out or assumed.
@@ -88,6 +90,7 @@ impl Listing {
             resample_labels: false,
             cloud: Cloud::None,
             region: None,
+            whole_extent: None,
             z_up: false,
             notices: Vec::new(),
         }
@@ -152,6 +155,16 @@ impl Listing {
     /// Mean of the camera centres, and the largest distance from it.
     pub fn spread(&self) -> (DVec3, f64) {
         spread(self.frames.iter().map(|frame| frame.camera.center))
+    }
+
+    /// What a world unit is taken for.
+    pub fn unit(&self) -> WorldUnit {
+        if self.layout != Layout::Colmap {
+            return WorldUnit::Metre;
+        }
+        WorldUnit::Arbitrary {
+            extent: self.whole_extent.unwrap_or_else(|| self.spread().1),
+        }
     }
 }
 

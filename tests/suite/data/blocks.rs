@@ -202,6 +202,14 @@ fn blocks_of_other_layouts_are_read_too() {
     let cameras = |scene: &coseg::data::Scene| scene.cameras();
     assert_eq!(cameras(&block), cameras(&whole));
     assert_eq!(block.points, whole.points);
+    // A block of a part of the cameras has the unit of the whole.
+    let mut part = planned[0].block.clone();
+    part.train.truncate(2);
+    part.test.clear();
+    part.write(dir.path()).unwrap();
+    let part = load(dir.path(), &options).unwrap();
+    assert!(part.views.len() < whole.views.len());
+    assert_eq!(part.unit, whole.unit);
 }
 
 #[test]

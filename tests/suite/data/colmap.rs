@@ -4,7 +4,7 @@ use crate::support::colmap::{
     HEIGHT, POINTS, VIEWS, WIDTH, binary, name, photo, pinhole, pose, scene, text,
 };
 use coseg::config::Layout;
-use coseg::data::{LoadOptions, Split, View, load, load_cameras, locate};
+use coseg::data::{LoadOptions, Split, View, WorldUnit, load, load_cameras, locate};
 use coseg::splat::camera::Camera;
 use glam::{DMat3, DQuat, DVec3};
 use std::fs;
@@ -241,7 +241,8 @@ fn a_real_scene_is_the_same_as_a_colmap_model() {
     fs::write(dir.path().join("sparse/0/points3D.txt"), points).expect("points");
     let model = load(dir.path(), &LoadOptions::default()).expect("scene");
     assert!((model.origin - transforms.origin).length() < 1e-9);
-    assert!(transforms.unit_is_metre && !model.unit_is_metre);
+    assert_eq!(transforms.unit, WorldUnit::Metre);
+    assert!(matches!(model.unit, WorldUnit::Arbitrary { extent } if extent > 0.0));
     assert_eq!(
         (model.views.len(), model.points.len()),
         (transforms.views.len(), transforms.points.len())

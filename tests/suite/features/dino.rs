@@ -7,7 +7,7 @@ use crate::support::pictures::picture;
 use burn::tensor::{Tensor, TensorData};
 use coseg::Error;
 use coseg::config::{FeatureConfig, FeatureSource};
-use coseg::data::{Classes, Points, Scene, Split, View};
+use coseg::data::{Classes, Points, Scene, Split, View, WorldUnit};
 use coseg::features::Steps;
 use coseg::features::dino::Vit;
 use coseg::splat::camera::Camera;
@@ -259,7 +259,7 @@ fn extraction_reduces_the_maps_and_names_the_file() {
         drawn: false,
         origin: DVec3::ZERO,
         up: DVec3::Z,
-        unit_is_metre: true,
+        unit: WorldUnit::Metre,
     };
     let cached = Some(dir.path().join("cache"));
     let config = FeatureConfig {

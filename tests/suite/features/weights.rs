@@ -2,7 +2,8 @@
 
 use base64::Engine;
 use coseg::Error;
-use coseg::config::{SpatialConfig, SpatialScale, SpatialSource};
+use coseg::config::{Config, SpatialConfig, SpatialScale, SpatialSource};
+use coseg::data::WorldUnit;
 use coseg::segmentation::encoder::{load_spatial, metres_per_unit, random_weights};
 use coseg::segmentation::randla::RandlaEncoder;
 use coseg::weights::{HostTensor, WeightFile};
@@ -141,15 +142,23 @@ fn settings_choose_the_weights_and_unusable_ones_are_refused() {
 
 #[test]
 fn the_unit_is_given_or_a_metre_or_follows_from_the_cameras() {
-    let metre = |extent| metres_per_unit(SpatialScale::Auto, true, extent).ok();
-    let arbitrary = |extent| metres_per_unit(SpatialScale::Auto, false, extent).ok();
-    let set = |scale, extent| metres_per_unit(SpatialScale::Metres(scale), true, extent).ok();
-    assert_eq!(metre(f64::NAN), Some(1.0));
-    assert_eq!(arbitrary(8.0), Some(0.25));
+    let auto = |unit| metres_per_unit(SpatialScale::Auto, unit, f64::NAN).ok();
+    let set =
+        |scale, extent| metres_per_unit(SpatialScale::Metres(scale), WorldUnit::Metre, extent).ok();
+    assert_eq!(auto(WorldUnit::Metre), Some(1.0));
+    assert_eq!(auto(WorldUnit::Arbitrary { extent: 8.0 }), Some(0.25));
     assert_eq!(set(3.0, f64::NAN), Some(3.0));
     assert_eq!(set(0.0, 8.0), Some(0.25));
+    for scale in ["-1", "nan", "inf", "metre"] {
+        let set = format!("spatial.scale={scale}");
+        let error = Config::load(None, std::slice::from_ref(&set)).unwrap_err();
+        assert!(
+            error.to_string().contains("spatial.scale"),
+            "{set}: {error}"
+        );
+    }
     for extent in [0.0, f64::INFINITY, f64::NAN] {
-        assert_eq!(arbitrary(extent), None, "{extent}");
+        assert_eq!(auto(WorldUnit::Arbitrary { extent }), Some(1.0), "{extent}");
         assert_eq!(set(0.0, extent), None, "{extent}");
     }
 }

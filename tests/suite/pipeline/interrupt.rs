@@ -89,6 +89,36 @@ fn long(data: &Path, run: &Path) -> Vec<String> {
 }
 
 #[test]
+fn a_run_that_is_interrupted_while_photos_are_labelled_is_no_error() {
+    let Some(shared) = crate::support::shared_dir() else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    let data = shared.join("data/house_kitchen");
+    let model = shared.join("weights/deeplab_ade20k/deeplab_mnv2_ade20k.onnx");
+    let arguments = ["train", "--data", utf8(&data), "--segmenter", utf8(&model)];
+    let mut running = Running::coseg(&[&arguments[..], &["--out", utf8(&run)]].concat());
+    let is_map = |path: &Path| path.extension().is_some_and(|e| e == "png");
+    let labelled = || {
+        let files = std::fs::read_dir(run.join("labels")).into_iter().flatten();
+        files.flatten().any(|file| is_map(&file.path()))
+    };
+    let clock = std::time::Instant::now();
+    while !labelled() {
+        assert!(clock.elapsed() < std::time::Duration::from_secs(120));
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
+    running.send("-INT");
+    let (code, said) = running.end();
+    assert_eq!(code, Some(130), "{said}");
+    assert!(
+        said.ends_with("stopped; the same command continues"),
+        "{said}"
+    );
+}
+
+#[test]
 fn a_run_that_is_interrupted_saves_and_is_gone_on_with() {
     let folder = tempfile::tempdir().unwrap();
     scene(folder.path());

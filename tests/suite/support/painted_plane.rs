@@ -1,7 +1,7 @@
 //! A painted plane in eight photos, and a short first stage on it.
 
 use coseg::config::{BuildingConfig, Config};
-use coseg::data::{Classes, Points, Scene, Split, View};
+use coseg::data::{Classes, Points, Scene, Split, View, WorldUnit};
 use coseg::reconstruction::{Trainer, TrainerState};
 use coseg::splat::camera::Camera;
 use glam::{DMat3, DVec3};
@@ -93,7 +93,7 @@ pub fn scene() -> Scene {
         drawn: false,
         origin: DVec3::ZERO,
         up: DVec3::Z,
-        unit_is_metre: true,
+        unit: WorldUnit::Metre,
     }
 }
 

@@ -1,6 +1,6 @@
 //! Scenes of generated pictures.
 
-use coseg::data::{Classes, LabelMap, LabelRuns, Photo, Points, Scene, Split, View};
+use coseg::data::{Classes, LabelMap, LabelRuns, Photo, Points, Scene, Split, View, WorldUnit};
 use coseg::splat::camera::Camera;
 use glam::{DMat3, DVec3};
 use image::RgbImage;
@@ -48,7 +48,7 @@ pub fn scene(views: Vec<View>, classes: Classes) -> Scene {
         drawn: false,
         origin: DVec3::ZERO,
         up: DVec3::Z,
-        unit_is_metre: true,
+        unit: WorldUnit::Metre,
     }
 }
 
