@@ -45,8 +45,9 @@ class Browser:
             os.dup2(30, 3), os.dup2(31, 4)
 
         flags = ["--headless", "--no-sandbox", "--enable-unsafe-swiftshader", "--remote-debugging-pipe", f"--window-size={SIZE}"]
-        self.process = subprocess.Popen([chromium, *flags, f"--user-data-dir={profile}"], preexec_fn=pipes, close_fds=False,
-                                        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        command = [chromium, *flags, f"--user-data-dir={profile}"]
+        self.process = subprocess.Popen(command, preexec_fn=pipes, close_fds=False, start_new_session=True, **silent)
         self.sent, self.buffer, self.session = 0, b"", None
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self.session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
@@ -78,9 +79,10 @@ class Browser:
         return True
 
     def memory(self):
-        """Bytes of the process that has the page: the largest renderer."""
-        children = subprocess.run(["ps", "-eo", "rss,args"], capture_output=True, text=True).stdout.splitlines()
-        return max(int(line.split()[0]) << 10 for line in children if "--type=renderer" in line)
+        """Bytes of the process that has the page: the largest renderer of this browser."""
+        ps = ["ps", "-s", str(self.process.pid), "-o", "rss,args"]
+        lines = subprocess.run(ps, capture_output=True, text=True).stdout.splitlines()
+        return max(int(line.split()[0]) << 10 for line in lines if "--type=renderer" in line)
 
 
 def resident(process):
@@ -100,15 +102,17 @@ def main():
         write_scene(scene, options.gaussians)
         browser = Browser(options.chromium, f"{folder}/profile")
         clock = time.monotonic()
-        server = subprocess.Popen([options.coseg, "view", "--scene", scene, "--serve"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        command = [options.coseg, "view", "--scene", scene, "--serve"]
+        server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         try:
             address = re.search(r"http://\S+", server.stdout.readline())[0]
             print(f"address after {time.monotonic() - clock:.1f} s")
             clock = time.monotonic()
             browser.call("Page.navigate", url=address)
-            browser.until("window.page?.panel && / of /.test(document.getElementById('lead')?.textContent)")
-            browser.call("Page.captureScreenshot")
-            print(f"first picture after {time.monotonic() - clock:.1f} s: {browser.value('document.getElementById(`lead`).textContent')}")
+            browser.until("window.page?.panel && /^[1-9].* of /.test(document.getElementById('lead')?.textContent)")
+            # Reading the picture waits until it is drawn.
+            lead = browser.value("page.draw(), page.canvas.toDataURL(), document.getElementById('lead').textContent")
+            print(f"first picture after {time.monotonic() - clock:.1f} s: {lead}")
             ready = browser.until("document.body.dataset.ready === 'yes'", options.seconds)
             print(f"{'all' if ready else 'not all'} after {time.monotonic() - clock:.1f} s")
             print(f"server {resident(server.pid) / 1e6:.0f} MB at most, page {browser.memory() / 1e6:.0f} MB")

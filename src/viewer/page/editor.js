@@ -66,7 +66,8 @@ class Editor {
   }
 
   redo() {
-    if (!this.pickFrom(this.later, this.earlier)) this.edits.redo();
+    if (this.tools.shape) this.tools.takeBack();
+    else if (!this.pickFrom(this.later, this.earlier)) this.edits.redo();
   }
 
   /** Chooses an object alone, adds it ("add"; again drops it), or takes it out ("subtract"). Null means nothing. */

@@ -187,6 +187,7 @@ class Page extends Editor {
 
   resized() {
     if (this.bare || !this.navigation) return;
+    this.tools.resized();
     const { rotation, center } = this.fitted;
     this.fitted = new Camera({ ...this.source, rotation, center }).fitted(...this.room());
     this.stale = true;

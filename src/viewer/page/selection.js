@@ -24,7 +24,7 @@ class Selection {
     this.endGrowth();
   }
 
-  /** What `restore` takes back. Runs, as flags of a large scene are too many to keep often. */
+  /** What `restore` takes back: runs, which are small, and the flags that growth began from. */
   copy() {
     const { seeds, growth, level, base, flag } = this;
     return { runs: runsOf(this.rows()), growing: { seeds, growth, level, base, flag } };
@@ -36,7 +36,7 @@ class Selection {
     Object.assign(this, growing);
   }
 
-  /** Grows from one more point by "new", unless nothing grows; else anew, from what is selected. */
+  /** A plain click ("new") adds a point to what grows. With Shift or Alt, growth begins anew on top of the selection. */
   plant(row, scene, how) {
     const seeds = how === "new" ? [...this.seeds, row] : [row];
     if (how !== "new" || !this.growth) {

@@ -47,8 +47,8 @@ class Tools {
   }
 
   choose(tool) {
-    this.cancel();
     this.aim = null;
+    this.cancel();
     this.tool = tool;
     document.body.classList.toggle("aiming", tool !== "objects");
     this.page.refresh();
@@ -144,6 +144,7 @@ class Tools {
 
   /** Moves the crosshair by so many strides, and with it the end of a shape. */
   step([left, up], { shiftKey }) {
+    if (this.page.navigation.drawing) return;
     const stride = shiftKey ? 1 : STRIDE;
     const { width, height } = this.page.fitted;
     const [x, y] = this.aim ?? this.middle;
@@ -156,6 +157,7 @@ class Tools {
 
   /** Clicks at the crosshair, or else in the middle; begins a shape there, sets a corner of a lasso, or ends the shape. */
   press(event) {
+    if (this.page.navigation.drawing) return;
     const at = this.aim ?? this.middle;
     if (!this.isDrawing) {
       this.page.clicked(...at, event);
@@ -174,8 +176,9 @@ class Tools {
   hover(at) {
     // A shape that keys draw goes on.
     if (this.shape) return;
-    if (this.aim) this.clear();
+    const { aim } = this;
     this.aim = null;
+    if (aim) this.clear();
     if (this.tool === "brush") this.draw(at);
   }
 
@@ -188,7 +191,15 @@ class Tools {
     this.overlay.replaceChildren(...marks.map(([kind, values]) => drawn(kind, values)));
   }
 
+  /** The crosshair stays. */
   clear() {
     this.overlay.replaceChildren();
+    if (this.aim) this.draw(this.aim);
+  }
+
+  /** The picture has another size: places in the old one mean nothing. */
+  resized() {
+    this.aim = null;
+    this.cancel();
   }
 }

@@ -38,6 +38,7 @@ class Watch {
     this.shown = 0;
     this.frame = null;
     this.loading = false;
+    this.hasRoom = true;
     this.missed = 0;
     this.ended = false;
     /** Whether the person asked the run to stop. */
@@ -94,7 +95,8 @@ class Watch {
     this.chart(status);
     if (at("views").length !== status.views.length) this.listViews(status.views);
     at("modes").hidden = !status.labelled || status.megabytes !== null;
-    if (status.megabytes !== null) this.showTooLarge(status.megabytes);
+    this.hasRoom = status.megabytes === null;
+    if (!this.hasRoom) this.showTooLarge(status.megabytes);
     else if (status.copy > this.shown && !this.loading) this.load(status.copy);
   }
 
@@ -187,6 +189,10 @@ The curves go on. When the run has ended, \u201ccoseg view --serve\u201d shows t
     this.loading = false;
     // A copy that cannot be shown is not asked for again.
     this.shown = copy;
+    if (!this.hasRoom) {
+      next.remove();
+      return;
+    }
     if (!page) {
       at("waiting").textContent = troubleOf(next);
       at("waiting").hidden = this.frame !== null;

@@ -213,6 +213,7 @@ fn a_finger_hits_every_control_of_a_phone() {
     for size in [[390, 844], [844, 390], [667, 375], [1180, 820]] {
         tab.resize(size, true);
         for script in [
+            "page.tools.choose('objects'); page.choose(null)",
             "page.choose(2)",
             "page.choose(3, 'add')",
             "page.tools.choose('brush')",
@@ -225,6 +226,5 @@ fn a_finger_hits_every_control_of_a_phone() {
             assert_eq!(tab.value(wide), false, "{size:?} {script}");
             assert_eq!(tab.value(over), false, "{size:?} {script}");
         }
-        tab.value("page.choose(null)");
     }
 }
