@@ -8,8 +8,8 @@ class DepthOrder {
     const n = scene.gaussians;
     /** Depths and Gaussians, and the same after a pass. */
     [this.depths, this.ids, this.otherDepths, this.otherIds] = [0, 1, 2, 3].map(() => new Uint32Array(n));
-    /** Drawn in this order, `length` of them. */
-    this.drawn = new Uint32Array(n);
+    /** Drawn in this order, `length` of them; whole rows of a texture. */
+    this.drawn = new Uint32Array(Math.ceil(n / TEXTURE_WIDTH) * TEXTURE_WIDTH);
     this.length = 0;
   }
 

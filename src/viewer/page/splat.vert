@@ -9,6 +9,8 @@ uniform sampler2D geometry;
 uniform usampler2D colours;
 uniform sampler2D parts;    // of each a rotation row by row with a shift, and its label's colour with 1 for chosen ones
 uniform usampler2D partOf;  // of each Gaussian; the highest bit is set where it is selected
+uniform usampler2D order;   // Gaussians in the order in which they are drawn
+uniform int count;          // of them
 uniform mat3 rotation;
 uniform vec3 center;
 uniform vec2 focal;
@@ -20,12 +22,11 @@ uniform float painted;      // share of the label's colour
 uniform vec3 chosen;        // what chosen objects are tinted with
 uniform vec3 selected;      // and selected Gaussians
 
-layout(location = 0) in uint splat;
-
 flat out vec2 middle;
 flat out vec3 conic;        // slope, and the reciprocals of the spread along x at a given y, and along y
 flat out vec4 shade;        // colour and opacity
 
+const int BATCH = 256;      // Gaussians of an instance, as in renderer.js
 const int WIDTH = 2048;
 const int PARTS_WIDE = 256;
 const float LOW_PASS = 0.3;
@@ -35,9 +36,13 @@ vec4 ofPart(int part, int k) {
     return texelFetch(parts, ivec2(4 * (part % PARTS_WIDE) + k, part / PARTS_WIDE), 0);
 }
 
-ivec2 texel(int k) {
-    int at = 4 * (int(splat) % blocks.x * blocks.y + int(splat) / blocks.x) + k;
-    return ivec2(at % WIDTH, at / WIDTH);
+ivec2 at(int texel) {
+    return ivec2(texel % WIDTH, texel / WIDTH);
+}
+
+// The first of a Gaussian's four texels of geometry and colours.
+int firstTexel(int splat) {
+    return 4 * (splat % blocks.x * blocks.y + splat / blocks.x);
 }
 
 // Basis functions of degrees 1 to 3, in 3DGS's sign and order.
@@ -61,13 +66,13 @@ void harmonics(vec3 d, out float b[15]) {
     b[14] = -0.59004359 * x * (xx - 3.0 * yy);
 }
 
-vec3 colourFrom(vec3 direction, float scale) {
-    vec3 base = uintBitsToFloat(texelFetch(colours, texel(3), 0).xyz);
+vec3 colourFrom(int first, vec3 direction, float scale) {
+    vec3 base = uintBitsToFloat(texelFetch(colours, at(first + 3), 0).xyz);
     vec3 sum = vec3(0.0);
     if (degree > 0) {
         uint words[12];
         for (int k = 0; k < 3; k++) {
-            uvec4 four = texelFetch(colours, texel(k), 0);
+            uvec4 four = texelFetch(colours, at(first + k), 0);
             words[4 * k] = four.x;
             words[4 * k + 1] = four.y;
             words[4 * k + 2] = four.z;
@@ -78,9 +83,9 @@ vec3 colourFrom(vec3 direction, float scale) {
         int terms = (degree + 1) * (degree + 1) - 1;
         for (int k = 0; k < terms; k++) {
             for (int c = 0; c < 3; c++) {
-                int at = 3 * k + c;
+                int place = 3 * k + c;
                 // The sign comes with the highest bit of the byte.
-                int value = int(words[at >> 2] << (24 - 8 * (at & 3))) >> 24;
+                int value = int(words[place >> 2] << (24 - 8 * (place & 3))) >> 24;
                 sum[c] += b[k] * float(value);
             }
         }
@@ -89,10 +94,15 @@ vec3 colourFrom(vec3 direction, float scale) {
 }
 
 void main() {
-    vec4 centre = texelFetch(geometry, texel(0), 0);
+    gl_Position = vec4(2.0, 2.0, 0.0, 1.0);  // nowhere
+    int rank = BATCH * gl_InstanceID + gl_VertexID / 4;
+    if (rank >= count) return;
+    int splat = int(texelFetch(order, at(rank), 0).x);
+    int first = firstTexel(splat);
+    vec4 centre = texelFetch(geometry, at(first), 0);
     vec4 axes[3] = vec4[3](
-        texelFetch(geometry, texel(1), 0), texelFetch(geometry, texel(2), 0), texelFetch(geometry, texel(3), 0));
-    uint word = texelFetch(partOf, ivec2(int(splat) % WIDTH, int(splat) / WIDTH), 0).x;
+        texelFetch(geometry, at(first + 1), 0), texelFetch(geometry, at(first + 2), 0), texelFetch(geometry, at(first + 3), 0));
+    uint word = texelFetch(partOf, at(splat), 0).x;
     int part = int(word & 0x7fffffffu);
     vec4 rows[3] = vec4[3](ofPart(part, 0), ofPart(part, 1), ofPart(part, 2));
     vec4 label = ofPart(part, 3);
@@ -120,23 +130,20 @@ void main() {
 
     // Where alpha falls to ALPHA_MIN.
     float reach = 2.0 * log(opacity / ALPHA_MIN);
-    if (!(reach > 0.0) || p.z <= 0.0) {
-        gl_Position = vec4(2.0, 2.0, 0.0, 1.0);
-        return;
-    }
+    if (!(reach > 0.0) || p.z <= 0.0) return;
     float spread = length(vec2(0.5 * (X - Y), B));
     float longest = 0.5 * (X + Y) + spread;
     float shortest = given * (Y / longest);
     vec2 along = X >= Y ? vec2(longest - Y, B) : vec2(B, longest - X);
     along = spread > 1e-6 * longest ? normalize(along) : vec2(1.0, 0.0);
-    vec2 corner = vec2(float(gl_VertexID & 1), float(gl_VertexID >> 1)) * 2.0 - 1.0;
+    vec2 corner = vec2(float(gl_VertexID & 1), float(gl_VertexID >> 1 & 1)) * 2.0 - 1.0;
     vec2 lengths = sqrt(reach * vec2(longest, shortest)) + 0.5;
     middle = focal * p.xy / p.z + principal;
-    vec2 at = middle + corner.x * lengths.x * along + corner.y * lengths.y * vec2(-along.y, along.x);
-    gl_Position = vec4((2.0 * at / size - 1.0) * vec2(1.0, -1.0), 0.0, 1.0);
+    vec2 place = middle + corner.x * lengths.x * along + corner.y * lengths.y * vec2(-along.y, along.x);
+    gl_Position = vec4((2.0 * place / size - 1.0) * vec2(1.0, -1.0), 0.0, 1.0);
 
     conic = vec3(B / Y, inversesqrt(given), inversesqrt(Y));
-    vec3 colour = painted < 1.0 ? colourFrom(back * normalize(toward), axes[1].w) : vec3(0.0);
+    vec3 colour = painted < 1.0 ? colourFrom(first, back * normalize(toward), axes[1].w) : vec3(0.0);
     colour = mix(colour, label.rgb, painted);
     colour = mix(colour, chosen, 0.4 * label.w);
     shade = vec4(mix(colour, selected, (word >> 31) > 0u ? 0.65 : 0.0), opacity);
