@@ -1,46 +1,54 @@
-//! How well two clicks select a thing: random pairs of clicks inside masks drawn by hand, the selections of which are compared with
-//! masks of views that were not clicked.
+//! How well two clicks select a thing: random pairs of clicks on it, the selections of which are compared with masks of views that
+//! were not clicked. With the image features of the run, if it has lifted some, and without.
 //!
-//! `fox.json` has masks of the fox in the scene `fox` of instant-ngp: the fur, without the board. A mask is a polygon, its corners in
-//! units of an image of `size`. Give another file for another thing.
+//! Masks are polygons in a JSON file, or the instance maps NAME.png of all frames of the run in a folder. `fox.json` has masks of
+//! the fox in the scene `fox` of instant-ngp: the fur, without the board.
 //!
 //!     cargo run --release -- train --data fox --set data.transforms=transforms_4.json --set 'segmentation.rows=[]' --out runs/fox
-//!     cargo run --release --example select_clicks -- runs/fox
+//!     cargo run --release --example select_clicks -- runs/fox examples/select_clicks/fox.json
+//!     cargo run --release --example select_clicks -- runs/room room/instances
+
+mod masks;
 
 use coseg::data::{Limits, NamedCamera, read_cameras};
 use coseg::objects::{Growth, Regions, seed};
 use coseg::raster::{Projected, Settings};
+use coseg::runs::features_beside;
 use coseg::splat::{Gaussians, ply};
-use rand::{Rng, SeedableRng};
-use serde::Deserialize;
-use std::collections::BTreeMap;
+use masks::{Mask, Thing};
+use rand::Rng;
+use rand::SeedableRng;
+use rand::seq::index::sample;
+use rand_chacha::ChaCha8Rng;
 use std::error::Error;
 use std::path::Path;
 
-/// Pairs of clicks.
-const PAIRS: usize = 20;
+/// Pairs of clicks on a thing that is the only one, and on each of several.
+const PAIRS: [usize; 2] = [20, 5];
 
-#[derive(Deserialize)]
-struct Masks {
-    size: [f64; 2],
-    clicked: BTreeMap<String, Vec<[f64; 2]>>,
-    judged: BTreeMap<String, Vec<[f64; 2]>>,
-}
-
-/// A view with its mask.
-struct Drawn {
+/// What a camera of the run sees.
+struct View {
     projected: Projected<f32>,
-    inside: Vec<bool>,
     /// Coverage of each pixel.
     alpha: Vec<f32>,
 }
 
-impl Drawn {
+impl View {
+    fn new(named: &NamedCamera, scene: &ply::PlyScene) -> Result<Self, Box<dyn Error>> {
+        let camera = named.camera.moved(-scene.origin);
+        let projected = Projected::new(&scene.gaussians.splats(), &camera, &Settings::default())?;
+        let ones = vec![1.0; scene.gaussians.len()];
+        Ok(Self {
+            alpha: projected.blend(&ones, 1).image,
+            projected,
+        })
+    }
+
     /// IoU of the pixels of which `selected` gives most with the mask.
-    fn iou(&self, selected: &[f32]) -> f64 {
+    fn iou(&self, selected: &[f32], mask: &Mask) -> f64 {
         let image = self.projected.blend(selected, 1).image;
         let (mut both, mut either) = (0, 0);
-        for ((share, alpha), inside) in image.iter().zip(&self.alpha).zip(&self.inside) {
+        for ((share, alpha), inside) in image.iter().zip(&self.alpha).zip(&mask.inside) {
             let shown = *share > 0.5 * alpha.max(0.5);
             both += usize::from(shown && *inside);
             either += usize::from(shown || *inside);
@@ -50,94 +58,81 @@ impl Drawn {
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let mut arguments = std::env::args().skip(1);
-    let run = arguments.next().unwrap_or_else(|| "runs/fox".to_owned());
-    let text = match arguments.next() {
-        Some(file) => std::fs::read_to_string(file)?,
-        None => include_str!("fox.json").to_owned(),
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [run, masks] = arguments.as_slice() else {
+        return Err("give a run folder, and a file or folder of masks".into());
     };
-    let masks: Masks = serde_json::from_str(&text)?;
-    let scene = ply::read(&Path::new(&run).join("scene.ply"), &Limits::default())?;
-    let cameras = read_cameras(&Path::new(&run).join("cameras.json"), None)?;
-    let draw = |(name, polygon): (&String, &Vec<[f64; 2]>)| -> Result<Drawn, Box<dyn Error>> {
-        let named = cameras.iter().find(|camera| camera.name == *name);
-        let NamedCamera { camera, .. } = named.ok_or_else(|| format!("no frame {name}"))?;
-        let (width, height) = (camera.width, camera.height);
-        let scale = [width as f64 / masks.size[0], height as f64 / masks.size[1]];
-        let center = |i: usize| [(i % width) as f64 + 0.5, (i / width) as f64 + 0.5];
-        let at = |i| [0, 1].map(|axis| center(i)[axis] / scale[axis]);
-        let camera = camera.moved(-scene.origin);
-        let projected = Projected::new(&scene.gaussians.splats(), &camera, &Settings::default())?;
-        let ones = vec![1.0; scene.gaussians.len()];
-        Ok(Drawn {
-            alpha: projected.blend(&ones, 1).image,
-            inside: (0..width * height)
-                .map(|i| is_inside(at(i), polygon))
-                .collect(),
-            projected,
-        })
-    };
-    let clicked = masks
-        .clicked
-        .iter()
-        .map(draw)
-        .collect::<Result<Vec<_>, _>>()?;
-    let judged = masks
-        .judged
-        .iter()
-        .map(draw)
-        .collect::<Result<Vec<_>, _>>()?;
-    let regions = Regions::new(&scene.gaussians)?;
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(1);
-    let mut ious = Vec::new();
-    for _ in 0..PAIRS {
-        let mut seeds = Vec::new();
-        for view in &clicked {
-            let pixels: Vec<usize> = (0..view.inside.len()).filter(|&i| view.inside[i]).collect();
-            if pixels.is_empty() {
-                return Err("a mask without pixels".into());
-            }
-            let pixel = pixels[rng.random_range(0..pixels.len())];
-            let width = view.projected.size()[0];
-            seeds.extend(seed([pixel % width, pixel / width], &view.projected));
-        }
-        if seeds.is_empty() {
-            println!("a pair of clicks on the background is left out");
-            continue;
-        }
-        let growth = Growth::new(&regions, &seeds);
-        ious.push(mean_iou(&judged, &growth, &scene.gaussians));
+    let path = Path::new(run).join("scene.ply");
+    let scene = ply::read(&path, &Limits::default())?;
+    let cameras = read_cameras(&Path::new(run).join("cameras.json"), None)?;
+    let views = cameras.iter().map(|camera| View::new(camera, &scene));
+    let views: Vec<View> = views.collect::<Result<_, _>>()?;
+    let things = masks::read(Path::new(masks), &cameras)?;
+    let features = features_beside(&path, scene.gaussians.len());
+    let clicks = clicks(&things, &views);
+    println!("{} things, {} pairs of clicks", things.len(), clicks.len());
+    let regions = Regions::new(&scene.gaussians, &[])?;
+    let ious = |regions: &Regions| ious(&clicks, regions, &views, &scene.gaussians);
+    println!("colours and normals: {}", summary(ious(&regions)));
+    if !features.is_empty() {
+        let regions = Regions::new(&scene.gaussians, &features)?;
+        println!("and image features: {}", summary(ious(&regions)));
     }
-    if ious.is_empty() {
-        return Err("no click shows a Gaussian".into());
-    }
-    println!("{}", summary(ious));
     Ok(())
 }
 
-/// Mean over the judged views, at the proposed threshold.
-fn mean_iou(judged: &[Drawn], growth: &Growth, gaussians: &Gaussians) -> f64 {
-    let mut selected = vec![0.0; gaussians.len()];
-    for row in growth.rows(growth.proposed) {
-        selected[row as usize] = 1.0;
+/// Random pairs of clicks, each in two views of the thing: the Gaussians that they show.
+fn clicks<'a>(things: &'a [Thing], views: &[View]) -> Vec<(&'a Thing, Vec<u32>)> {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let mut clicks = Vec::new();
+    for thing in things {
+        for _ in 0..PAIRS[usize::from(things.len() > 1)] {
+            let mut seeds = Vec::new();
+            for mask in sample(&mut rng, thing.clicked.len(), 2) {
+                let mask = &thing.clicked[mask];
+                let projected = &views[mask.view].projected;
+                let pixels = mask.pixels();
+                let pixel = pixels[rng.random_range(0..pixels.len())];
+                let width = projected.size()[0];
+                seeds.extend(seed([pixel % width, pixel / width], projected));
+            }
+            // Both may be on the background.
+            if !seeds.is_empty() {
+                clicks.push((thing, seeds));
+            }
+        }
     }
-    let sum: f64 = judged.iter().map(|view| view.iou(&selected)).sum();
-    sum / judged.len() as f64
+    clicks
 }
 
-/// Whether a ray from the point to the right crosses the polygon an odd number of times.
-fn is_inside([x, y]: [f64; 2], polygon: &[[f64; 2]]) -> bool {
-    let next = polygon.iter().cycle().skip(1);
-    let crosses = polygon.iter().zip(next).filter(|([ax, ay], [bx, by])| {
-        (*ay > y) != (*by > y) && x < ax + (y - ay) / (by - ay) * (bx - ax)
-    });
-    crosses.count() % 2 == 1
+/// Of each pair the mean over the judged views, at the proposed threshold.
+fn ious(
+    clicks: &[(&Thing, Vec<u32>)],
+    regions: &Regions,
+    views: &[View],
+    gaussians: &Gaussians,
+) -> Vec<f64> {
+    let iou = |(thing, seeds): &(&Thing, Vec<u32>)| {
+        let growth = Growth::new(regions, seeds);
+        let mut selected = vec![0.0; gaussians.len()];
+        for row in growth.rows(growth.proposed) {
+            selected[row as usize] = 1.0;
+        }
+        let judged = thing.judged.iter();
+        let sum: f64 = judged
+            .map(|mask| views[mask.view].iou(&selected, mask))
+            .sum();
+        sum / thing.judged.len() as f64
+    };
+    clicks.iter().map(iou).collect()
 }
 
 fn summary(mut ious: Vec<f64>) -> String {
+    if ious.is_empty() {
+        return "no click shows a Gaussian".to_owned();
+    }
     ious.sort_by(f64::total_cmp);
     let median = 0.5 * (ious[(ious.len() - 1) / 2] + ious[ious.len() / 2]);
     let mean = ious.iter().sum::<f64>() / ious.len() as f64;
-    let all: Vec<String> = ious.iter().map(|iou| format!("{iou:.2}")).collect();
-    format!("median IoU {median:.3}, mean {mean:.3}: {}", all.join(" "))
+    format!("median IoU {median:.3}, mean {mean:.3}")
 }

@@ -7,12 +7,12 @@ use coseg::data::{NamedCamera, read_cameras};
 use coseg::error::{Result, ensure, invalid};
 use coseg::objects::{Growth, Regions, seed};
 use coseg::raster::{Projected, Settings};
-use coseg::runs::{ObjectScene, cameras_path, frame_with_pixel, rendering_beside};
+use coseg::runs::{ObjectScene, cameras_path, features_beside, frame_with_pixel, rendering_beside};
 use std::path::PathBuf;
 
 const HELP: &str = "\
 Point at a thing in one or more views. The selection begins at the Gaussian that gives most of each pixel and grows over its
-neighbours, those that are most alike in colour and surface first. It ends where what it has stands out most, or at
+neighbours, those that are most alike in colour, surface and image features (of a run that lifted some) first. It ends where what it has stands out most, or at
 --threshold: a lower one takes fewer Gaussians. Give --frame and --pixel once for each pixel, in the same order. Points far
 apart on the thing help most. The scene needs neither labels nor its photos.
 
@@ -62,7 +62,9 @@ impl SelectArgs {
         let scene = self.scene.from.read_or_unlabelled()?;
         let seeds = self.seeds(&scene)?;
         terminal::note("dividing the scene into regions");
-        let growth = Growth::new(&Regions::new(&scene.ply.gaussians)?, &seeds);
+        let features = features_beside(&scene.path, scene.labels.len());
+        let regions = Regions::new(&scene.ply.gaussians, &features)?;
+        let growth = Growth::new(&regions, &seeds);
         let threshold = self.threshold.unwrap_or(growth.proposed);
         let rows = growth.rows(threshold);
         let (ids, edited) = scene.named(&[(&self.name, &rows)], "--name")?;

@@ -6,7 +6,9 @@ use clap::Args;
 use coseg::data::{Limits, read_cameras};
 use coseg::error::{Result, ensure};
 use coseg::files::{extension, file_name, own, sha256};
-use coseg::runs::{SCENE, VIEWER, cameras_path, classes_beside, rendering_beside, scene_path};
+use coseg::runs::{
+    SCENE, VIEWER, cameras_path, classes_beside, features_beside, rendering_beside, scene_path,
+};
 use coseg::splat::formats;
 #[cfg(feature = "serve")]
 use coseg::viewer::Served;
@@ -141,6 +143,7 @@ impl ViewArgs {
             gaussians: &gaussians,
             origin: ply.origin,
             labels: Some(&labels),
+            features: &features_beside(path, gaussians.len()),
             classes: &classes,
             cameras: &cameras,
             up: self.up,

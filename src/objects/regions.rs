@@ -1,22 +1,25 @@
 //! The tree of a scene's regions: superpoints merge, always the two neighbours that are most alike.
 //!
 //! Two regions A and B differ by sqrt(|A| |B| / (|A| + |B|)) |m_A - m_B| P / E: Ward's distance (*Hierarchical Grouping to Optimize
-//! an Objective Function*, JASA 1963) of their mean colours and normals, times a factor for how little they touch. E counts the
+//! an Objective Function*, JASA 1963) of their mean colours, normals and image features, times a factor for how little they touch. E counts the
 //! edges of the neighbour graph between them, and P all edges that leave the one with fewer. So a part joins the thing that
 //! surrounds it before it joins one that it only stands on.
 
 use super::pooled_vote::{NEIGHBOURS, finest};
 use super::superpoints::{Superpoints, SurfaceGraph};
-use crate::error::Result;
+use crate::error::{Result, ensure};
 use crate::splat::Gaussians;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
 use std::f64::consts::SQRT_2;
+use std::iter::repeat;
 
 /// Weight of the normals beside the colours.
 const NORMALS: f64 = 0.3;
-/// Numbers of an appearance: a colour (sRGB in 0..1), and n n^T of a normal n, which has no sense.
-const WIDTH: usize = 9;
+/// Weight of the image features beside the colours.
+const FEATURES: f64 = 0.8;
+/// Numbers of an appearance: a colour (sRGB in 0..1), n n^T of a normal n, which has no sense, and main components of image features.
+const WIDTH: usize = 12;
 /// Lower heights count as this one where a region stands out: parts of things stand out from these too.
 const LEAST_HEIGHT: f64 = 4.0;
 
@@ -35,14 +38,18 @@ pub struct Regions {
 }
 
 impl Regions {
-    /// The regions of `gaussians`.
+    /// The regions of `gaussians`. `features` has main components of the image features of each one, see
+    /// [`crate::features::FeatureColors`], or nothing.
     ///
     /// # Errors
-    /// [`crate::Error::NonFinite`] when a centre is not finite.
-    pub fn new(gaussians: &Gaussians) -> Result<Self> {
+    /// [`crate::Error::NonFinite`] when a centre is not finite; [`crate::Error::Argument`] for features of another number of Gaussians.
+    pub fn new(gaussians: &Gaussians, features: &[[f32; 3]]) -> Result<Self> {
+        ensure!(features.is_empty() || features.len() == gaussians.len(), argument "features"; found "{} of them", features.len();
+            expected "one for each of {} Gaussians, or none", gaussians.len(); help "give those that were lifted onto these Gaussians");
         let graph = SurfaceGraph::new(gaussians, NEIGHBOURS)?;
         let superpoints = finest(&graph);
-        let mut merging = Merging::new(gaussians, &graph, &superpoints);
+        let appearances = appearances(gaussians, features, &graph);
+        let mut merging = Merging::new(&appearances, &graph, &superpoints);
         merging.merge_all();
         let regions = &merging.regions;
         let half = gaussians.len() as f64 / 2.0;
@@ -59,10 +66,15 @@ impl Regions {
     }
 }
 
-/// Colour and normal of each Gaussian as they enter a mean.
-fn appearances(gaussians: &Gaussians, graph: &SurfaceGraph) -> Vec<[f64; WIDTH]> {
-    let appearance = |([r, g, b], n): ([f32; 3], &glam::DVec3)| {
+/// Colour, normal and features of each Gaussian as they enter a mean.
+fn appearances(
+    gaussians: &Gaussians,
+    features: &[[f32; 3]],
+    graph: &SurfaceGraph,
+) -> Vec<[f64; WIDTH]> {
+    let appearance = |(([r, g, b], n), features): (([f32; 3], &glam::DVec3), &[f32; 3])| {
         let [r, g, b] = [r, g, b].map(f64::from);
+        let [u, v, w] = features.map(|value| FEATURES * f64::from(value));
         let normal = [
             n.x * n.x,
             n.y * n.y,
@@ -72,10 +84,15 @@ fn appearances(gaussians: &Gaussians, graph: &SurfaceGraph) -> Vec<[f64; WIDTH]>
             SQRT_2 * n.y * n.z,
         ];
         let [xx, yy, zz, xy, xz, yz] = normal.map(|v| NORMALS * v);
-        [r, g, b, xx, yy, zz, xy, xz, yz]
+        [r, g, b, xx, yy, zz, xy, xz, yz, u, v, w]
     };
     let colors = gaussians.base_colors().into_iter();
-    colors.zip(graph.normals()).map(appearance).collect()
+    let features = features.iter().chain(repeat(&[0.0; 3]));
+    colors
+        .zip(graph.normals())
+        .zip(features)
+        .map(appearance)
+        .collect()
 }
 
 /// A region while the tree grows.
@@ -102,10 +119,10 @@ struct Merging {
 }
 
 impl Merging {
-    fn new(gaussians: &Gaussians, graph: &SurfaceGraph, superpoints: &Superpoints) -> Self {
+    fn new(appearances: &[[f64; WIDTH]], graph: &SurfaceGraph, superpoints: &Superpoints) -> Self {
         let Superpoints { of, count } = superpoints;
         let mut regions = vec![Region::default(); *count];
-        for (&superpoint, appearance) in of.iter().zip(appearances(gaussians, graph)) {
+        for (&superpoint, appearance) in of.iter().zip(appearances) {
             let region = &mut regions[superpoint as usize];
             region.size += 1.0;
             for (sum, value) in region.mean.iter_mut().zip(appearance) {

@@ -18,8 +18,8 @@ pub use self::object_scene::{
 };
 pub use self::scene_file::{
     CAMERAS, CLASSES, CONFIG, FEATURE_COLORS, SCENE, VIEWER, cameras_path, classes_beside,
-    copy_cameras, frame_with_pixel, named_frame, photos_of, read_scene, rendering_beside,
-    scene_path,
+    copy_cameras, features_beside, frame_with_pixel, named_frame, photos_of, read_scene,
+    rendering_beside, scene_path,
 };
 pub use self::training::{RunOptions, Trained, check_folder, scene_name, train};
 pub use self::vote::{check_vote, load_both, vote};

@@ -3,6 +3,7 @@
 use crate::config::Config;
 use crate::data::{Classes, Limits, LoadOptions, NamedCamera, ViewPhoto, view_photos};
 use crate::error::{Error, Result, ensure, invalid};
+use crate::features::FeatureColors;
 use crate::files::{self, atomic, extension, own};
 use crate::splat::formats;
 use crate::splat::ply::PlyScene;
@@ -75,6 +76,22 @@ pub fn classes_beside(scene: &Path, given: Option<&Path>) -> Result<Classes> {
         Some(path) => Classes::read(path),
         None if beside.is_file() => Classes::read(&beside),
         None => Ok(Classes::default()),
+    }
+}
+
+/// Main components of the image features of each of `gaussians`, where the run beside whose `scene` they are has lifted some.
+/// A file of another scene, which may lie there, is passed over with a warning.
+pub fn features_beside(scene: &Path, gaussians: usize) -> Vec<[f32; 3]> {
+    let file = scene.with_file_name(FEATURE_COLORS);
+    if !file.is_file() {
+        return Vec::new();
+    }
+    match FeatureColors::read(&file, gaussians) {
+        Ok(colors) => colors.rgb,
+        Err(error) => {
+            tracing::warn!("no image features are compared: {error}");
+            Vec::new()
+        }
     }
 }
 

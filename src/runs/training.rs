@@ -155,6 +155,10 @@ fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<usize> {
         gaussians,
         origin: scene.origin,
         labels: Some(&labels),
+        features: outcome
+            .feature_colors
+            .as_ref()
+            .map_or(&[], |colors| &colors.rgb),
         classes: &scene.classes,
         cameras: &cameras,
         up: scene.known_up(),

@@ -76,6 +76,8 @@ pub struct Viewer<'a> {
     pub origin: DVec3,
     /// One label id for each Gaussian, where the scene has labels.
     pub labels: Option<&'a [u16]>,
+    /// Main components of the image features of each Gaussian, which the wand compares too; or none, see [`Regions::new`].
+    pub features: &'a [[f32; 3]],
     /// Names and colours of the labels; empty where none are known.
     pub classes: &'a Classes,
     /// Views to visit, in world units. The page starts at the first held-out one, or else at the first.
@@ -116,7 +118,9 @@ impl Viewer<'_> {
     /// [`crate::Error::Argument`] for no Gaussian, fields or labels of another length, or an `alpha_max` or `up` out of range;
     /// [`crate::Error::NonFinite`].
     pub fn page(&self) -> Result<String> {
-        let regions = self.labels.map(|_| Regions::new(self.gaussians));
+        let regions = self
+            .labels
+            .map(|_| Regions::new(self.gaussians, self.features));
         self.page_with(&regions.transpose()?.unwrap_or_default())
     }
 

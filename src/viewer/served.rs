@@ -106,12 +106,14 @@ impl Served<'_> {
         let server = Server::start(self.listen, |token| routes(token, content))?;
         started(server.address());
         thread::scope(|scope| {
-            scope.spawn(move || match Regions::new(gaussians) {
-                Ok(regions) => {
-                    tree.send_replace(Some(packing::tree(&regions).into()));
-                }
-                Err(error) => tracing::warn!("the page has no tree of regions: {error}"),
-            });
+            scope.spawn(
+                move || match Regions::new(gaussians, self.viewer.features) {
+                    Ok(regions) => {
+                        tree.send_replace(Some(packing::tree(&regions).into()));
+                    }
+                    Err(error) => tracing::warn!("the page has no tree of regions: {error}"),
+                },
+            );
             while !is_over() {
                 thread::sleep(PAUSE);
             }

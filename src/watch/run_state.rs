@@ -247,6 +247,7 @@ impl RunState {
         Some(move || {
             let (gaussians, labels) = &*copy;
             let viewer = Viewer {
+                features: &[],
                 title: &title,
                 scene: "",
                 names: None,

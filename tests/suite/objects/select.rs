@@ -28,7 +28,7 @@ fn squares(greys: &[f32], gap: f32) -> Gaussians {
 }
 
 fn grown(gaussians: &Gaussians, seeds: &[u32]) -> Growth {
-    Growth::new(&Regions::new(gaussians).unwrap(), seeds)
+    Growth::new(&Regions::new(gaussians, &[]).unwrap(), seeds)
 }
 
 fn range(from: u32, to: u32) -> Vec<u32> {
@@ -51,6 +51,19 @@ fn the_first_difference_is_wards() {
     let growth = grown(&squares(&[0.2, 0.3], 0.0), &[0]);
     let ward = (50.0_f32 * 3.0 * 0.1 * 0.1).sqrt();
     assert!((growth.thresholds[150] - ward).abs() < 1e-5 * ward);
+}
+
+#[test]
+fn image_features_count_too() {
+    let gaussians = squares(&[0.2, 0.3], 0.0);
+    let feature = |i: usize| [0.25, if i < 100 { 0.0 } else { 0.5 }, 1.0];
+    let features: Vec<[f32; 3]> = (0..200).map(feature).collect();
+    let regions = Regions::new(&gaussians, &features).unwrap();
+    let ward = (50.0_f32 * (3.0 * 0.1 * 0.1 + 0.4 * 0.4)).sqrt();
+    let found = Growth::new(&regions, &[0]).thresholds[150];
+    assert!((found - ward).abs() < 1e-5 * ward, "{found} {ward}");
+    let error = Regions::new(&gaussians, &features[1..]).unwrap_err();
+    assert!(error.to_string().contains("200"), "{error}");
 }
 
 #[test]
@@ -79,7 +92,7 @@ fn one_superpoint_is_its_own_selection() {
 #[test]
 fn parents_come_after_their_parts_and_are_as_high() {
     let gaussians = squares(&[0.2, 0.3, 0.9, 0.95, 0.9], 0.0);
-    let regions = Regions::new(&gaussians).unwrap();
+    let regions = Regions::new(&gaussians, &[]).unwrap();
     assert_eq!(regions.parents.len(), 2 * regions.superpoints.count - 1);
     let (root, parts) = regions.parents.split_last().unwrap();
     assert_eq!(*root as usize, parts.len());
@@ -95,7 +108,7 @@ fn parents_come_after_their_parts_and_are_as_high() {
 fn a_centre_that_is_not_finite_is_refused() {
     let mut gaussians = squares(&[0.5], 0.0);
     gaussians.means[7][1] = f32::NAN;
-    assert!(Regions::new(&gaussians).is_err());
+    assert!(Regions::new(&gaussians, &[]).is_err());
 }
 
 #[test]

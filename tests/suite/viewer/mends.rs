@@ -143,7 +143,7 @@ fn a_selection_grows_to_the_superpoints_that_it_touches() {
         return;
     };
     let scene = ply::read(&dir.path().join("plates.ply"), &Limits::default()).unwrap();
-    let of = Regions::new(&scene.gaussians).unwrap().superpoints.of;
+    let of = Regions::new(&scene.gaussians, &[]).unwrap().superpoints.of;
     tab.key("KeyP", 0);
     tab.value("page.tools.radius = 6");
     let middle = spot(&mut tab, [-0.9, 0.0, 0.1]);

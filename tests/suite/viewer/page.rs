@@ -54,6 +54,7 @@ pub(super) fn viewer<'a>(
         names: None,
         sha256: "00ff",
         gaussians,
+        features: &[],
         origin: ORIGIN,
         labels,
         classes,

@@ -31,6 +31,7 @@ fn balls(dir: &Path, count: u16) -> PathBuf {
         names: None,
         sha256: "00ff",
         gaussians: &gaussians,
+        features: &[],
         origin: DVec3::ZERO,
         labels: Some(&labels),
         classes: &classes,

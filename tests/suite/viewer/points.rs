@@ -141,7 +141,7 @@ fn each_level_selects_what_the_command_selects() {
     tab.drag(&[other], 0);
     let seeds: Vec<u32> = serde_json::from_value(tab.value("page.selection.seeds")).unwrap();
     assert!(seeds[0] < 36 && (36..72).contains(&seeds[1]), "{seeds:?}");
-    let growth = Growth::new(&Regions::new(&squares).unwrap(), &seeds);
+    let growth = Growth::new(&Regions::new(&squares, &[]).unwrap(), &seeds);
     assert_eq!(growth.rows(growth.proposed).len(), 72);
     let proposed = tab.value("page.selection.growth.levels[page.selection.level]");
     assert_eq!(proposed.as_f64().unwrap() as f32, growth.proposed);

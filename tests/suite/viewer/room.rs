@@ -150,6 +150,7 @@ fn write(dir: &Path, photo: &Photo, labels: &[u16], classes: &Classes) {
         names: None,
         sha256: &sha256(&scene).unwrap(),
         gaussians: &gaussians,
+        features: &[],
         origin: DVec3::ZERO,
         labels: Some(labels),
         classes,
