@@ -23,13 +23,10 @@ pub(crate) fn file(names: &[PathBuf]) -> Option<PathBuf> {
     names.iter().find(|path| path.is_file()).cloned()
 }
 
-/// The first of `names` that is there, as a file or as a folder of masks with its name without extension.
+/// The first of `names` that is a file, or else the first that is a folder of masks, with its name without extension.
 pub(crate) fn map(names: &[PathBuf]) -> Option<PathBuf> {
-    names.iter().find_map(|path| {
-        let masks = path.with_extension("");
-        let file = path.is_file().then(|| path.clone());
-        file.or_else(|| masks.is_dir().then_some(masks))
-    })
+    let mut folders = names.iter().map(|path| path.with_extension(""));
+    file(names).or_else(|| folders.find(|folder| folder.is_dir()))
 }
 
 /// The first of `names` that is a JSON file.
@@ -78,4 +75,22 @@ fn labelme_is_used(frames: &[Frame]) -> bool {
     let first = frames.iter().find_map(|frame| frame.drawn.as_ref());
     let is_map = |frame: &Frame| frame.raw.as_ref().is_some_and(|map| map.exists());
     first.is_some_and(|first| labelme::has_shapes(first) || !frames.iter().any(is_map))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_map_comes_before_the_folder_of_other_photos() {
+        let dir = tempfile::tempdir().expect("a folder");
+        let names = names(dir.path(), Path::new("left.jpg"));
+        // Of photos left/NAME.jpg, or masks of left.jpg.
+        let folder = dir.path().join("left");
+        std::fs::create_dir(&folder).expect("a folder");
+        assert_eq!(map(&names), Some(folder));
+        let file = dir.path().join("left.jpg.png");
+        std::fs::write(&file, "").expect("a file");
+        assert_eq!(map(&names), Some(file));
+    }
 }

@@ -50,6 +50,8 @@ pub mod rendered_views;
 pub mod rooms;
 pub mod rounding;
 pub mod scannet;
+#[cfg(feature = "serve")]
+pub mod served_plates;
 pub mod settings_file;
 pub mod short_runs;
 pub mod small_scene;

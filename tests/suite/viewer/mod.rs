@@ -22,6 +22,8 @@ pub mod room;
 pub mod selections;
 #[cfg(all(unix, feature = "serve"))]
 pub mod served;
+#[cfg(all(unix, feature = "serve"))]
+pub mod strangers;
 #[cfg(unix)]
 pub mod touch;
 pub mod viewer_edits;

@@ -43,7 +43,7 @@ fn camera() -> Camera {
     lens.with_opengl_pose(&pose).unwrap()
 }
 
-pub(super) fn viewer<'a>(
+pub(crate) fn viewer<'a>(
     gaussians: &'a Gaussians,
     labels: Option<&'a [u16]>,
     classes: &'a Classes,
