@@ -8,7 +8,7 @@ mod routes;
 mod run_state;
 
 use self::routes::routes;
-use self::run_state::RunState;
+use self::run_state::{RunState, SceneCopy};
 use crate::data::Scene;
 use crate::error::Result;
 use crate::progress::{Event, Progress};
@@ -93,15 +93,13 @@ impl<P: Progress> Progress for Watched<P> {
     }
 
     fn gaussians(&mut self, gaussians: &Gaussians, labels: Option<&[u16]>) {
-        if locked(&self.shared).has_room(gaussians) {
-            let start = Instant::now();
-            let copy = gaussians.clone();
-            let labels_copy = labels.map(<[u16]>::to_vec);
-            let mut state = locked(&self.shared);
-            state.set_gaussians(copy, labels_copy);
-            // The run has read them from its device, which takes about as long.
-            state.rest(2 * start.elapsed());
-        }
+        let start = Instant::now();
+        let copy = SceneCopy::new(gaussians, labels);
+        let mut state = locked(&self.shared);
+        state.set_copy(copy);
+        // The run has read them from its device, which takes about as long.
+        state.rest(2 * start.elapsed());
+        drop(state);
         self.listener.gaussians(gaussians, labels);
     }
 }

@@ -27,12 +27,37 @@ pub(super) struct RunState {
     seen_end: bool,
     /// When the Gaussians may be copied again.
     next_copy: Instant,
-    /// From this number of Gaussians on, the page has no room for them.
-    too_many: usize,
     alpha_max: f64,
     scene: Arc<SceneInfo>,
-    /// The Gaussians at some iteration, and their labels.
-    copy: Option<Arc<(Gaussians, Option<Vec<u16>>)>>,
+    copy: Option<Arc<SceneCopy>>,
+}
+
+/// The Gaussians at some iteration and their labels, as far as the page has room for them.
+pub(super) struct SceneCopy {
+    gaussians: Gaussians,
+    labels: Option<Vec<u16>>,
+    /// It has one of so many Gaussians of the run.
+    every: usize,
+}
+
+impl SceneCopy {
+    pub fn new(gaussians: &Gaussians, labels: Option<&[u16]>) -> Self {
+        let every = Viewer::bytes(gaussians, false).div_ceil(MAX_PAGE_BYTES);
+        if every <= 1 {
+            return Self {
+                gaussians: gaussians.clone(),
+                labels: labels.map(<[u16]>::to_vec),
+                every: 1,
+            };
+        }
+        let rows: Vec<u32> = (0..gaussians.len() as u32).step_by(every).collect();
+        let pick = |labels: &[u16]| rows.iter().map(|&row| labels[row as usize]).collect();
+        Self {
+            gaussians: gaussians.select(&rows),
+            labels: labels.map(pick),
+            every,
+        }
+    }
 }
 
 /// The figures, as JSON for the page.
@@ -53,8 +78,8 @@ pub(super) struct Status {
     copy: usize,
     /// Whether its Gaussians have labels.
     labelled: bool,
-    /// Size that the page of the scene would have where it is too large, MB.
-    megabytes: Option<usize>,
+    /// It has one of so many Gaussians of the run.
+    every: usize,
     /// Whether the run has ended.
     ended: bool,
     /// Curves of the stages that have one.
@@ -105,7 +130,6 @@ impl RunState {
             asked: None,
             seen_end: false,
             next_copy: now,
-            too_many: usize::MAX,
             alpha_max,
             scene: Arc::default(),
             copy: None,
@@ -208,28 +232,16 @@ impl RunState {
         self.asked.is_some_and(|asked| asked.elapsed() < ABSENT)
     }
 
-    /// Whether a browser is there, the page has room for a copy, and the run has rested from the last one.
+    /// Whether a browser is there, and the run has rested from the last copy.
     pub fn wants_gaussians(&self) -> bool {
-        let fit = self.status.gaussians < self.too_many;
-        fit && self.is_watched() && Instant::now() >= self.next_copy
+        self.is_watched() && Instant::now() >= self.next_copy
     }
 
-    /// Whether the page has room for these Gaussians. If it has none, their copy is of no use.
-    pub fn has_room(&mut self, gaussians: &Gaussians) -> bool {
-        let bytes = Viewer::bytes(gaussians, false);
-        let fits = bytes <= MAX_PAGE_BYTES;
-        self.status.megabytes = (!fits).then_some(bytes / 1_000_000);
-        self.too_many = if fits { usize::MAX } else { gaussians.len() };
-        if !fits {
-            self.copy = None;
-        }
-        fits
-    }
-
-    pub fn set_gaussians(&mut self, gaussians: Gaussians, labels: Option<Vec<u16>>) {
+    pub fn set_copy(&mut self, copy: SceneCopy) {
         self.status.copy += 1;
-        self.status.labelled = labels.is_some();
-        self.copy = Some(Arc::new((gaussians, labels)));
+        self.status.labelled = copy.labels.is_some();
+        self.status.every = copy.every;
+        self.copy = Some(Arc::new(copy));
     }
 
     /// Lets the run go on undisturbed after work that took `cost`.
@@ -245,16 +257,15 @@ impl RunState {
         let title = self.status.title.clone();
         let alpha_max = self.alpha_max;
         Some(move || {
-            let (gaussians, labels) = &*copy;
             let viewer = Viewer {
                 features: &[],
                 title: &title,
                 scene: "",
                 names: None,
                 sha256: "",
-                gaussians,
+                gaussians: &copy.gaussians,
                 origin: scene.origin,
-                labels: labels.as_deref(),
+                labels: copy.labels.as_deref(),
                 classes: &scene.classes,
                 cameras: &scene.cameras,
                 up: scene.up,

@@ -38,7 +38,6 @@ class Watch {
     this.shown = 0;
     this.frame = null;
     this.loading = false;
-    this.hasRoom = true;
     this.missed = 0;
     this.ended = false;
     /** Whether the person asked the run to stop. */
@@ -90,14 +89,13 @@ class Watch {
     this.list({
       loss: status.loss?.toFixed(4),
       Gaussians: status.gaussians ? status.gaussians.toLocaleString("en") : undefined,
+      shown: status.every > 1 ? `one of ${status.every}: the page has no room for more` : undefined,
       time: `${Math.floor(status.seconds / 60)} min ${Math.floor(status.seconds % 60)} s`,
     });
     this.chart(status);
     if (at("views").length !== status.views.length) this.listViews(status.views);
-    at("modes").hidden = !status.labelled || status.megabytes !== null;
-    this.hasRoom = status.megabytes === null;
-    if (!this.hasRoom) this.showTooLarge(status.megabytes);
-    else if (status.copy > this.shown && !this.loading) this.load(status.copy);
+    at("modes").hidden = !status.labelled;
+    if (status.copy > this.shown && !this.loading) this.load(status.copy);
   }
 
   showStop(stopping) {
@@ -141,15 +139,6 @@ class Watch {
     at("rows").hidden = !shown.length;
   }
 
-  /** There are no more pictures, but for a scene that becomes smaller. */
-  showTooLarge(megabytes) {
-    this.frame?.remove();
-    this.frame = null;
-    at("waiting").textContent = `The picture would take ${megabytes} MB, which is too much for this page. \
-The curves go on. When the run has ended, \u201ccoseg view --serve\u201d shows the scene.`;
-    at("waiting").hidden = false;
-  }
-
   listViews(views) {
     this.views = views;
     at("views").replaceChildren(...views.map(({ name, split }, i) => element("option", split === "test" ? `${name} (held out)` : name, { value: i })));
@@ -189,10 +178,6 @@ The curves go on. When the run has ended, \u201ccoseg view --serve\u201d shows t
     this.loading = false;
     // A copy that cannot be shown is not asked for again.
     this.shown = copy;
-    if (!this.hasRoom) {
-      next.remove();
-      return;
-    }
     if (!page) {
       at("waiting").textContent = troubleOf(next);
       at("waiting").hidden = this.frame !== null;
