@@ -2,7 +2,7 @@
 
 Makes a scene of Gaussians of SH degree 0, serves it, opens the page and waits for it. Prints the seconds from the start of `coseg`
 to the address, and from there to the first picture, to that of all Gaussians, and until the wand works; the memory of the server
-and of the browser's page. Chromium draws on the CPU here, in a small window. Linux, no packages.
+and of the browser. Chromium draws on the CPU here, in a small window. Linux, no packages.
 
     python3 scripts/measure_serve.py --coseg target/release/coseg [--gaussians 1000000]
 """
@@ -90,10 +90,11 @@ class Browser:
         return True
 
     def memory(self):
-        """Bytes of the process that has the page: the largest renderer of this browser."""
-        ps = ["ps", "-s", str(self.process.pid), "-o", "rss,args"]
-        lines = subprocess.run(ps, capture_output=True, text=True).stdout.splitlines()
-        return max(int(line.split()[0]) << 10 for line in lines if "--type=renderer" in line)
+        """Bytes of all processes of this browser; what they share counts once."""
+        ps = ["ps", "-s", str(self.process.pid), "-o", "pid="]
+        processes = subprocess.run(ps, capture_output=True, text=True).stdout.split()
+        texts = [Path(f"/proc/{process}/smaps_rollup").read_text() for process in processes]
+        return sum(int(re.search(r"Pss:\s+(\d+)", text)[1]) << 10 for text in texts)
 
 
 def resident(process):
@@ -130,7 +131,7 @@ def main():
                 browser.value(drawn)
                 print(f"{what}{'' if came else ' NOT'} after {time.monotonic() - clock:.1f} s")
             print(f"a picture takes {browser.value(PICTURE):.0f} ms")
-            print(f"server {resident(server.pid) / 1e6:.0f} MB at most, page {browser.memory() / 1e6:.0f} MB")
+            print(f"server {resident(server.pid) / 1e6:.0f} MB at most, browser {browser.memory() / 1e6:.0f} MB")
         finally:
             server.kill()
             browser.process.kill()

@@ -1,6 +1,8 @@
 //! A labelled scene with the names of its labels, and where such a scene may be written.
 
-use super::scene_file::{CLASSES, SCENE, classes_beside, copy_cameras};
+use super::scene_file::{
+    CLASSES, FEATURE_COLORS, SCENE, classes_beside, copy_cameras, copy_features,
+};
 use crate::data::{Classes, LoadOptions, check_output_file, locate};
 use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files::{atomic, extension, own, sha256};
@@ -225,14 +227,25 @@ impl ObjectScene {
         editing.finish("--edits")
     }
 
-    /// Writes a scene made from this one, with its classes as classes.json and a copy of the cameras beside it.
+    /// Writes a scene made from this one, with its classes as classes.json and copies of the cameras and of the image features beside
+    /// it, if no Gaussian was removed.
     ///
     /// # Errors
     /// As [`write_scene`].
     pub fn write(&self, out: &Path, edited: &Edited) -> Result<()> {
         let gaussians = (&edited.gaussians, self.ply.origin);
         let labels = Some(&edited.labels[..]);
-        write_scene(out, &self.path, gaussians, labels, &edited.classes)
+        write_scene(out, &self.path, gaussians, labels, &edited.classes)?;
+        let keeps_all = edited.labels.len() == self.labels.len();
+        if keeps_all {
+            return copy_features(&self.path, out);
+        }
+        // Those of an earlier scene.
+        let features = out.with_file_name(FEATURE_COLORS);
+        match own::check(&features) {
+            Ok(()) => atomic::remove(&features),
+            Err(_) => Ok(()),
+        }
     }
 
     /// Corners of a box around the objects called `what`, world units.

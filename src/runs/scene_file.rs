@@ -79,11 +79,11 @@ pub fn classes_beside(scene: &Path, given: Option<&Path>) -> Result<Classes> {
     }
 }
 
-/// Main components of the image features of each of `gaussians`, where the run beside whose `scene` they are has lifted some.
-/// A file of another scene, which may lie there, is passed over with a warning.
+/// Main components of the image features of each of `gaussians`, of the scene.ply beside which a run wrote some; none for other
+/// scenes. A file that is damaged or of another number of Gaussians is passed over with a warning.
 pub fn features_beside(scene: &Path, gaussians: usize) -> Vec<[f32; 3]> {
     let file = scene.with_file_name(FEATURE_COLORS);
-    if !file.is_file() {
+    if !file.is_file() || scene.file_name().is_none_or(|name| name != SCENE) {
         return Vec::new();
     }
     match FeatureColors::read(&file, gaussians) {
@@ -205,7 +205,19 @@ pub fn rendering_beside(scene: &Path) -> Config {
 /// # Errors
 /// [`Error::Io`].
 pub fn copy_cameras(from: &Path, to: &Path) -> Result<()> {
-    let [source, target] = [from, to].map(|scene| scene.with_file_name(CAMERAS));
+    copy_beside(CAMERAS, from, to)
+}
+
+/// The same with the image features of the Gaussians, which `to` must have in the order of `from`.
+///
+/// # Errors
+/// [`Error::Io`].
+pub(super) fn copy_features(from: &Path, to: &Path) -> Result<()> {
+    copy_beside(FEATURE_COLORS, from, to)
+}
+
+fn copy_beside(name: &str, from: &Path, to: &Path) -> Result<()> {
+    let [source, target] = [from, to].map(|scene| scene.with_file_name(name));
     if atomic::same_file(&source, &target) || own::check(&target).is_err() {
         return Ok(());
     }

@@ -29,6 +29,8 @@ pub struct Watched<P> {
     listener: P,
     shared: Shared,
     server: Server,
+    /// When the run began to read Gaussians for a copy from its device.
+    reading: Option<Instant>,
 }
 
 impl<P: Progress> Watched<P> {
@@ -44,6 +46,7 @@ impl<P: Progress> Watched<P> {
             listener,
             shared,
             server,
+            reading: None,
         })
     }
 
@@ -89,16 +92,16 @@ impl<P: Progress> Progress for Watched<P> {
 
     fn wants_gaussians(&mut self) -> bool {
         let wanted = locked(&self.shared).wants_gaussians();
+        self.reading = wanted.then(Instant::now);
         self.listener.wants_gaussians() || wanted
     }
 
     fn gaussians(&mut self, gaussians: &Gaussians, labels: Option<&[u16]>) {
-        let start = Instant::now();
+        let start = self.reading.take().unwrap_or_else(Instant::now);
         let copy = SceneCopy::new(gaussians, labels);
         let mut state = locked(&self.shared);
         state.set_copy(copy);
-        // The run has read them from its device, which takes about as long.
-        state.rest(2 * start.elapsed());
+        state.rest(start.elapsed());
         drop(state);
         self.listener.gaussians(gaussians, labels);
     }

@@ -52,8 +52,13 @@ impl SceneCopy {
         }
         let rows: Vec<u32> = (0..gaussians.len() as u32).step_by(every).collect();
         let pick = |labels: &[u16]| rows.iter().map(|&row| labels[row as usize]).collect();
+        let mut gaussians = gaussians.select(&rows);
+        // Those that are left cover the area of all.
+        let larger = 0.5 * (every as f32).ln();
+        let scales = gaussians.log_scales.as_flattened_mut().iter_mut();
+        scales.for_each(|scale| *scale += larger);
         Self {
-            gaussians: gaussians.select(&rows),
+            gaussians,
             labels: labels.map(pick),
             every,
         }

@@ -1,5 +1,5 @@
-// Draws the Gaussians with WebGL 2: sorted quads blended back to front into half floats. An instance is a batch of quads: one for
-// each quad leaves most lanes of a GPU idle, and takes ten times as long on a CPU.
+// Draws the Gaussians with WebGL 2: sorted quads blended back to front into half floats. An instance is a batch of quads:
+// an instance for each quad takes far longer, on a CPU above all.
 
 const PARTS_WIDE = 256; // in a row of their texture, as in splat.vert
 const BATCH = 256; // quads of an instance, as in splat.vert

@@ -3,8 +3,10 @@
 use crate::support::plates::{HEIGHT, WIDTH, camera, plates, scene};
 use crate::support::program::{fails, succeeds, utf8};
 use coseg::data::{Classes, Limits};
+use coseg::features::FeatureColors;
 use coseg::objects::pick;
 use coseg::raster::{Projected, Settings};
+use coseg::runs::{FEATURE_COLORS, features_beside};
 use coseg::splat::ply;
 use glam::DVec3;
 use std::path::{Path, PathBuf};
@@ -221,4 +223,51 @@ fn refusals_name_what_is_wrong() {
     );
     let message = fails(&arguments.iter().map(String::as_str).collect::<Vec<_>>(), 1);
     assert!(message.contains("another file than the scene"), "{message}");
+}
+
+#[test]
+fn image_features_beside_the_scene_go_along() {
+    let folder = Unlabelled::new();
+    let red = ["--frame", "v2", "--pixel", &pixel_of(1), "--name", "red"];
+    folder.select(&folder.scene, "without", &red);
+    let (_, ids) = plates();
+    let rgb = ids.iter().map(|&label| [f32::from(label) / 4.0; 3]);
+    let features = FeatureColors { rgb: rgb.collect() };
+    features.write(&folder.path(FEATURE_COLORS)).unwrap();
+    // The plate has one feature, so it stays as it is.
+    folder.select(&folder.scene, "with", &red);
+    assert_eq!(
+        labels(&folder.path("with")),
+        labels(&folder.path("without"))
+    );
+    assert!(!folder.path("without").join(FEATURE_COLORS).exists());
+    let carried = folder.path("with").join(FEATURE_COLORS);
+    assert_eq!(FeatureColors::read(&carried, 111).unwrap(), features);
+
+    // A Gaussian less, and the rows no longer fit.
+    let [scene, out] = ["with", "less"].map(|name| folder.path(name));
+    let edit = [
+        "edit",
+        "--scene",
+        utf8(&scene),
+        "--out",
+        utf8(&out),
+        "--remove",
+        "red",
+    ];
+    succeeds(&edit);
+    assert!(!out.join(FEATURE_COLORS).exists());
+    // Those of another scene are passed over.
+    ply::write(
+        &folder.scene,
+        &plates().0.select(&[0, 1, 2]),
+        DVec3::ZERO,
+        None,
+    )
+    .unwrap();
+    assert_eq!(features_beside(&folder.scene, 3), [[0.0; 3]; 0]);
+    assert_eq!(
+        features_beside(&folder.path("other.ply"), 111),
+        [[0.0; 3]; 0]
+    );
 }

@@ -161,3 +161,49 @@ fn keys_choose_several_objects_and_raise_one() {
     tab.key("KeyJ", 0);
     assert_eq!(tab.value(offset), 0);
 }
+
+#[test]
+fn a_screen_reader_has_a_name_for_every_control() {
+    const OPERATED: [&str; 8] = [
+        "button",
+        "checkbox",
+        "combobox",
+        "menuitem",
+        "searchbox",
+        "slider",
+        "spinbutton",
+        "textbox",
+    ];
+    let Some((_dir, mut tab)) = opened() else {
+        return;
+    };
+    let states = [
+        "page.choose(null)",
+        "page.choose(2); document.querySelector('details').open = true",
+        "page.moveTo(1, [0.25, 0, 0])",
+        "page.tools.choose('points'); page.point(30, 'new')",
+        "page.tools.choose('brush')",
+        "page.tools.choose('box')",
+    ];
+    let mut counts = Vec::new();
+    for state in states {
+        tab.value(state);
+        let tree = tab.send("Accessibility.getFullAXTree", json!({}));
+        let nodes = tree["nodes"].as_array().unwrap().iter();
+        let operated = nodes.filter(|node| {
+            let role = node["role"]["value"].as_str().unwrap_or_default();
+            node["ignored"] == false && OPERATED.contains(&role)
+        });
+        let operated: Vec<_> = operated.collect();
+        for node in &operated {
+            let name = node["name"]["value"].as_str().unwrap_or_default();
+            assert!(!name.trim().is_empty(), "{state}: {node}");
+        }
+        counts.push(operated.len());
+    }
+    // The states differ: objects and selections have controls of their own.
+    assert!(
+        counts[0] > 10 && counts[1] > counts[0] && counts[3] > counts[0],
+        "{counts:?}"
+    );
+}

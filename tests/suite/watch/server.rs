@@ -107,7 +107,11 @@ fn of_more_gaussians_than_the_page_has_room_for_some_are_shown() {
     let page = String::from_utf8(page).unwrap();
     // The labels go along: each second one is 0.
     assert!(page.contains("\"gaussians\":600001,"), "each second one");
-    assert_eq!(page.matches("\"gaussians\":600001,").count(), 2, "scene and object");
+    assert_eq!(
+        page.matches("\"gaussians\":600001,").count(),
+        2,
+        "scene and object"
+    );
     let (_, gaussians, ..) = loaded();
     watch.gaussians(&gaussians, None);
     let told = figures(&client);
