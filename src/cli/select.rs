@@ -12,9 +12,9 @@ use std::path::PathBuf;
 
 const HELP: &str = "\
 Point at a thing in one or more views. The selection begins at the Gaussian that gives most of each pixel and grows over its
-neighbours, those that are most alike in colour, surface and image features (of a run that lifted some) first. It ends where what it has stands out most, or at
---threshold: a lower one takes fewer Gaussians. Give --frame and --pixel once for each pixel, in the same order. Points far
-apart on the thing help most. The scene needs neither labels nor its photos.
+neighbours, those that are most alike in colour, surface and image features first (features of a run that lifted some). It
+ends where what it has stands out most, or at --threshold: a lower one takes fewer Gaussians. Give --frame and --pixel once
+for each pixel, in the same order. Points far apart on the thing help most. The scene needs neither labels nor its photos.
 
 The Gaussians become an object called --name. Where the scene has an object or a class of that name, they join it. Those of
 other objects change over. classes.json and cameras.json are written beside the new file.
