@@ -227,8 +227,8 @@ impl ObjectScene {
         editing.finish("--edits")
     }
 
-    /// Writes a scene made from this one, with its classes as classes.json and copies of the cameras and of the image features beside
-    /// it, if no Gaussian was removed.
+    /// Writes a scene made from this one, with its classes as classes.json and a copy of the cameras beside it. A scene.ply from which
+    /// no Gaussian was removed has a copy of the image features too.
     ///
     /// # Errors
     /// As [`write_scene`].
@@ -236,6 +236,10 @@ impl ObjectScene {
         let gaussians = (&edited.gaussians, self.ply.origin);
         let labels = Some(&edited.labels[..]);
         write_scene(out, &self.path, gaussians, labels, &edited.classes)?;
+        // The features in a folder are those of its scene.ply.
+        if out.file_name().is_none_or(|name| name != SCENE) {
+            return Ok(());
+        }
         let keeps_all = edited.labels.len() == self.labels.len();
         if keeps_all {
             return copy_features(&self.path, out);

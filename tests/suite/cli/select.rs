@@ -244,6 +244,12 @@ fn image_features_beside_the_scene_go_along() {
     let carried = folder.path("with").join(FEATURE_COLORS);
     assert_eq!(FeatureColors::read(&carried, 111).unwrap(), features);
 
+    // Those of a run stay where another scene is written beside it.
+    let [run, beside] = ["with", "with/beside.ply"].map(|name| folder.path(name));
+    let edit = ["edit", "--scene", utf8(&run), "--out", utf8(&beside)];
+    succeeds(&[&edit[..], &["--remove", "red"]].concat());
+    assert_eq!(FeatureColors::read(&carried, 111).unwrap(), features);
+
     // A Gaussian less, and the rows no longer fit.
     let [scene, out] = ["with", "less"].map(|name| folder.path(name));
     let edit = [
