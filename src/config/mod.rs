@@ -19,7 +19,7 @@ mod range;
 mod segmentation;
 mod variant;
 
-pub use self::association::{Association, AssociationConfig};
+pub use self::association::Association;
 pub use self::budget::Budget;
 pub use self::building::{BuildingConfig, RasterConfig, SizeRule};
 pub(crate) use self::data::same_folder;
@@ -52,9 +52,6 @@ pub struct Config {
     pub building: BuildingConfig,
     /// Blending constants.
     pub raster: RasterConfig,
-    /// Association of raw labels whose ids differ from view to view; no key sets it.
-    #[serde(skip)]
-    pub association: AssociationConfig,
     /// 2D image features.
     pub features: FeatureConfig,
     /// Lifting 2D features onto Gaussians.

@@ -47,10 +47,10 @@ pub fn associate(
 ) -> Result<Associated> {
     let clock = Instant::now();
     let settings = Settings::from(&config.raster);
-    let steps = Association::steps(scene, &config.association);
+    let steps = Association::steps(scene);
     let mut viewing = Viewing::begin(progress, "association", steps);
     let advance = &mut |views| viewing.advance(views);
-    let found = objects::associate(gaussians, scene, &config.association, &settings, advance)?;
+    let found = objects::associate(gaussians, scene, &settings, advance)?;
     viewing.end();
     let mut counts = AssociationCounts {
         segments: found.segments,

@@ -138,7 +138,42 @@ fn nothing_left(totals: &[Total], least: f64) -> Error {
 
 #[cfg(test)]
 mod tests {
+    use super::super::groups::{Assigned, Category};
+    use super::super::segments::SegmentWeights;
     use super::*;
+    use crate::data::Segment;
+    use std::borrow::Cow;
+
+    #[test]
+    fn small_groups_and_strays_are_negligible() {
+        let segment = Segment {
+            id: 1,
+            class: None,
+            thing: true,
+        };
+        let mut groups = Groups::new(4);
+        // Most of the only Gaussian of the last group is another one's.
+        for weights in [vec![(0, 30.0), (1, 30.0)], vec![(2, 4.0)], vec![(1, 4.0)]] {
+            let weights = SegmentWeights {
+                segment,
+                total: 0.0,
+                weights,
+            };
+            let group = groups.create(Category::from(&weights));
+            groups.add(&Assigned {
+                pieces: vec![Cow::Owned(weights)],
+                groups: vec![Some(group)],
+            });
+        }
+        let found = |least| negligible(&groups, least);
+        assert_eq!(found(0.01).expect("two left"), [false, false, true]);
+        assert_eq!(found(0.1).expect("one left"), [false, true, true]);
+        let error = found(1.0).expect_err("none left").to_string();
+        assert!(
+            error.contains("all 3 groups") && error.contains("at least 1"),
+            "{error}"
+        );
+    }
 
     #[test]
     fn what_leaves_no_group_is_named() {

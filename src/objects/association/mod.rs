@@ -29,7 +29,6 @@ mod split;
 mod sums;
 mod sweeps;
 
-use crate::config::AssociationConfig;
 use crate::data::{Class, Classes, LabelRuns, ObjectOf, Scene, Split, View, class_color};
 use crate::error::{Result, bail, ensure};
 use crate::raster::Settings;
@@ -76,10 +75,10 @@ type Progress<'p> = dyn FnMut(usize) -> Result<()> + 'p;
 
 impl Association {
     /// Steps of [`associate`] in all: one for each pass over each view.
-    pub fn steps(scene: &Scene, config: &AssociationConfig) -> usize {
+    pub fn steps(scene: &Scene) -> usize {
         let [train, test] = [Split::Train, Split::Test].map(|split| scene.split(split).count());
         // One pass finds the segments, then come the sweeps, and one pass relabels the maps.
-        (config.sweeps + 2) * train + test
+        (sweeps::SWEEPS + 2) * train + test
     }
 
     /// Makes the groups the classes of `scene` and the maps its raw labels. True labels have other classes and leave the scene:
@@ -116,14 +115,12 @@ impl Association {
 pub fn associate(
     gaussians: &Gaussians,
     scene: &Scene,
-    config: &AssociationConfig,
     settings: &Settings,
     progress: &mut dyn FnMut(usize) -> Result<()>,
 ) -> Result<Association> {
     let inputs = AssociationInputs {
         gaussians,
         scene,
-        config,
         settings,
     };
     inputs.associate(progress)
@@ -133,7 +130,6 @@ pub fn associate(
 struct AssociationInputs<'a> {
     gaussians: &'a Gaussians,
     scene: &'a Scene,
-    config: &'a AssociationConfig,
     settings: &'a Settings,
 }
 
@@ -150,7 +146,7 @@ impl AssociationInputs<'_> {
                 help "add raw labels, or set data.association = \"none\"");
         }
         let mut groups = Groups::new(self.gaussians.len());
-        let assigned = sweeps::form_groups(&mut groups, &views, self.config, progress)?;
+        let assigned = sweeps::form_groups(&mut groups, &views, progress)?;
         let (kept, found) = numbered_groups(&groups, &assigned)?;
         let maps = self.maps(&mut groups, &views, &assigned, &kept, progress)?;
         let segments = || {

@@ -8,10 +8,14 @@ use super::order::view_order;
 use super::ownership::{extents, sightings_in_views};
 use super::segments::ViewSegments;
 use super::split::split;
-use crate::config::AssociationConfig;
 use crate::error::Result;
 use std::borrow::Cow;
 use std::collections::HashMap;
+
+/// Passes over all views; the first forms groups, the others assign every view again.
+pub(super) const SWEEPS: usize = 4;
+/// Groups with a smaller share of all labelled weight are dropped, 0 to 1.
+const MIN_WEIGHT: f64 = 1e-5;
 
 /// Forms the groups of `views` and returns the group of each segment. Reports each view in each sweep to `progress`.
 ///
@@ -20,13 +24,12 @@ use std::collections::HashMap;
 pub(super) fn form_groups<'a>(
     groups: &mut Groups,
     views: &'a [ViewSegments],
-    config: &AssociationConfig,
     progress: &mut Progress,
 ) -> Result<Vec<Assigned<'a>>> {
     let order = view_order(views, groups.owners().len());
     let mut assigned = vec![Assigned::default(); views.len()];
     let mut group_extents = Vec::new();
-    for sweep in 0..config.sweeps {
+    for sweep in 0..SWEEPS {
         for &v in &order {
             groups.remove(&assigned[v]);
             assigned[v] = if sweep == 0 {
@@ -47,7 +50,7 @@ pub(super) fn form_groups<'a>(
         }
         group_extents = merge_groups(groups, views, &mut assigned, progress)?;
     }
-    drop_negligible(groups, &mut assigned, config.min_weight)?;
+    drop_negligible(groups, &mut assigned)?;
     Ok(assigned)
 }
 
@@ -79,12 +82,8 @@ fn merge_groups(
 }
 
 /// Drops negligible groups. Their segments go to the groups that contain them.
-fn drop_negligible(
-    groups: &mut Groups,
-    assigned: &mut [Assigned<'_>],
-    min_weight: f64,
-) -> Result<()> {
-    let negligible = merge::negligible(groups, min_weight)?;
+fn drop_negligible(groups: &mut Groups, assigned: &mut [Assigned<'_>]) -> Result<()> {
+    let negligible = merge::negligible(groups, MIN_WEIGHT)?;
     for group in assigned.iter_mut().flat_map(|view| &mut view.groups) {
         *group = group.filter(|group| !negligible[*group as usize]);
     }

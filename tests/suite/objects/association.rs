@@ -5,7 +5,7 @@ use crate::support::plate_objects::{
 };
 use crate::support::plates;
 use crate::support::spoilt_masks::{Noise, spoilt};
-use coseg::config::{self, AssociationConfig, Variant};
+use coseg::config::{self, Variant};
 use coseg::data::{LabelMap, Segment};
 use coseg::objects;
 use coseg::pipeline::run;
@@ -159,7 +159,7 @@ fn no_object_has_two_classes_and_stuff_is_one_object() {
 fn nothing_to_put_together_is_an_error() {
     let (gaussians, mut scene) = plate_scene();
     scene.views.iter_mut().for_each(|view| view.raw = None);
-    let error = associate(&gaussians, &scene, &AssociationConfig::default()).expect_err("empty");
+    let error = associate(&gaussians, &scene).expect_err("empty");
     crate::support::assert_names(
         &error,
         &["data.association", "no segments", "add raw labels"],
@@ -174,7 +174,7 @@ fn nothing_to_put_together_is_an_error() {
         sh: vec![],
         sh_degree: 0,
     };
-    let error = associate(&none, &scene, &AssociationConfig::default()).expect_err("no Gaussian");
+    let error = associate(&none, &scene).expect_err("no Gaussian");
     crate::support::assert_names(
         &error,
         &[
@@ -187,23 +187,7 @@ fn nothing_to_put_together_is_an_error() {
 }
 
 #[test]
-fn no_group_that_is_left_is_an_error() {
-    let (gaussians, scene) = plate_scene();
-    let all = AssociationConfig {
-        min_weight: 1.0,
-        ..AssociationConfig::default()
-    };
-    let error = associate(&gaussians, &scene, &all).expect_err("none left");
-    crate::support::assert_names(
-        &error,
-        &[
-            "data.association",
-            "all 4 groups",
-            "the largest has",
-            "at least 1",
-            "larger things",
-        ],
-    );
+fn what_was_built_stays_without_an_object() {
     let folder = tempfile::tempdir().expect("folder");
     plates::scene(folder.path());
     let (mut config, out) = (
@@ -212,14 +196,27 @@ fn no_group_that_is_left_is_an_error() {
     );
     (config.data.association, config.segmentation.rows) =
         (config::Association::Gaussians, Some(vec![Variant::Vote]));
-    config.association.min_weight = 1.0;
+    let raw = folder.path().join("raw");
+    let given = folder.path().join("given");
+    fs::rename(&raw, &given).expect("moved");
+    for i in 0..6 {
+        let ids = vec![0; plates::WIDTH * plates::HEIGHT];
+        let unlabelled = LabelMap {
+            width: plates::WIDTH,
+            height: plates::HEIGHT,
+            ids,
+        };
+        unlabelled
+            .write(&raw.join(format!("v{i}.png")))
+            .expect("a map");
+    }
     let error = run(&config, &out, &crate::support::device(), &mut Silent)
         .err()
-        .expect("none left");
-    crate::support::assert_names(&error, &["data.association", "larger things"]);
-    // What was built stays.
+        .expect("no segments");
+    crate::support::assert_names(&error, &["data.association", "no segments"]);
     let built = fs::read(out.join("checkpoint/building.safetensors")).expect("checkpoint");
-    config.association = AssociationConfig::default();
+    fs::remove_dir_all(&raw).expect("removed");
+    fs::rename(&given, &raw).expect("moved back");
     let done = run(&config, &out, &crate::support::device(), &mut Silent).expect("a run");
     assert!(done.association.is_some_and(|found| found.objects > 0) && done.rows.len() == 1);
     assert!(fs::read(out.join("checkpoint/building.safetensors")).expect("checkpoint") == built);
@@ -228,30 +225,23 @@ fn no_group_that_is_left_is_an_error() {
 #[test]
 fn views_are_told_of_and_may_end_it() {
     let (gaussians, scene) = plate_scene();
-    let config = AssociationConfig::default();
     let until = |last: usize| {
         let mut told = 0;
-        let found = objects::associate(
-            &gaussians,
-            &scene,
-            &config,
-            &Settings::default(),
-            &mut |views| {
-                told += views;
-                if told < last {
-                    Ok(())
-                } else {
-                    Err(coseg::Error::Stopped)
-                }
-            },
-        );
+        let found = objects::associate(&gaussians, &scene, &Settings::default(), &mut |views| {
+            told += views;
+            if told < last {
+                Ok(())
+            } else {
+                Err(coseg::Error::Stopped)
+            }
+        });
         match found {
             Err(coseg::Error::Stopped) => (None, told),
             found => (Some(found.expect("association")), told),
         }
     };
-    let looks = objects::Association::steps(&scene, &config);
-    assert_eq!(looks, (2 + config.sweeps) * 4 + 2);
+    let looks = objects::Association::steps(&scene);
+    assert_eq!(looks, (2 + 4) * 4 + 2);
     assert_eq!(until(usize::MAX), (Some(found(&gaussians, &scene)), looks));
     // While the segments of views are looked at, in sweeps, while maps of training and test views are made.
     for last in [1, 4, 5, 9, 20, 22, looks] {

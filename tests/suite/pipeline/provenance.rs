@@ -257,7 +257,6 @@ fn other_data_is_told_by_the_setting_that_made_it_so() {
     let other = with(&|c| {
         c.data.raw_labels = "same".into();
         (c.data.decoded_mb, c.data.raw_labels_note) = (0, "drawn by hand".into());
-        c.association.sweeps = 2;
     });
     same(&done, &whole(&other, &out));
 

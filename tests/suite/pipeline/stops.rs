@@ -111,8 +111,8 @@ fn a_stop_between_views_gives_up_what_learns_nothing() {
         &mut views,
     )
     .expect("a run");
-    // Four training views and two others.
-    let looks = (2 + config.association.sweeps) * 4 + 2;
+    // Four training views, each found, relabelled and in four sweeps, and two others.
+    let looks = (2 + 4) * 4 + 2;
     let announced = [("association", looks), ("features", 4), ("unprojection", 4)];
     for (stage, count) in announced {
         let all: Vec<usize> = (1..=count).collect();

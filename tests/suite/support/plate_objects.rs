@@ -4,7 +4,7 @@ use crate::support::hard_labels::hard_label_map;
 use crate::support::plates::{self, camera, plates};
 use crate::support::program::{read_json, succeeds, utf8};
 use crate::support::spoilt_masks::shuffled;
-use coseg::config::{AssociationConfig, LabelSource};
+use coseg::config::LabelSource;
 use coseg::data::{LabelMap, LabelRuns, Limits, LoadOptions, Scene, Split, View, load};
 use coseg::error::Result;
 use coseg::metrics::{InstanceScores, instance_scores};
@@ -35,18 +35,14 @@ pub fn plate_scene() -> (Gaussians, Scene) {
 }
 
 /// The association that nothing stops.
-pub fn associate(
-    gaussians: &Gaussians,
-    scene: &Scene,
-    config: &AssociationConfig,
-) -> Result<objects::Association> {
+pub fn associate(gaussians: &Gaussians, scene: &Scene) -> Result<objects::Association> {
     let go_on = &mut |_| Ok(());
-    objects::associate(gaussians, scene, config, &Settings::default(), go_on)
+    objects::associate(gaussians, scene, &Settings::default(), go_on)
 }
 
-/// The association with default settings.
+/// The association, which succeeds.
 pub fn found(gaussians: &Gaussians, scene: &Scene) -> objects::Association {
-    associate(gaussians, scene, &AssociationConfig::default()).expect("association")
+    associate(gaussians, scene).expect("association")
 }
 
 /// The map, which is there.
