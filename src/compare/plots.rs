@@ -1,6 +1,6 @@
 //! Plots of a table, as SVG files.
 
-use crate::report::chart::{FONT, TEXT, TICKS, around, styled, tick};
+use crate::report::chart::{FONT, PALETTE, TEXT, TICKS, around, styled, tick};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -11,25 +11,13 @@ const PLOT: (u32, u32) = (720, 560);
 const LEGEND_WIDTH: u32 = 300;
 const LINE: i32 = 26;
 
-/// Colours of rows, in turn.
-const COLORS: [RGBColor; 10] = [
-    RGBColor(47, 125, 225),
-    RGBColor(194, 118, 26),
-    RGBColor(138, 95, 199),
-    RGBColor(27, 145, 168),
-    RGBColor(181, 81, 122),
-    RGBColor(111, 145, 48),
-    RGBColor(156, 106, 56),
-    RGBColor(207, 76, 63),
-    RGBColor(128, 131, 138),
-    RGBColor(180, 148, 24),
-];
-
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 
+/// The colours of rows, in turn.
 fn color(row: usize) -> RGBColor {
-    COLORS[row % COLORS.len()]
+    let [r, g, b] = PALETTE[row % PALETTE.len()];
+    RGBColor(r, g, b)
 }
 
 /// A row: its name in the legend, its place, absent where it has no such cost or no score, and the spread of its score.

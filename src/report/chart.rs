@@ -33,6 +33,22 @@ type Mesh<'a, 'b, 's> = MeshStyle<'a, 'b, RangedCoordf64, RangedCoordf64, SVGBac
 /// The page shows charts at about half this size: plotters places points on whole units.
 const SIZE: (u32, u32) = (960, 520);
 pub(crate) const TEXT: RGBColor = RGBColor(118, 121, 130);
+/// Colours of rows, in the order of [`Variant`](crate::config::Variant), readable on light and on dark pages.
+pub(crate) const PALETTE: [[u8; 3]; 13] = [
+    [128, 131, 138],
+    [194, 118, 26],
+    [180, 148, 24],
+    [138, 95, 199],
+    [86, 122, 64],
+    [176, 96, 176],
+    [96, 110, 160],
+    [27, 145, 168],
+    [47, 125, 225],
+    [181, 81, 122],
+    [111, 145, 48],
+    [156, 106, 56],
+    [207, 76, 63],
+];
 const GRID: RGBColor = RGBColor(226, 226, 221);
 pub(crate) const FONT: &str = "sans-serif";
 /// Ticks of an axis, about.

@@ -1,31 +1,17 @@
 //! The charts of a run.
 
-use super::chart::{Chart, Line, thinned};
+use super::chart::{Chart, Line, PALETTE, thinned};
 use super::{Report, Sample};
 use crate::config::Variant;
 use maud::Markup;
 
 /// Colours of charts with a single line.
-const BLUE: [u8; 3] = [47, 125, 225];
-const ORANGE: [u8; 3] = [194, 118, 26];
+const BLUE: [u8; 3] = PALETTE[Variant::Ours as usize];
+const ORANGE: [u8; 3] = PALETTE[Variant::Vote as usize];
 
-/// The colour of a row, readable on light and on dark pages.
+/// The colour of a row.
 pub(super) fn color(row: Variant) -> [u8; 3] {
-    match row {
-        Variant::Raw => [128, 131, 138],
-        Variant::Vote => ORANGE,
-        Variant::PooledVote => [180, 148, 24],
-        Variant::PerGaussian => [138, 95, 199],
-        Variant::Grouping => [86, 122, 64],
-        Variant::Distilled => [176, 96, 176],
-        Variant::PanopticLifting => [96, 110, 160],
-        Variant::OursCe => [27, 145, 168],
-        Variant::Ours => BLUE,
-        Variant::NoImageFeatures => [181, 81, 122],
-        Variant::NoSpatial => [111, 145, 48],
-        Variant::SingleScale => [156, 106, 56],
-        Variant::RandomSpatial => [207, 76, 63],
-    }
+    PALETTE[row as usize]
 }
 
 /// A chart of one line.
