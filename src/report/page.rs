@@ -1,9 +1,10 @@
 //! `report.html`: one page that needs nothing else.
 
-use super::units::{bytes, duration, percent, signed, thousands};
+use super::units::{duration, percent, signed, thousands};
 use super::{Report, curves, tables, views};
 use crate::config::Variant;
 use crate::error::Result;
+use indicatif::DecimalBytes;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use std::path::Path;
 
@@ -111,7 +112,7 @@ fn tiles(report: &Report<'_>) -> Markup {
                 }
             }
             (tile(duration(m.seconds.total), "", "total time"))
-            @if let Some(peak) = m.peak_memory_bytes { (tile(bytes(peak), "", "peak memory")) }
+            @if let Some(peak) = m.peak_memory_bytes { (tile(DecimalBytes(peak).to_string(), "", "peak memory")) }
         }
     }
 }

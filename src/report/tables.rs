@@ -2,11 +2,12 @@
 
 use super::chart::swatch;
 use super::curves::color;
-use super::units::{bytes, duration, percent, thousands};
+use super::units::{duration, percent, thousands};
 use super::{Report, VariantScores};
 use crate::config::Variant;
 use crate::metrics::{InstanceScores, PixelScores, SemanticScores};
 use crate::reconstruction::MAX_GAP;
+use indicatif::DecimalBytes;
 use maud::{Markup, html};
 
 /// A table whose wide content scrolls on its own.
@@ -288,10 +289,10 @@ pub(super) fn sizes(report: &Report<'_>) -> Markup {
     let body = html! {
         tr {
             th scope="row" { "peak memory of the process" }
-            td { (peak.map_or("not known on this system".to_owned(), bytes)) }
+            td { (peak.map_or("not known on this system".to_owned(), |bytes| DecimalBytes(bytes).to_string())) }
         }
         @for (part, size) in &m.learnable_bytes {
-            tr { th scope="row" { "learnable: " (part.replace('_', " ")) } td { (bytes(*size)) } }
+            tr { th scope="row" { "learnable: " (part.replace('_', " ")) } td { (DecimalBytes(*size)) } }
         }
     };
     table(&["what", "size"], body)

@@ -27,17 +27,3 @@ pub(super) fn duration(seconds: f64) -> String {
         (h, m, _) => format!("{h} h {m} min"),
     }
 }
-
-/// Bytes as `812 kB`, `41.2 MB` or `1.25 GB` (powers of 1000).
-pub(super) fn bytes(count: u64) -> String {
-    let value = count as f64;
-    if value >= 1e9 {
-        format!("{:.2} GB", value / 1e9)
-    } else if value >= 1e6 {
-        format!("{:.1} MB", value / 1e6)
-    } else if value >= 1e3 {
-        format!("{:.0} kB", value / 1e3)
-    } else {
-        format!("{count} B")
-    }
-}
