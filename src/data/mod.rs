@@ -29,7 +29,6 @@ pub use self::labels::scores::{LabelProbabilities, ScoreGrid, ScoreMap, ViewScor
 pub use self::options::LoadOptions;
 pub use self::outputs::{check_output_file, check_outputs};
 pub use self::photos::photo::Photo;
-pub use self::photos::photo_cache::PhotoCache;
 pub(crate) use self::view_cache::ViewCache;
 pub use self::view_photos::{ViewPhoto, view_photos};
 

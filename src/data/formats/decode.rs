@@ -7,16 +7,14 @@ use super::frame_labels::FrameLabels;
 use super::listing::{Cloud, Listing};
 use super::points::MAX_STRAY;
 use crate::data::photos::photo::Preprocessing;
-use crate::data::{
-    Classes, LabelRuns, Limits, LoadOptions, Photo, PhotoCache, Points, Scene, View,
-};
+use crate::data::{Classes, LabelRuns, Limits, LoadOptions, Photo, Points, Scene, View};
 use crate::error::{Result, in_order};
 use crate::splat::camera::{Camera, level_up};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::HashSet;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
 
 impl Listing {
     /// World direction that points up.
@@ -32,12 +30,12 @@ impl Listing {
     /// turned photo.
     pub fn load(&self, dir: &Path, options: &LoadOptions) -> Result<(Scene, Vec<bool>)> {
         self.check_sizes(&options.limits)?;
-        let cache = Arc::new(PhotoCache::new(options.decoded_mb.saturating_mul(1 << 20)));
+        let room = AtomicUsize::new(options.decoded_mb.saturating_mul(1 << 20));
         let origin = self.origin();
         let views = self
             .frames
             .par_iter()
-            .map(|frame| self.view(frame, options, origin, &cache));
+            .map(|frame| self.view(frame, options, origin, &room));
         let (views, turned): (Vec<View>, Vec<bool>) = in_order(views)?.into_iter().unzip();
         let scene = Scene {
             name: scene_name(dir),
@@ -58,14 +56,14 @@ impl Listing {
         frame: &Frame,
         options: &LoadOptions,
         origin: DVec3,
-        cache: &Arc<PhotoCache>,
+        room: &AtomicUsize,
     ) -> Result<(View, bool)> {
         let (file, labels) = FrameLabels::open(self, frame, options)?;
         let preprocessing = Preprocessing {
             background: options.background,
             ..labels.geometry.preprocessing.clone()
         };
-        let image = Photo::in_file(&file, preprocessing, &options.limits, cache)?;
+        let image = Photo::in_file(&file, preprocessing, &options.limits, room)?;
         let truth = labels.truth()?.map(LabelRuns::from);
         let raw = labels.raw()?;
         let scores = labels.scores();

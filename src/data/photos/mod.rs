@@ -3,7 +3,6 @@
 pub(crate) mod image_file;
 pub(crate) mod lens;
 pub(crate) mod photo;
-pub(crate) mod photo_cache;
 
 use crate::files::extension;
 use std::path::Path;

@@ -2,7 +2,7 @@
 
 use super::image_file::ImageFile;
 use super::lens::Undistortion;
-use crate::data::{Limits, PhotoCache};
+use crate::data::Limits;
 use crate::error::{Result, ensure};
 use image::RgbImage;
 use image::imageops::{FilterType, resize};
@@ -10,11 +10,13 @@ use sha2::{Digest, Sha256};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
 /// The photo of a view, 8-bit sRGB.
 ///
 /// Photos of a scene folder stay in their files, which must not change while the scene is in use. [`Photo::pixels`] returns them
-/// from the scene's [`PhotoCache`], or decodes them and removes the distortion of the lens. The pixels are the same ones each time.
+/// from memory, where [`LoadOptions::decoded_mb`](crate::data::LoadOptions::decoded_mb) had room for them, or decodes them and
+/// removes the distortion of the lens. The pixels are the same ones each time.
 /// Photos made in memory stay there.
 #[derive(Clone)]
 pub struct Photo {
@@ -37,22 +39,23 @@ struct PhotoFile {
     digest: [u8; 32],
     limits: Limits,
     preprocessing: Preprocessing,
-    cache: Arc<PhotoCache>,
-    /// The pixels, where the cache had room for them.
+    /// The pixels, where there was room for them.
     kept: Option<Arc<RgbImage>>,
 }
 
 impl Photo {
-    /// The photo in `file`, decoded once to see that it can be.
+    /// The photo in `file`, decoded once to see that it can be. It stays in memory where its bytes fit in `room`, the bytes that
+    /// photos of the scene may still take.
     pub(crate) fn in_file(
         file: &ImageFile,
         preprocessing: Preprocessing,
         limits: &Limits,
-        cache: &Arc<PhotoCache>,
+        room: &AtomicUsize,
     ) -> Result<Self> {
         let (pixels, transparent) = preprocessing.decode(file)?;
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
-        let kept = cache.admits(pixels.as_raw().len());
+        let bytes = pixels.as_raw().len();
+        let kept = room.fetch_update(Relaxed, Relaxed, |room| room.checked_sub(bytes));
         let path = file.path().to_owned();
         let digest = file.digest();
         let file = PhotoFile {
@@ -60,8 +63,7 @@ impl Photo {
             digest,
             limits: limits.clone(),
             preprocessing,
-            cache: cache.clone(),
-            kept: kept.then(|| Arc::new(pixels)),
+            kept: kept.is_ok().then(|| Arc::new(pixels)),
         };
         Ok(Self {
             width,
@@ -94,7 +96,7 @@ impl Photo {
         self.transparent
     }
 
-    /// The pixels. They stay in memory as long as the caller or the cache holds them.
+    /// The pixels. They stay in memory as long as the caller or the scene holds them.
     ///
     /// # Errors
     /// [`crate::Error::Io`] when the file can no longer be read, [`crate::Error::Input`] when it has changed since the
@@ -127,14 +129,6 @@ impl Photo {
                 let numbers = undistortion.flat_map(Undistortion::numbers);
                 numbers.for_each(|number| hash.update(number.to_le_bytes()));
             }
-        }
-    }
-
-    /// What keeps decoded photos of the scene; none for photos made in memory.
-    pub fn cache(&self) -> Option<&PhotoCache> {
-        match &self.source {
-            Source::Pixels(_) => None,
-            Source::File(file) => Some(&file.cache),
         }
     }
 }

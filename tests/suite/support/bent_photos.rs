@@ -1,6 +1,6 @@
 //! A scene folder of large photos in PNG and JPEG, taken through a lens that bends them.
 
-use coseg::data::{LoadOptions, PhotoCache, Scene, load};
+use coseg::data::{LoadOptions, Scene, load};
 use image::RgbImage;
 use serde_json::json;
 use std::fs;
@@ -59,9 +59,10 @@ pub fn loaded(dir: &Path, decoded_mb: usize) -> Scene {
     .expect("scene")
 }
 
-/// The cache that the photos of a scene share.
-pub fn cache(scene: &Scene) -> &PhotoCache {
-    scene.views[0].image.cache().expect("photos in files")
+/// Number of photos of a scene whose pixels stay in memory.
+pub fn kept(scene: &Scene) -> usize {
+    let stays = |i: &usize| Arc::ptr_eq(&pixels(scene, *i), &pixels(scene, *i));
+    (0..scene.views.len()).filter(stays).count()
 }
 
 /// Photo `i`, decoded.
