@@ -1,7 +1,7 @@
 //! Notices on poses, intrinsics, labels and the initial cloud: input that loads but is probably a mistake.
 
-use crate::config::Layout;
 use crate::data::first_names;
+use crate::data::formats::camera_checks::odd_intrinsics;
 use crate::data::formats::folder::{Folder, Problems};
 use crate::data::formats::frame::{Frame, reduced};
 use crate::data::formats::layout;
@@ -10,15 +10,12 @@ use crate::data::formats::mask_file;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{LoadOptions, MapGeometry, Scene, Split};
 use crate::error::Result;
-use crate::splat::camera::Camera;
 use glam::DVec3;
 use std::collections::HashMap;
 use std::path::Path;
 
 /// Cameras that are nearer to each other than this, in world units, count as being at one place.
 const MIN_CAMERA_DISTANCE: f64 = 1e-6;
-/// Range of the fields of view, in degrees, of lenses without fisheye projection.
-const USUAL_FIELDS_OF_VIEW: [f64; 2] = [5.0, 170.0];
 
 /// Lists the frames of a folder, with notices on poses, intrinsics, labels and masks.
 pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
@@ -109,25 +106,7 @@ pub(crate) fn cameras(listing: &Listing) -> Vec<String> {
         ));
     }
     notices.extend(equal_poses(&posed));
-    let is_transforms = listing.layout == Layout::Transforms;
-    for axis in [0, 1] {
-        let side = |frame: &Frame| {
-            let Camera { width, height, .. } = frame.camera;
-            let Camera { fx, fy, cx, cy, .. } = frame.camera;
-            [[fx, cx, width as f64], [fy, cy, height as f64]][axis]
-        };
-        let field = |key: &str, name: &str| {
-            let axis = ["x", "y"][axis];
-            if is_transforms {
-                format!("{key}{axis}")
-            } else {
-                format!("{name}, {axis}")
-            }
-        };
-        notices.extend(outside_center(&posed, side, &field("c", "principal point")));
-        let focal = field("fl_", "focal length");
-        notices.extend(unusual_field_of_view(&posed, side, &focal));
-    }
+    notices.extend(unusual_intrinsics(&posed));
     let file = listing.file.display();
     notices
         .into_iter()
@@ -160,44 +139,14 @@ fn equal_poses(posed: &[&Frame]) -> Option<String> {
     })
 }
 
-/// Principal points outside the photo. `side` gives focal length, principal point and length of one side.
-fn outside_center(
-    posed: &[&Frame],
-    side: impl Fn(&Frame) -> [f64; 3],
-    field: &str,
-) -> Option<String> {
-    let is_outside = |frame: &&Frame| {
-        let [_, center, length] = side(frame);
-        !(0.0..=length).contains(&center)
-    };
-    let outside = || posed.iter().copied().filter(is_outside);
-    let [_, center, length] = side(outside().next()?);
-    let (_, names) = listed(outside())?;
+/// Frames whose principal point is outside the photo, or whose field of view only a fisheye lens has.
+fn unusual_intrinsics(posed: &[&Frame]) -> Option<String> {
+    let odd = |frame: &Frame| odd_intrinsics(&frame.camera, &(5.0..=170.0), 0.5);
+    let found = posed.iter().find_map(|frame| odd(frame))?;
+    let (_, names) = listed(posed.iter().copied().filter(|frame| odd(frame).is_some()))?;
     Some(format!(
-        "{field} of {names}: found {center}, expected a pixel of the photo, 0 to {length}; where photos were scaled, scale the \
-         intrinsics with them"
-    ))
-}
-
-fn unusual_field_of_view(
-    posed: &[&Frame],
-    side: impl Fn(&Frame) -> [f64; 3],
-    field: &str,
-) -> Option<String> {
-    let angle = |frame: &Frame| {
-        let [focal, _, length] = side(frame);
-        2.0 * (0.5 * length / focal).atan().to_degrees()
-    };
-    let [low, high] = USUAL_FIELDS_OF_VIEW;
-    let is_unusual = |frame: &&Frame| !(low..=high).contains(&angle(frame));
-    let unusual = || posed.iter().copied().filter(is_unusual);
-    let first = unusual().next()?;
-    let [focal, ..] = side(first);
-    let angle = angle(first);
-    let (_, names) = listed(unusual())?;
-    Some(format!(
-        "{field} of {names}: found {focal} pixels, a field of view of {angle:.1} degrees, expected {low} to {high}; give it in \
-         pixels of these photos, not in millimetres or for another size"
+        "intrinsics of {names}: found {found}, expected a field of view from 5 to 170 degrees and a principal point on the photo; \
+         give them in pixels of these photos, not in millimetres or for another size"
     ))
 }
 

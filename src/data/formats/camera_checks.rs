@@ -43,19 +43,36 @@ pub(crate) fn check_center(path: &Path, field: &str, center: f64, help: &str) ->
 
 /// The fault of a frame whose intrinsics no photo has.
 pub(crate) fn check_intrinsics(path: &Path, frame: &str, camera: &Camera) -> Result<()> {
-    let sides = [
-        (camera.fx, camera.cx, camera.width),
-        (camera.fy, camera.cy, camera.height),
-    ];
-    for (focal, center, length) in sides.map(|(f, c, length)| (f, c, length as f64)) {
-        let angle = 2.0 * (0.5 * length / focal).atan().to_degrees();
-        let offset = (center - 0.5 * length).abs();
-        ensure!(FIELDS_OF_VIEW.contains(&angle) && offset <= MAX_OFFSET * length, path, "{frame}: intrinsics";
-            found "focal length {focal}, principal point {center} for {length} pixels";
+    if let Some(found) = odd_intrinsics(camera, &FIELDS_OF_VIEW, MAX_OFFSET) {
+        bail!(path, "{frame}: intrinsics"; found "{found}";
             expected "a field of view from 0.05 to 179.5 degrees, and a principal point near the photo";
             help "give them in pixels of these photos, or calibrate again");
     }
     Ok(())
+}
+
+/// The intrinsics along the first axis where the field of view, in degrees, is not one of `fields_of_view`, or where the principal
+/// point is further than `max_offset` sides of the photo from its middle.
+pub(crate) fn odd_intrinsics(
+    camera: &Camera,
+    fields_of_view: &RangeInclusive<f64>,
+    max_offset: f64,
+) -> Option<String> {
+    let axes = [
+        ("x", camera.fx, camera.cx, camera.width),
+        ("y", camera.fy, camera.cy, camera.height),
+    ];
+    axes.into_iter().find_map(|(axis, focal, center, side)| {
+        let side = side as f64;
+        let angle = 2.0 * (0.5 * side / focal).atan().to_degrees();
+        let is_centred = (center - 0.5 * side).abs() <= max_offset * side;
+        (!is_centred || !fields_of_view.contains(&angle)).then(|| {
+            format!(
+                "focal length {focal} (a field of view of {angle:.1} degrees) and principal point {center} for the {side} pixels \
+                 along {axis}"
+            )
+        })
+    })
 }
 
 /// Whether a number may be a coordinate in the world.

@@ -89,26 +89,32 @@ fn odd_intrinsics_are_told() {
     one(
         &notices(|v| v["cx"] = json!(900.0)),
         &[
-            "transforms.json: cx of v0, v1, v2 and 3 more: found 900",
-            "0 to 80",
+            "transforms.json: intrinsics of v0, v1, v2 and 3 more: found",
+            "principal point 900 for the 80 pixels along x",
+            "expected",
+            "a principal point on the photo",
         ],
     );
     one(
         &notices(|v| v["frames"][4]["cy"] = json!(-1.0)),
-        &["cy of v4: found -1", "0 to 64"],
+        &[
+            "intrinsics of v4: found",
+            "principal point -1 for the 64 pixels along y",
+        ],
     );
     one(
         &notices(|v| v["fl_x"] = json!(2000)),
         &[
-            "fl_x of v0",
-            "found 2000 pixels",
+            "intrinsics of v0",
+            "focal length 2000",
             "of 2.3 degrees",
+            "along x",
             "5 to 170",
         ],
     );
     one(
         &notices(|v| v["fl_y"] = json!(2.5)),
-        &["fl_y of v0", "found 2.5 pixels", "of 171.1 degrees"],
+        &["focal length 2.5", "of 171.1 degrees", "along y"],
     );
 }
 
