@@ -71,7 +71,12 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
         .for_each(warn);
     // Points of depth images lie where the poses put them.
     if !matches!(listing.cloud, listing::Cloud::Depth(_)) {
-        match poses::of_scene(listing.layout, &listing.file, &scene) {
+        // The views of a sound listing are its frames.
+        let photo = |i: usize| {
+            let view: &View = &scene.views[i];
+            Some((view.camera.moved(scene.origin), view.image.pixels().ok()?))
+        };
+        match poses::of_listing(&listing, &scene.points, &options.limits, photo) {
             Some(poses::Verdict::Misread(fault)) => tracing::warn!("{fault}"),
             Some(poses::Verdict::Unrelated(notice)) => tracing::warn!("{notice}"),
             None => {}

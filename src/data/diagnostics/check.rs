@@ -12,6 +12,7 @@ use crate::error::Error;
 use rayon::prelude::*;
 use std::collections::HashSet;
 use std::path::Path;
+use std::sync::Arc;
 
 /// What [`check`] found.
 #[derive(Debug, Default)]
@@ -80,11 +81,18 @@ fn check_listing(listing: &Listing, options: &LoadOptions, problems: &mut Proble
                 notices.extend(photometric_poses::better_convention(listing, limits));
             }
         }
-        Ok(points) => match poses::of_listing(listing, &points, limits) {
-            Some(poses::Verdict::Misread(fault)) => problems.push(fault),
-            Some(poses::Verdict::Unrelated(notice)) => notices.push(notice),
-            None => {}
-        },
+        Ok(points) => {
+            let photo = |i: usize| {
+                let (file, geometry) = frames[i].open(&listing.file, limits).ok()?;
+                let photo = Arc::new(geometry.photo(&file).ok()?);
+                Some((geometry.camera, photo))
+            };
+            match poses::of_listing(listing, &points, limits, photo) {
+                Some(poses::Verdict::Misread(fault)) => problems.push(fault),
+                Some(poses::Verdict::Unrelated(notice)) => notices.push(notice),
+                None => {}
+            }
+        }
     }
     notices
 }

@@ -6,10 +6,9 @@
 
 use super::convention::Convention;
 use crate::config::Layout;
-use crate::data::formats::frame::Frame;
 use crate::data::formats::listing::{Cloud, Listing};
 use crate::data::options::evenly;
-use crate::data::{Limits, Points, Scene};
+use crate::data::{Limits, Points};
 use crate::error::{Error, invalid};
 use crate::splat::camera::Camera;
 use glam::DVec3;
@@ -82,9 +81,16 @@ struct Fit {
     agreement: f64,
 }
 
-/// Compares the points of a listing with its poses. Points of depth images depend on the poses and are computed again.
-pub(crate) fn of_listing(listing: &Listing, points: &Points, limits: &Limits) -> Option<Verdict> {
-    let posed: Vec<&Frame> = listing.frames.iter().filter(|frame| frame.posed).collect();
+/// Compares the points of a listing with its poses. Points of depth images depend on the poses and are computed again. `photo` opens
+/// the photo of a frame, with the camera for it.
+pub(crate) fn of_listing(
+    listing: &Listing,
+    points: &Points,
+    limits: &Limits,
+    photo: impl Fn(usize) -> Option<(Camera, Arc<RgbImage>)> + Sync,
+) -> Option<Verdict> {
+    let frames = &listing.frames;
+    let posed: Vec<usize> = (0..frames.len()).filter(|&i| frames[i].posed).collect();
     let depth = match &listing.cloud {
         Cloud::Depth(depth) => Some(depth),
         _ => None,
@@ -93,35 +99,30 @@ pub(crate) fn of_listing(listing: &Listing, points: &Points, limits: &Limits) ->
         return None;
     }
     let most = depth.map_or(MAX_CAMERAS, |_| MAX_PHOTOS);
-    let chosen = evenly(posed.len(), most);
-    let views = checked_views(chosen.len(), |index, with_photo| {
-        let frame = posed[chosen[index]];
-        let open = || {
-            let (file, geometry) = frame.open(&listing.file, limits).ok()?;
-            let photo = Some(Arc::new(geometry.photo(&file).ok()?));
-            Some(CheckedView {
-                camera: geometry.camera,
-                photo,
-            })
-        };
-        let camera = frame.camera.clone();
-        with_photo.then(open).flatten().unwrap_or(CheckedView {
-            camera,
-            photo: None,
-        })
-    });
+    let chosen = evenly(posed.len(), most).into_iter();
+    let chosen: Vec<usize> = chosen.map(|i| posed[i]).collect();
+    let with_photo = evenly(chosen.len(), MAX_PHOTOS);
+    let view = |(index, &frame): (usize, &usize)| {
+        let opened = with_photo.contains(&index).then(|| photo(frame)).flatten();
+        let (camera, photo) = opened.unzip();
+        CheckedView {
+            camera: camera.unwrap_or_else(|| frames[frame].camera.clone()),
+            photo,
+        }
+    };
+    let views: Vec<CheckedView> = chosen.par_iter().enumerate().map(view).collect();
     let Some(depth) = depth else {
         let points = checked_points(points, listing.origin());
         return verdict(listing.layout, &listing.file, &views, &points);
     };
-    let all = listing.frames.iter().zip(&depth.files);
-    let files: Vec<_> = all.filter(|(frame, _)| frame.posed).collect();
     let made = views.par_iter().enumerate().map(|(index, view)| {
-        let (frame, Some(file)) = files[chosen[index]] else {
+        let frame = chosen[index];
+        let Some(file) = &depth.files[frame] else {
             return Vec::new();
         };
         let most = MAX_POINTS / views.len();
-        let points = depth.of_frame(frame, file, &listing.file, most, view.camera.center, limits);
+        let center = view.camera.center;
+        let points = depth.of_frame(&frames[frame], file, &listing.file, most, center, limits);
         let mut points = checked_points(&points.unwrap_or_default(), DVec3::ZERO);
         for point in &mut points {
             point.position = view.camera.rotation * point.position;
@@ -132,35 +133,6 @@ pub(crate) fn of_listing(listing: &Listing, points: &Points, limits: &Limits) ->
     let made: Vec<Vec<CheckedPoint>> = made.collect();
     let made: Vec<CheckedPoint> = made.into_iter().flatten().collect();
     verdict(listing.layout, &listing.file, &views, &made)
-}
-
-/// Compares the points of a scene, which must not come from depth images, with its poses. `file` lists its frames.
-pub(crate) fn of_scene(layout: Layout, file: &Path, scene: &Scene) -> Option<Verdict> {
-    // Before photos are decoded for it.
-    if scene.points.len() < MIN_POINTS {
-        return None;
-    }
-    let chosen = evenly(scene.views.len(), MAX_CAMERAS);
-    let views = checked_views(chosen.len(), |index, with_photo| {
-        let view = &scene.views[chosen[index]];
-        let camera = view.camera.moved(scene.origin);
-        let photo = with_photo.then(|| view.image.pixels().ok()).flatten();
-        CheckedView { camera, photo }
-    });
-    let points = checked_points(&scene.points, scene.origin);
-    verdict(layout, file, &views, &points)
-}
-
-/// `count` views by their index, some of them with photos.
-fn checked_views(
-    count: usize,
-    view: impl Fn(usize, bool) -> CheckedView + Sync,
-) -> Vec<CheckedView> {
-    let photos = evenly(count, MAX_PHOTOS);
-    (0..count)
-        .into_par_iter()
-        .map(|index| view(index, photos.contains(&index)))
-        .collect()
 }
 
 fn checked_points(points: &Points, origin: DVec3) -> Vec<CheckedPoint> {
