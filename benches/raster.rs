@@ -12,7 +12,7 @@ use coseg::backend::device;
 use coseg::backend::device::BackendName;
 use coseg::bench::{Figures, Machine, resampled};
 use coseg::data::formats::transforms::write_cameras;
-use coseg::data::{Limits, NamedCamera, Split, read_cameras};
+use coseg::data::{NamedCamera, Split, read_cameras};
 use coseg::error::{Error, Result};
 use coseg::files::atomic;
 use coseg::objects::{RenderOptions, Renderer};
@@ -69,7 +69,7 @@ fn main() -> Result<()> {
     let (backend, device) = device::choose(arguments.backend)?;
     let machine = Machine::here(device::described(backend));
     println!("{}", machine.text());
-    let scene = ply::read(&arguments.run.join("scene.ply"), &Limits::default())?;
+    let scene = ply::read(&arguments.run.join("scene.ply"))?;
     let cameras = read_cameras(&arguments.run, Some(Split::Train))?;
     let count = VIEWS.min(cameras.len());
     let cameras: Vec<Camera> = (0..count)

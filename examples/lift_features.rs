@@ -7,8 +7,6 @@
 //!
 //!     cargo run --release -- train                       # writes runs/builtin
 //!     cargo run --release --example lift_features -- runs/builtin
-
-use coseg::data::Limits;
 use coseg::data::Split;
 use coseg::data::builtin;
 use coseg::raster::{Projected, Settings};
@@ -23,7 +21,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         .unwrap_or_else(|| "runs/builtin".to_owned());
     let PlyScene {
         gaussians, origin, ..
-    } = ply::read(&Path::new(&run).join("scene.ply"), &Limits::default())?;
+    } = ply::read(&Path::new(&run).join("scene.ply"))?;
     let scene = builtin::scene(builtin::EVALUATED_SEED);
     if origin != scene.origin {
         return Err(format!("{run}: not a run of the built-in room").into()); // else cameras move by -origin

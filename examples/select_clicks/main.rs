@@ -10,7 +10,7 @@
 
 mod masks;
 
-use coseg::data::{Limits, NamedCamera, read_cameras};
+use coseg::data::{NamedCamera, read_cameras};
 use coseg::objects::{Growth, Regions, seed};
 use coseg::raster::{Projected, Settings};
 use coseg::runs::features_beside;
@@ -63,7 +63,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Err("give a run folder, and a file or folder of masks".into());
     };
     let path = Path::new(run).join("scene.ply");
-    let scene = ply::read(&path, &Limits::default())?;
+    let scene = ply::read(&path)?;
     let cameras = read_cameras(&Path::new(run).join("cameras.json"), None)?;
     let views = cameras.iter().map(|camera| View::new(camera, &scene));
     let views: Vec<View> = views.collect::<Result<_, _>>()?;

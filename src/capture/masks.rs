@@ -1,9 +1,9 @@
 //! Masks of photos: black where COLMAP and training leave a photo out.
 
 use super::photos::{Photo, Photos, turned};
+use crate::data::LabelMap;
 use crate::data::formats::{label_folder, mask_file};
 use crate::data::photos::image_file::{ImageFile, proportional};
-use crate::data::{LabelMap, Limits};
 use crate::error::{Error, Result, ensure, in_order};
 use crate::files::{atomic, file_name};
 use crate::progress::{Progress, Viewing};
@@ -103,7 +103,7 @@ fn decode(
     stored: (usize, usize),
     upright: (usize, usize),
 ) -> Result<(LabelMap, bool)> {
-    let image = ImageFile::open(file, &Limits::default())?;
+    let image = ImageFile::open(file)?;
     let size = image.size;
     let is_stored = size == stored || size != upright && proportional(size, stored);
     ensure!(is_stored || proportional(size, upright), file, "size"; found "{}x{} pixels", size.0, size.1;

@@ -1,7 +1,6 @@
 //! Photos as all programs read them alike: of one size and without an EXIF orientation.
 
 use super::masks::Masks;
-use crate::data::Limits;
 use crate::data::photos::image_file::{ImageFile, proportional};
 use crate::data::photos::{HEIC_HELP, is_heic, is_photo, is_video};
 use crate::error::{Error, Result, bail, ensure, in_order};
@@ -89,9 +88,8 @@ impl Photos {
     /// # Errors
     /// [`Error::Input`] where they differ in size, or one cannot be read; [`Error::Io`].
     pub fn look(paths: Vec<PathBuf>) -> Result<Self> {
-        let limits = Limits::default();
         let all = in_order(paths.into_par_iter().map(|path| {
-            let file = ImageFile::open(&path, &limits)?;
+            let file = ImageFile::open(&path)?;
             let exif = file.exif_orientation().and_then(Orientation::from_exif);
             let size = file.size;
             Ok(Photo { path, size, exif })
@@ -131,14 +129,13 @@ impl Photos {
         out: &Path,
         progress: &mut dyn Progress,
     ) -> Result<()> {
-        let limits = Limits::default();
         let mut viewing = Viewing::begin(progress, "photos", self.all.len());
         for some in self.all.chunks(rayon::current_num_threads()) {
             in_order(some.par_iter().map(|photo| {
                 if let Some((masks, folder)) = masks {
                     masks.write(photo, self.turn(photo), folder)?;
                 }
-                let file = ImageFile::open(&photo.path, &limits)?;
+                let file = ImageFile::open(&photo.path)?;
                 let copy = file.without_orientation(self.turns)?;
                 let name = file_name(&photo.path).unwrap_or_default();
                 atomic::write_bytes(out.join(name), &copy)

@@ -4,7 +4,7 @@ use super::{held_out, terminal};
 use clap::Args;
 use coseg::backend::device::open_cpu;
 use coseg::config::{Association, Config, Variant};
-use coseg::data::{Classes, Limits, Split};
+use coseg::data::{Classes, Split};
 use coseg::error::{Result, ensure};
 use coseg::metrics::ImageScores;
 use coseg::objects::Semantics;
@@ -46,7 +46,7 @@ impl EvalArgs {
         let run = RunFolder::existing(&self.run)?;
         let mut config = run.config(&[])?;
         config.data.dir = self.data.or(config.data.dir);
-        let ply = ply::read(&run.file(SCENE), &Limits::default())?;
+        let ply = ply::read(&run.file(SCENE))?;
         let mut scene = load_scene(&config)?.with_origin(ply.origin);
         let classes = run.classes()?;
         let mut semantics = None;

@@ -11,11 +11,10 @@ use clap::{Args, ValueEnum};
 use coseg::config::Config;
 use coseg::data::formats::transforms;
 use coseg::data::labels::annotations::Categories;
-use coseg::data::{
-    Limits, LoadOptions, NamedCamera, Split, ViewPhoto, check_outputs, read_cameras,
-};
+use coseg::data::{LoadOptions, NamedCamera, Split, ViewPhoto, check_outputs, read_cameras};
 use coseg::error::{Result, ensure};
 use coseg::features::FeatureColors;
+use coseg::files::MAX_IMAGE_PIXELS;
 use coseg::objects::{RenderOptions, Renderer};
 use coseg::runs::{
     CAMERAS, FEATURE_COLORS, cameras_path, classes_beside, photos_of, read_scene, rendering_beside,
@@ -157,7 +156,7 @@ fn parse_color(text: &str) -> std::result::Result<[f32; 3], String> {
 
 /// No more pixels than an image may have.
 fn parse_size(text: &str) -> std::result::Result<[usize; 2], String> {
-    let most = Limits::default().image_pixels;
+    let most = MAX_IMAGE_PIXELS;
     let fits = |&[w, h]: &[usize; 2]| w > 0 && h > 0 && (w as u64).saturating_mul(h as u64) <= most;
     let size = numbers(text, ',').filter(fits);
     size.ok_or_else(|| {

@@ -3,7 +3,7 @@
 use super::terminal;
 use super::values::{alpha_max, numbers};
 use clap::Args;
-use coseg::data::{Limits, read_cameras};
+use coseg::data::read_cameras;
 use coseg::error::{Result, ensure};
 use coseg::files::{extension, file_name, own, sha256};
 use coseg::runs::{
@@ -122,7 +122,7 @@ impl ViewArgs {
 
     /// Reads the scene at `path`, and does `act` with its page.
     fn with_viewer(&self, path: &Path, act: impl FnOnce(Viewer) -> Result<()>) -> Result<()> {
-        let ply = formats::read(path, &Limits::default())?;
+        let ply = formats::read(path)?;
         let gaussians = ply.gaussians;
         let names = self.classes.as_ref().map(|file| file.display().to_string());
         let classes = classes_beside(path, self.classes.as_deref())?;

@@ -4,7 +4,6 @@ use super::Options;
 use super::cells::check_provenance;
 use super::plan::{Plan, SceneFolder};
 use crate::config::{BuildingConfig, Config};
-use crate::data::Limits;
 use crate::error::{Result, bail};
 use crate::files::{self, atomic};
 use crate::pipeline::{self, load_scene};
@@ -60,7 +59,7 @@ impl SharedGaussians {
             atomic::write_json(&record, &done)?;
         }
         let file = folder.join("scene.ply");
-        let gaussians = ply::read(&file, &Limits::default())?.gaussians;
+        let gaussians = ply::read(&file)?.gaussians;
         Ok(Self { file, gaussians })
     }
 }

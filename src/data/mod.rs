@@ -32,8 +32,6 @@ pub use self::photos::photo::Photo;
 pub(crate) use self::view_cache::ViewCache;
 pub use self::view_photos::{ViewPhoto, view_photos};
 
-pub use crate::files::Limits;
-
 use self::diagnostics::{notices, poses};
 use self::formats::listing;
 use self::mask::Mask;
@@ -76,7 +74,7 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
             let view: &View = &scene.views[i];
             Some((view.camera.moved(scene.origin), view.image.pixels().ok()?))
         };
-        match poses::of_listing(&listing, &scene.points, &options.limits, photo) {
+        match poses::of_listing(&listing, &scene.points, photo) {
             Some(poses::Verdict::Misread(fault)) => tracing::warn!("{fault}"),
             Some(poses::Verdict::Unrelated(notice)) => tracing::warn!("{notice}"),
             None => {}
@@ -103,7 +101,7 @@ pub fn load_cameras(
             continue;
         }
         let geometry = if frame.resizable {
-            frame.open(&listing.file, &options.limits)?.1
+            frame.open(&listing.file)?.1
         } else {
             frame.own_geometry()?
         };

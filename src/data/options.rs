@@ -1,6 +1,6 @@
 //! How a scene folder is read, and which of its frames.
 
-use super::{Limits, Split};
+use super::Split;
 use crate::config::{Association, Config, DataConfig, Layout, RawFormat, ScannetClasses};
 
 /// How [`super::load`] reads a folder.
@@ -33,8 +33,6 @@ pub struct LoadOptions {
     pub background: [u8; 3],
     /// Megabytes (2^20 bytes) of decoded photos that a scene keeps; the others are decoded again at each use.
     pub decoded_mb: usize,
-    /// Largest sizes accepted.
-    pub limits: Limits,
 }
 
 impl Default for LoadOptions {
@@ -59,7 +57,6 @@ impl From<&DataConfig> for LoadOptions {
             scannet_classes: config.scannet_classes,
             background: [0; 3],
             decoded_mb: config.decoded_mb,
-            limits: Limits::default(),
         }
     }
 }

@@ -1,10 +1,10 @@
 //! The photos that the views of a scene folder are of.
 
+use super::LoadOptions;
 use super::formats::folder::Problems;
 use super::formats::frame::Frame;
 use super::formats::layout;
 use super::photos::image_file::{ImageFile, proportional};
-use super::{Limits, LoadOptions};
 use crate::error::Result;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -33,7 +33,7 @@ impl ViewPhoto {
     /// # Errors
     /// [`crate::Error::Io`]; [`crate::Error::Input`] where the file is no complete PNG or JPEG; [`crate::Error::Limit`].
     pub fn without_orientation(&self) -> Result<Vec<u8>> {
-        ImageFile::open(&self.file, &Limits::default())?.without_orientation(false)
+        ImageFile::open(&self.file)?.without_orientation(false)
     }
 }
 

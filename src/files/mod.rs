@@ -6,8 +6,8 @@ pub mod lock;
 pub mod own;
 pub(crate) mod ply;
 
-pub use self::limits::Limits;
-pub(crate) use self::limits::check_limit;
+pub use self::limits::{MAX_IMAGE_PIXELS, MAX_POINTS, MAX_VIEWS};
+pub(crate) use self::limits::{check_limit, check_pixels, check_points, check_views};
 
 use crate::error::{Error, Result, bail, ensure, invalid};
 use serde::de::DeserializeOwned;

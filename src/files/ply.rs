@@ -3,7 +3,7 @@
 //! The format itself is `ply-rs-bw`'s. Its rows are addressed by property name. Here every wanted property is renamed once to its
 //! column number, in a private copy of the element definition. So no row compares names.
 
-use super::{Limits, kind, open};
+use super::{check_points, kind, open};
 use crate::error::{Error, Result, bail, invalid};
 use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{
@@ -88,7 +88,7 @@ pub(crate) struct PlyFile {
 
 impl PlyFile {
     /// Opens `path` and reads the header up to `end_header`; `element` (such as `vertex`) must be declared.
-    pub fn open(path: &Path, element: &str, limits: &Limits) -> Result<Self> {
+    pub fn open(path: &Path, element: &str) -> Result<Self> {
         let file = open(path)?;
         let mut file = BufReader::with_capacity(1 << 20, file);
         let first = file.fill_buf().map_err(|e| Error::io(path, "read", e))?;
@@ -113,7 +113,7 @@ impl PlyFile {
             bail!(path, "header"; found "elements [{}]", found.join(", ");
                 expected "an element `{element}`"; help "export the file as a point cloud or Gaussian scene");
         };
-        limits.check_points(path, def.count as u64)?;
+        check_points(path, def.count as u64)?;
         Ok(Self {
             path: path.to_owned(),
             reader,

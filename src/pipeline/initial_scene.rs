@@ -2,7 +2,7 @@
 
 use super::evaluate::Pictures;
 use crate::config::Config;
-use crate::data::{Limits, Scene, Split};
+use crate::data::{Scene, Split};
 use crate::error::{Result, bail, ensure};
 use crate::files::atomic;
 use crate::splat::{Gaussians, formats};
@@ -33,7 +33,7 @@ pub(crate) fn load_initial_scene(
         expected "another file than the run's own scene.ply, which is written over";
         help "let the run write into another folder");
     scene.expect_training_views()?;
-    let ply = formats::read(path, &Limits::default())?;
+    let ply = formats::read(path)?;
     let mut gaussians = ply.gaussians;
     ensure!(!gaussians.is_empty(), path, "element vertex"; found "no Gaussian"; expected "one or more";
         help "name a scene that holds something");

@@ -6,7 +6,7 @@ use super::{
 use crate::config::{Association, Config};
 use crate::data::blocks::{BLOCK, Block, block_name};
 use crate::data::formats::transforms;
-use crate::data::{self, Classes, Limits, NamedCamera, read_cameras};
+use crate::data::{self, Classes, NamedCamera, read_cameras};
 use crate::error::{Result, bail, ensure};
 use crate::files::lock::Lock;
 use crate::files::{atomic, own};
@@ -183,7 +183,7 @@ impl Part {
                 expected "a run on a block of `coseg split`"; help "{help}");
         };
         let scene = run.file(SCENE);
-        let ply = ply::read(&scene, &Limits::default())?;
+        let ply = ply::read(&scene)?;
         let classes = run.classes()?;
         Ok(Self {
             run: dir.to_owned(),

@@ -1,7 +1,7 @@
 //! The files of a scene: given by name, or in the folder that `coseg train` wrote.
 
 use crate::config::Config;
-use crate::data::{Classes, Limits, LoadOptions, NamedCamera, ViewPhoto, view_photos};
+use crate::data::{Classes, LoadOptions, NamedCamera, ViewPhoto, view_photos};
 use crate::error::{Error, Result, ensure, invalid};
 use crate::features::FeatureColors;
 use crate::files::{self, atomic, extension, own};
@@ -100,7 +100,7 @@ pub fn features_beside(scene: &Path, gaussians: usize) -> Vec<[f32; 3]> {
 /// # Errors
 /// As [`formats::read`]; [`Error::Input`] for an empty one.
 pub fn read_scene(path: &Path) -> Result<PlyScene> {
-    let scene = formats::read(path, &Limits::default())?;
+    let scene = formats::read(path)?;
     ensure!(!scene.gaussians.is_empty(), path, "element vertex"; found "no Gaussian"; expected "one or more";
         help "name a scene that is not empty");
     Ok(scene)

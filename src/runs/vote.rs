@@ -2,7 +2,7 @@
 
 use super::scene_path;
 use crate::config::{Association, Config};
-use crate::data::{self, Limits, LoadOptions, Scene};
+use crate::data::{self, LoadOptions, Scene};
 use crate::error::{Result, ensure};
 use crate::objects::Identities;
 use crate::pipeline::{SegmentationInputs, compare_with_photos, label_evidence};
@@ -25,7 +25,7 @@ pub fn load_both(
 ) -> Result<(Scene, PlyScene)> {
     let path = scene_path(scene)?;
     let scene = data::load(dir, &LoadOptions::from(config))?;
-    let ply = formats::read(&path, &Limits::default())?;
+    let ply = formats::read(&path)?;
     let scene = scene.with_origin(ply.origin);
     compare_with_photos(&path, &ply.gaussians, &scene, config, device)?;
     Ok((scene, ply))

@@ -186,8 +186,7 @@ impl Work<'_> {
 
     /// Labels a photo; true where its labels were there already.
     fn label(&self, frame: &Frame) -> Result<bool> {
-        let limits = &self.job.options.limits;
-        let (file, _) = frame.open(&self.listing.file, limits)?;
+        let (file, _) = frame.open(&self.listing.file)?;
         let photo: String = file
             .digest()
             .iter()
@@ -208,7 +207,7 @@ impl Work<'_> {
         let path = Path::new(&names[1]);
         let files = [
             (names[0].clone(), map.png()?),
-            (names[1].clone(), scores.encode(path, limits)?),
+            (names[1].clone(), scores.encode(path)?),
         ];
         let ids: BTreeSet<u16> = map.ids.iter().copied().collect();
         self.index().add(&frame.name, key, ids, &files)?;

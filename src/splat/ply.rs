@@ -7,8 +7,8 @@
 use super::Gaussians;
 use super::formats::{self, compressed_ply};
 use crate::error::{Result, bail, invalid};
+use crate::files::atomic;
 use crate::files::ply::{self, PlyFile};
-use crate::files::{Limits, atomic};
 use glam::DVec3;
 use ply_rs_bw::ply::ScalarType;
 use std::path::Path;
@@ -100,10 +100,10 @@ pub fn write(
 /// # Errors
 /// [`crate::Error::Input`] naming file, row and column: missing columns, cut-off files, non-finite values, labels that are not
 /// u16; naming the origin where positions relative to it are not finite in f32; [`crate::Error::Io`].
-pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
-    let file = PlyFile::open(path, "vertex", limits)?;
+pub fn read(path: &Path) -> Result<PlyScene> {
+    let file = PlyFile::open(path, "vertex")?;
     if file.scalar("packed_position").is_some() {
-        return compressed_ply::read(path, limits);
+        return compressed_ply::read(path);
     }
     expect_gaussians(&file)?;
     let sh_degree = sh_degree(&file)?;

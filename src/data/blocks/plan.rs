@@ -40,7 +40,7 @@ pub fn split(dir: &Path, options: &LoadOptions, counts: [usize; 2]) -> Result<Ve
     ensure!(Block::in_folder(dir)?.is_none(), argument "--data"; found "{}, a block", dir.display();
         expected "a whole scene"; help "split the scene into more blocks");
     let mut listing = Problems::first_of(|problems| layout::list(dir, options, problems))?;
-    listing.check_sizes(&options.limits)?;
+    listing.check_sizes()?;
     let train = listing
         .frames
         .iter()
@@ -48,7 +48,7 @@ pub fn split(dir: &Path, options: &LoadOptions, counts: [usize; 2]) -> Result<Ve
     let places: Vec<DVec3> = train.map(|frame| frame.camera.center).collect();
     let grid = Grid::new(counts, &places, listing.up())?;
     let origin = listing.origin();
-    let points = listing.points(origin, &options.limits)?;
+    let points = listing.points(origin)?;
     let members = members(&listing, &points, origin, &grid);
     let scene = files::absolute(dir)?;
     let reading = Reading::of(options, listing.layout);

@@ -47,8 +47,7 @@ pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
 
 /// Checks the files of a listing. Faults go to `problems`; notices are returned.
 fn check_listing(listing: &Listing, options: &LoadOptions, problems: &mut Problems) -> Vec<String> {
-    let limits = &options.limits;
-    problems.ok(listing.check_sizes(limits));
+    problems.ok(listing.check_sizes());
     let frames = &listing.frames;
     for frame in frames.iter().filter(|frame| frame.posed) {
         problems.ok(check_intrinsics(&listing.file, &frame.name, &frame.camera));
@@ -71,23 +70,23 @@ fn check_listing(listing: &Listing, options: &LoadOptions, problems: &mut Proble
         .for_each(|fault| problems.push(fault));
     // A cloud of depth images opens photos again: a fault need not be reported twice.
     let reported: HashSet<String> = problems.messages().collect();
-    match listing.points(listing.origin(), limits) {
+    match listing.points(listing.origin()) {
         Err(fault) if reported.contains(&fault.to_string()) => {}
         Err(fault) => problems.push(fault),
         Ok(points) if points.is_empty() => {
             notices.extend(notices::empty_cloud(&listing.cloud));
             // Other faults of the cameras come first.
             if notices::cameras(listing).is_empty() {
-                notices.extend(photometric_poses::better_convention(listing, limits));
+                notices.extend(photometric_poses::better_convention(listing));
             }
         }
         Ok(points) => {
             let photo = |i: usize| {
-                let (file, geometry) = frames[i].open(&listing.file, limits).ok()?;
+                let (file, geometry) = frames[i].open(&listing.file).ok()?;
                 let photo = Arc::new(geometry.photo(&file).ok()?);
                 Some((geometry.camera, photo))
             };
-            match poses::of_listing(listing, &points, limits, photo) {
+            match poses::of_listing(listing, &points, photo) {
                 Some(poses::Verdict::Misread(fault)) => problems.push(fault),
                 Some(poses::Verdict::Unrelated(notice)) => notices.push(notice),
                 None => {}
@@ -111,12 +110,11 @@ struct FrameCheck {
 
 impl FrameCheck {
     fn new(listing: &Listing, frame: &Frame, options: &LoadOptions) -> Self {
-        let limits = &options.limits;
         let mut problems = Problems::default();
         let mut check = Self::default();
         let opened = frame
             .present
-            .then(|| problems.ok(frame.open(&listing.file, limits)))
+            .then(|| problems.ok(frame.open(&listing.file)))
             .flatten();
         let geometry = match opened {
             Some((file, geometry)) => {
@@ -128,7 +126,7 @@ impl FrameCheck {
             None => frame.own_geometry().ok(),
         };
         if let Some(geometry) = geometry.map(|geometry| geometry.limited_to(options.max_side)) {
-            let mask = problems.ok(frame.read_mask(&geometry, limits)).flatten();
+            let mask = problems.ok(frame.read_mask(&geometry)).flatten();
             check.masked = mask
                 .as_ref()
                 .map(|mask| [mask.width() * mask.height(), mask.left_out()]);
@@ -136,7 +134,6 @@ impl FrameCheck {
                 listing,
                 frame,
                 geometry,
-                limits,
                 mask,
             };
             problems.ok(labels.truth());

@@ -134,7 +134,7 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
         masked: frames.iter().filter(|frame| frame.left_out > 0).count(),
         left_out: left_out.sum::<usize>() as f64 / pixels.sum::<usize>().max(1) as f64,
         cameras: camera_box(&listing),
-        points: listing.points(listing.origin(), &options.limits)?.len(),
+        points: listing.points(listing.origin())?.len(),
         labelled: count(|frame| frame.truth.is_some()),
         raw_labelled: count(|frame| frame.raw.is_some()),
         segments: frames.iter().map(|frame| frame.segments).sum(),
@@ -181,7 +181,7 @@ fn class_shares(listing: &Listing, frames: &[FrameInfo]) -> Vec<ClassShare> {
 
 fn listing(dir: &Path, options: &LoadOptions) -> Result<Listing> {
     let listing = notices::list_sound(dir, options)?;
-    listing.check_sizes(&options.limits)?;
+    listing.check_sizes()?;
     Ok(listing)
 }
 

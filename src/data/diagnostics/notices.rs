@@ -218,7 +218,7 @@ fn assumed_undistorted(listing: &Listing, options: &LoadOptions) -> Option<Strin
     })?;
     let is_declared = listing.geometries.of(map).is_some();
     // A file that cannot be read is reported where it is read.
-    let file = ImageFile::open(map, &options.limits).ok()?;
+    let file = ImageFile::open(map).ok()?;
     (!is_declared && file.size == size).then(|| {
         format!(
             "{}: label maps of {}x{} pixels, to which photos are reduced, are taken for maps that coseg wrote, without \

@@ -4,7 +4,6 @@
 //! are found. With another one they are compared along wrong lines, and found by chance only.
 
 use super::convention::Convention;
-use crate::data::Limits;
 use crate::data::bilinear::among;
 use crate::data::formats::frame::Frame;
 use crate::data::formats::listing::Listing;
@@ -41,7 +40,7 @@ const MIN_FOUND_RATIO: f64 = 1.4;
 const MIN_SHOWN: f64 = 0.25;
 
 /// A notice if neighbouring photos fit better in another convention than in that of the layout.
-pub(super) fn better_convention(listing: &Listing, limits: &Limits) -> Option<String> {
+pub(super) fn better_convention(listing: &Listing) -> Option<String> {
     let frames = listing
         .frames
         .iter()
@@ -50,7 +49,7 @@ pub(super) fn better_convention(listing: &Listing, limits: &Limits) -> Option<St
     // Photos are mostly numbered in the order they were taken in, with or without leading zeros.
     frames.sort_by_key(|frame| (frame.name.len(), &frame.name));
     let small = |frame: &Frame| {
-        let (file, geometry) = frame.open(&listing.file, limits).ok()?;
+        let (file, geometry) = frame.open(&listing.file).ok()?;
         Some(SmallPhoto::new(
             &geometry.photo(&file).ok()?,
             &geometry.camera,

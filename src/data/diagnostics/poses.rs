@@ -6,9 +6,9 @@
 
 use super::convention::Convention;
 use crate::config::Layout;
+use crate::data::Points;
 use crate::data::formats::listing::{Cloud, Listing};
 use crate::data::options::evenly;
-use crate::data::{Limits, Points};
 use crate::error::{Error, invalid};
 use crate::splat::camera::Camera;
 use glam::DVec3;
@@ -86,7 +86,6 @@ struct Fit {
 pub(crate) fn of_listing(
     listing: &Listing,
     points: &Points,
-    limits: &Limits,
     photo: impl Fn(usize) -> Option<(Camera, Arc<RgbImage>)> + Sync,
 ) -> Option<Verdict> {
     let frames = &listing.frames;
@@ -122,7 +121,7 @@ pub(crate) fn of_listing(
         };
         let most = MAX_POINTS / views.len();
         let center = view.camera.center;
-        let points = depth.of_frame(&frames[frame], file, &listing.file, most, center, limits);
+        let points = depth.of_frame(&frames[frame], file, &listing.file, most, center);
         let mut points = checked_points(&points.unwrap_or_default(), DVec3::ZERO);
         for point in &mut points {
             point.position = view.camera.rotation * point.position;

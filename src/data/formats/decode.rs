@@ -7,7 +7,7 @@ use super::frame_labels::FrameLabels;
 use super::listing::{Cloud, Listing};
 use super::points::MAX_STRAY;
 use crate::data::photos::photo::Preprocessing;
-use crate::data::{Classes, LabelRuns, Limits, LoadOptions, Photo, Points, Scene, View};
+use crate::data::{Classes, LabelRuns, LoadOptions, Photo, Points, Scene, View};
 use crate::error::{Result, in_order};
 use crate::splat::camera::{Camera, level_up};
 use glam::DVec3;
@@ -29,7 +29,7 @@ impl Listing {
     /// Decodes everything, a few files at a time. The second value says for each frame whether its labels may belong to a
     /// turned photo.
     pub fn load(&self, dir: &Path, options: &LoadOptions) -> Result<(Scene, Vec<bool>)> {
-        self.check_sizes(&options.limits)?;
+        self.check_sizes()?;
         let room = AtomicUsize::new(options.decoded_mb.saturating_mul(1 << 20));
         let origin = self.origin();
         let views = self
@@ -41,7 +41,7 @@ impl Listing {
             name: scene_name(dir),
             classes: self.classes_of(&views),
             views,
-            points: self.points(origin, &options.limits)?,
+            points: self.points(origin)?,
             drawn: self.raw.drawings().is_some(),
             origin,
             up: self.up(),
@@ -63,7 +63,7 @@ impl Listing {
             background: options.background,
             ..labels.geometry.preprocessing.clone()
         };
-        let image = Photo::in_file(&file, preprocessing, &options.limits, room)?;
+        let image = Photo::in_file(&file, preprocessing, room)?;
         let truth = labels.truth()?.map(LabelRuns::from);
         let raw = labels.raw()?;
         let scores = labels.scores();
@@ -103,12 +103,12 @@ impl Listing {
     }
 
     /// The cloud, relative to `origin`, without its strays.
-    pub fn points(&self, origin: DVec3, limits: &Limits) -> Result<Points> {
+    pub fn points(&self, origin: DVec3) -> Result<Points> {
         let mut points = match &self.cloud {
             Cloud::None => Points::default(),
-            Cloud::Ply(path) => Points::read(path, origin, limits)?,
-            Cloud::Colmap(path) => colmap::read_points(path, origin, limits)?,
-            Cloud::Depth(depth) => depth.points(&self.frames, &self.file, origin, limits)?,
+            Cloud::Ply(path) => Points::read(path, origin)?,
+            Cloud::Colmap(path) => colmap::read_points(path, origin)?,
+            Cloud::Depth(depth) => depth.points(&self.frames, &self.file, origin)?,
         };
         let left_out = points.remove_strays();
         if left_out > 0 {

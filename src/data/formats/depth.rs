@@ -2,7 +2,7 @@
 
 use super::frame::Frame;
 use crate::data::options::evenly;
-use crate::data::{LabelMap, Limits, Points, Split};
+use crate::data::{LabelMap, Points, Split};
 use crate::error::{Result, in_order};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -23,13 +23,7 @@ pub(crate) struct Depth {
 impl Depth {
     /// Points on a grid over each chosen frame, except where its mask leaves pixels out, with the colours of its photo.
     /// Positions are relative to `origin`; `file` lists the frames.
-    pub fn points(
-        &self,
-        frames: &[Frame],
-        file: &Path,
-        origin: DVec3,
-        limits: &Limits,
-    ) -> Result<Points> {
+    pub fn points(&self, frames: &[Frame], file: &Path, origin: DVec3) -> Result<Points> {
         let train = frames
             .iter()
             .zip(&self.files)
@@ -41,7 +35,7 @@ impl Depth {
         let most = POINTS / chosen.len().max(1);
         let parts = chosen.into_par_iter().map(|i| {
             let (frame, depth) = known[i];
-            self.of_frame(frame, depth, file, most, origin, limits)
+            self.of_frame(frame, depth, file, most, origin)
         });
         let mut points = Points::default();
         for part in in_order(parts)? {
@@ -59,12 +53,11 @@ impl Depth {
         file: &Path,
         most: usize,
         origin: DVec3,
-        limits: &Limits,
     ) -> Result<Points> {
-        let (image, geometry) = frame.open(file, limits)?;
+        let (image, geometry) = frame.open(file)?;
         let photo = geometry.photo(&image)?;
-        let mask = frame.read_mask(&geometry, limits)?;
-        let LabelMap { width, height, ids } = LabelMap::read(depth, limits)?;
+        let mask = frame.read_mask(&geometry)?;
+        let LabelMap { width, height, ids } = LabelMap::read(depth)?;
         let camera = &geometry.camera;
         // As many columns and rows as keep the proportions of the image.
         let across = ((most * width) as f64 / height as f64)

@@ -4,7 +4,7 @@ use crate::data::labels::scores::Placement;
 use crate::data::photos::image_file::{ImageFile, proportional};
 use crate::data::photos::lens::{Lens, Undistortion};
 use crate::data::photos::photo::Preprocessing;
-use crate::data::{LabelMap, Limits, MapGeometry, Split};
+use crate::data::{LabelMap, MapGeometry, Split};
 use crate::error::{Error, Result, invalid};
 use crate::splat::camera::Camera;
 use image::RgbImage;
@@ -65,12 +65,12 @@ impl Frame {
     }
 
     /// Reads the photo's file without decoding it, and gives the camera for its size. `file` lists the frames, for messages.
-    pub fn open(&self, file: &Path, limits: &Limits) -> Result<(ImageFile, Geometry)> {
+    pub fn open(&self, file: &Path) -> Result<(ImageFile, Geometry)> {
         if !self.image.is_file() {
             let help = "put the image there or drop the frame";
             return Err(Error::missing("file", &self.image, help));
         }
-        let image = ImageFile::open(&self.image, limits)?;
+        let image = ImageFile::open(&self.image)?;
         let size = (self.camera.width, self.camera.height);
         if !(self.resizable && proportional(image.size, size)) {
             image.expect_size(size, &format!("{} says", file.display()))?;

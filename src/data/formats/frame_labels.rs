@@ -7,7 +7,7 @@ use crate::data::labels::raw::RawMap;
 use crate::data::labels::scores;
 use crate::data::mask::Mask;
 use crate::data::photos::image_file::{ImageFile, proportional};
-use crate::data::{LabelMap, Limits, LoadOptions, ViewScores};
+use crate::data::{LabelMap, LoadOptions, ViewScores};
 use crate::error::Result;
 use std::path::Path;
 
@@ -16,7 +16,6 @@ pub(crate) struct FrameLabels<'a> {
     pub listing: &'a Listing,
     pub frame: &'a Frame,
     pub geometry: Geometry,
-    pub limits: &'a Limits,
     /// Maps are unlabelled where it leaves pixels out.
     pub mask: Option<Mask>,
 }
@@ -28,15 +27,13 @@ impl<'a> FrameLabels<'a> {
         frame: &'a Frame,
         options: &'a LoadOptions,
     ) -> Result<(ImageFile, Self)> {
-        let limits = &options.limits;
-        let (file, geometry) = frame.open(&listing.file, limits)?;
+        let (file, geometry) = frame.open(&listing.file)?;
         let geometry = geometry.limited_to(options.max_side);
         let labels = Self {
             listing,
             frame,
-            mask: frame.read_mask(&geometry, limits)?,
+            mask: frame.read_mask(&geometry)?,
             geometry,
-            limits,
         };
         Ok((file, labels))
     }
@@ -73,7 +70,6 @@ impl<'a> FrameLabels<'a> {
             (&self.frame.name, path),
             (camera.width, camera.height),
             &self.listing.classes,
-            self.limits,
             &check_size,
         )?;
         let map = self.in_view(path, raw.map, self.listing.unlabelled());
@@ -89,14 +85,13 @@ impl<'a> FrameLabels<'a> {
             file,
             ids,
             placement: self.geometry.placement(self.listing.geometries.of(map)),
-            limits: self.limits.clone(),
         })
     }
 
     /// A grey label map of the size of its file.
     fn read_grey(&self, path: &Path) -> Result<LabelMap> {
         expect_file(path)?;
-        let file = ImageFile::open(path, self.limits)?;
+        let file = ImageFile::open(path)?;
         self.check_size(path, &file)?;
         LabelMap::decode(path, &file)
     }
@@ -122,11 +117,7 @@ impl<'a> FrameLabels<'a> {
         if resampled && proportional(file.size, size) {
             return Ok(());
         }
-        let photo = || {
-            ImageFile::open(&self.frame.image, self.limits)
-                .ok()?
-                .exif_orientation()
-        };
+        let photo = || ImageFile::open(&self.frame.image).ok()?.exif_orientation();
         let exif = file.lies_across(size).then(photo).flatten();
         let whose = exif.map_or("its photo".to_owned(), |exif| {
             format!("its photo as it is stored, whose EXIF orientation is {exif}")

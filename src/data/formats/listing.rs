@@ -8,8 +8,9 @@ use crate::config::Layout;
 use crate::data::blocks::Region;
 use crate::data::labels::map_geometry::MapGeometries;
 use crate::data::labels::raw::{self, RawFile, RawLabels};
-use crate::data::{Classes, Limits, LoadOptions, Split, WorldUnit};
+use crate::data::{Classes, LoadOptions, Split, WorldUnit};
 use crate::error::{Result, ensure, invalid};
+use crate::files::check_views;
 use crate::splat::camera::spread;
 use glam::DVec3;
 use std::path::{Path, PathBuf};
@@ -129,9 +130,9 @@ impl Listing {
     }
 
     /// Refuses a listing without training views, or with more views than the limits allow.
-    pub fn check_sizes(&self, limits: &Limits) -> Result<()> {
+    pub fn check_sizes(&self) -> Result<()> {
         let views = self.frames.len();
-        limits.check_views(&self.file, views)?;
+        check_views(&self.file, views)?;
         ensure!(self.frames.iter().any(|frame| frame.split == Split::Train),
             &self.file, "frames"; found "{views} test frames"; expected "at least one training view";
             help "mark frames \"train\", or use more of them");

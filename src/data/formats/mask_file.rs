@@ -4,9 +4,9 @@ use super::folder::{Folder, Problems};
 use super::frame::{Frame, Geometry};
 use super::label_folder::{file, names};
 use crate::config::{Layout, NO_MASKS, same_folder};
+use crate::data::LabelMap;
 use crate::data::mask::Mask;
 use crate::data::photos::image_file::{ImageFile, proportional};
-use crate::data::{LabelMap, Limits};
 use crate::error::{Error, Result, bail, ensure, invalid};
 use std::path::{Path, PathBuf};
 
@@ -78,7 +78,7 @@ impl Masks {
 
 impl Frame {
     /// The mask of the frame as the view's camera sees it; `None` where it leaves nothing out.
-    pub fn read_mask(&self, geometry: &Geometry, limits: &Limits) -> Result<Option<Mask>> {
+    pub fn read_mask(&self, geometry: &Geometry) -> Result<Option<Mask>> {
         let Some(path) = &self.mask else {
             return Ok(None);
         };
@@ -86,7 +86,7 @@ impl Frame {
             let help = "put the mask there, or do not name it";
             return Err(Error::missing("file", path, help));
         }
-        let file = ImageFile::open(path, limits)?;
+        let file = ImageFile::open(path)?;
         let size = (geometry.camera.width, geometry.camera.height);
         if !geometry.is_reduced_size(file.size) && !proportional(file.size, size) {
             bail!(path, "size"; found "{}x{} pixels", file.size.0, file.size.1;

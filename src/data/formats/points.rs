@@ -1,7 +1,6 @@
 //! Initial point clouds from PLY files.
 
 use super::camera_checks::is_coordinate;
-use crate::data::Limits;
 use crate::error::{Result, bail};
 use crate::files::ply::PlyFile;
 use crate::splat::median;
@@ -67,8 +66,8 @@ impl Points {
     ///
     /// # Errors
     /// The file cannot be read, is cut off, lacks a column, or holds a non-finite value (its row and column are named).
-    pub fn read(path: &Path, origin: DVec3, limits: &Limits) -> Result<Self> {
-        let file = PlyFile::open(path, "vertex", limits)?;
+    pub fn read(path: &Path, origin: DVec3) -> Result<Self> {
+        let file = PlyFile::open(path, "vertex")?;
         let colors = ["red", "green", "blue"];
         let colored = colors.iter().any(|color| file.scalar(color).is_some());
         let scale = match file.scalar("red") {

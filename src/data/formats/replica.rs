@@ -11,9 +11,9 @@ use super::frame::Frame;
 use super::listing::Listing;
 use super::sequence::{self, MILLIMETRES};
 use super::side_folders::SideFolders;
+use crate::data::Classes;
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
-use crate::data::{Classes, Limits};
 use crate::error::{Result, bail, invalid};
 use crate::files;
 use crate::splat::camera::Camera;
@@ -72,7 +72,7 @@ pub(crate) fn list(scene: Folder<'_>, problems: &mut Problems) -> Result<Listing
     let (intrinsics, scale) = if is_nice_slam {
         nice_slam(dir, &mut notices)?
     } else {
-        (right_angle(&photos[first].1, &options.limits)?, MILLIMETRES)
+        (right_angle(&photos[first].1)?, MILLIMETRES)
     };
     let truth_folders: &[&str] = if is_nice_slam {
         &[]
@@ -186,7 +186,7 @@ fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<(Camera, f64)> {
 }
 
 /// Semantic-NeRF renders with a field of view of 90 degrees across, square pixels, the centre in the middle.
-fn right_angle(photo: &Path, limits: &Limits) -> Result<Camera> {
-    let (width, height) = ImageFile::open(photo, limits)?.size;
+fn right_angle(photo: &Path) -> Result<Camera> {
+    let (width, height) = ImageFile::open(photo)?.size;
     Ok(Camera::centred([0.5 * width as f64; 2], [width, height]))
 }

@@ -10,10 +10,10 @@ use super::listing::Listing;
 use super::sequence::{self, MILLIMETRES, Pose};
 use super::side_folders::SideFolders;
 use crate::config::ScannetClasses;
+use crate::data::Classes;
 use crate::data::options::LoadOptions;
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
-use crate::data::{Classes, Limits};
 use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files;
 use crate::splat::camera::Camera;
@@ -63,7 +63,7 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
         bail!(dir, "color"; found "{all} photos, {lost} of them without a finite pose";
             expected "photos with poses"; help "export the .sens file of the scan, photos and poses");
     };
-    let intrinsics = read_intrinsics(dir, posed[first].1, &options.limits)?;
+    let intrinsics = read_intrinsics(dir, posed[first].1)?;
     let truth = sequence::numbered_maps(dir, &["label-filt", "label"], "")?;
     let instances = sequence::numbered_maps(dir, &["instance-filt", "instance"], "")?;
     let folders = SideFolders::new(folder, problems);
@@ -117,10 +117,10 @@ fn read_matrix(path: &Path) -> Result<Pose> {
 }
 
 /// `intrinsic_color.txt`: a 4x4 matrix whose upper left 3x3 is K, for photos of the size of `photo`.
-fn read_intrinsics(dir: &Path, photo: &Path, limits: &Limits) -> Result<Camera> {
+fn read_intrinsics(dir: &Path, photo: &Path) -> Result<Camera> {
     let path = dir.join("intrinsic/intrinsic_color.txt");
     let [fx, _, cx, _, _, fy, cy, ..] = read_matrix(&path)?;
-    let (width, height) = ImageFile::open(photo, limits)?.size;
+    let (width, height) = ImageFile::open(photo)?.size;
     ensure!([fx, fy].iter().all(|f| FOCAL.contains(f)),
         &path, "focal length"; found "{fx} {fy}"; expected "pixels, 0.001 to 1e9";
         help "export the intrinsics of the .sens file again");

@@ -1,7 +1,7 @@
 //! Label maps as grey PNG files, 8 or 16 bits a pixel: the value is the class id.
 
+use crate::data::Classes;
 use crate::data::photos::image_file::ImageFile;
-use crate::data::{Classes, Limits};
 use crate::error::{Error, Result, bail, invalid};
 use crate::files::{atomic, check_limit};
 use image::{DynamicImage, GrayImage, ImageBuffer, Luma, codecs::png::PngEncoder};
@@ -28,8 +28,8 @@ impl LabelMap {
     ///
     /// # Errors
     /// [`crate::Error::Io`]; [`crate::Error::Input`] when the file is not a complete PNG or holds colours instead of ids.
-    pub fn read(path: &Path, limits: &Limits) -> Result<Self> {
-        Self::decode(path, &ImageFile::open(path, limits)?)
+    pub fn read(path: &Path) -> Result<Self> {
+        Self::decode(path, &ImageFile::open(path)?)
     }
 
     /// Refuses ids other than those of `classes` and the ignored id; without classes no id can be wrong. [`USUALLY_IGNORED`] becomes the

@@ -1,8 +1,8 @@
 //! PNG and JPEG files. Incomplete files are refused, because decoders accept files that were cut off.
 
 use super::HEIC_HELP;
-use crate::data::Limits;
 use crate::error::{Result, bail, ensure, invalid};
+use crate::files::check_pixels;
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::metadata::Orientation;
@@ -42,7 +42,7 @@ pub(crate) struct ImageFile {
 
 impl ImageFile {
     /// Reads `path` and checks that it is a complete PNG or JPEG of an acceptable size.
-    pub fn open(path: &Path, limits: &Limits) -> Result<Self> {
+    pub fn open(path: &Path) -> Result<Self> {
         let bytes = crate::files::read(path)?;
         let format = match image::guess_format(&bytes) {
             Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,
@@ -70,7 +70,7 @@ impl ImageFile {
             |e| invalid!(path, "header"; found "{e}"; expected "a valid {name}"; help "{DAMAGED_HELP}"),
         )?;
         let size = (width as usize, height as usize);
-        limits.check_pixels(path, size.0, size.1)?;
+        check_pixels(path, size.0, size.1)?;
         Ok(Self {
             path: path.to_owned(),
             bytes,

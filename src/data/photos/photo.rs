@@ -2,7 +2,6 @@
 
 use super::image_file::ImageFile;
 use super::lens::Undistortion;
-use crate::data::Limits;
 use crate::error::{Result, ensure};
 use image::RgbImage;
 use image::imageops::{FilterType, resize};
@@ -37,7 +36,6 @@ struct PhotoFile {
     path: PathBuf,
     /// SHA-256 of the file when the scene was loaded.
     digest: [u8; 32],
-    limits: Limits,
     preprocessing: Preprocessing,
     /// The pixels, where there was room for them.
     kept: Option<Arc<RgbImage>>,
@@ -49,7 +47,6 @@ impl Photo {
     pub(crate) fn in_file(
         file: &ImageFile,
         preprocessing: Preprocessing,
-        limits: &Limits,
         room: &AtomicUsize,
     ) -> Result<Self> {
         let (pixels, transparent) = preprocessing.decode(file)?;
@@ -61,7 +58,6 @@ impl Photo {
         let file = PhotoFile {
             path,
             digest,
-            limits: limits.clone(),
             preprocessing,
             kept: kept.is_ok().then(|| Arc::new(pixels)),
         };
@@ -159,7 +155,7 @@ impl fmt::Debug for Photo {
 
 impl PhotoFile {
     fn read(&self) -> Result<RgbImage> {
-        let file = ImageFile::open(&self.path, &self.limits)?;
+        let file = ImageFile::open(&self.path)?;
         ensure!(file.digest() == self.digest, &self.path, "content"; found "other bytes";
             expected "the file that the scene was loaded with";
             help "put it back and resume, or start anew with the files as they are");

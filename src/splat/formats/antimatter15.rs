@@ -5,7 +5,7 @@
 
 use super::{logit, scene_of};
 use crate::error::{Result, ensure};
-use crate::files::{self, Limits};
+use crate::files;
 use crate::splat::ply::PlyScene;
 use crate::splat::{Gaussians, SH_0};
 use std::path::Path;
@@ -17,12 +17,12 @@ const ROW: usize = 32;
 ///
 /// # Errors
 /// [`crate::Error::Input`], [`crate::Error::Limit`], [`crate::Error::Io`].
-pub(super) fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
+pub(super) fn read(path: &Path) -> Result<PlyScene> {
     let bytes = files::read(path)?;
     let (rows, rest) = bytes.as_chunks::<ROW>();
     ensure!(rest.is_empty(), path, "size"; found "{} bytes", bytes.len(); expected "a multiple of {ROW}";
         help "the file is cut off, or of another format; export it again");
-    limits.check_points(path, rows.len() as u64)?;
+    files::check_points(path, rows.len() as u64)?;
     let mut gaussians = Gaussians::default();
     for row in rows {
         let (floats, bytes) = row.split_at(24);

@@ -6,8 +6,8 @@
 
 use super::{from_smallest_three, logit, opacity, scene_of, smallest_three};
 use crate::error::{Result, bail, ensure};
+use crate::files::atomic;
 use crate::files::ply::PlyFile;
-use crate::files::{Limits, atomic};
 use crate::splat::ply::{PlyScene, sh_degree};
 use crate::splat::{Gaussians, SH_0};
 use glam::DVec3;
@@ -166,8 +166,8 @@ fn unpack_rotation(packed: u32) -> [f32; 4] {
 ///
 /// # Errors
 /// [`crate::Error::Input`], [`crate::Error::Limit`], [`crate::Error::Io`].
-pub(in crate::splat) fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
-    let file = PlyFile::open(path, "chunk", limits)?;
+pub(in crate::splat) fn read(path: &Path) -> Result<PlyScene> {
+    let file = PlyFile::open(path, "chunk")?;
     // Older files have no bounds of colours.
     let has_colors = file.scalar("min_r").is_some();
     let mut names = bound_names().map(Some);
@@ -185,7 +185,7 @@ pub(in crate::splat) fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
         bounds.push(cells);
         Ok(())
     })?;
-    let file = PlyFile::open(path, "vertex", limits)?;
+    let file = PlyFile::open(path, "vertex")?;
     let has_sh = file.has_element("sh");
     let mut gaussians = Gaussians::default();
     let packed = PACKED.map(|name| Some(name.to_owned()));
@@ -214,14 +214,14 @@ pub(in crate::splat) fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
         Ok(())
     })?;
     if has_sh {
-        read_sh(path, limits, &mut gaussians)?;
+        read_sh(path, &mut gaussians)?;
     }
     scene_of(path, gaussians)
 }
 
 /// Adds the coefficients of the element `sh`.
-fn read_sh(path: &Path, limits: &Limits, gaussians: &mut Gaussians) -> Result<()> {
-    let file = PlyFile::open(path, "sh", limits)?;
+fn read_sh(path: &Path, gaussians: &mut Gaussians) -> Result<()> {
+    let file = PlyFile::open(path, "sh")?;
     gaussians.sh_degree = sh_degree(&file)?;
     let rest = gaussians.sh_len() - 1;
     let columns: [_; 45] = std::array::from_fn(|i| (i < 3 * rest).then(|| format!("f_rest_{i}")));

@@ -12,7 +12,7 @@ mod spz;
 use super::ply::{self, PlyScene};
 use super::{Gaussians, ZERO_QUATERNION};
 use crate::error::{Error, Result, ensure, invalid};
-use crate::files::{self, Limits, atomic, extension, sha256};
+use crate::files::{self, atomic, extension, sha256};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -62,14 +62,14 @@ pub fn label_path(path: &Path) -> PathBuf {
 ///
 /// # Errors
 /// As [`ply::read`]; [`crate::Error::Input`] for labels beside it that belong to another file, and for formats that are not read.
-pub fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
+pub fn read(path: &Path) -> Result<PlyScene> {
     let format = extension(path);
     ensure!(!WRITTEN_ONLY.contains(&&*format), path, "format"; found ".{format}, which is written but not read";
         expected "a .ply, .spz or .splat file"; help "give the scene that it was made from");
     let mut scene = match &*format {
-        "spz" => spz::read(path, limits)?,
-        "splat" => antimatter15::read(path, limits)?,
-        _ => ply::read(path, limits)?,
+        "spz" => spz::read(path)?,
+        "splat" => antimatter15::read(path)?,
+        _ => ply::read(path)?,
     };
     if scene.labels.is_none() {
         scene.labels = labels_beside(path, scene.gaussians.len())?;

@@ -7,7 +7,7 @@
 
 use super::{from_smallest_three, logit, opacity, scene_of, smallest_three};
 use crate::error::{Error, Result, bail, ensure, invalid};
-use crate::files::{self, Limits, atomic, kind};
+use crate::files::{self, atomic, kind};
 use crate::splat::Gaussians;
 use crate::splat::ply::PlyScene;
 use flate2::Compression;
@@ -45,12 +45,7 @@ struct Header {
 }
 
 impl Header {
-    fn read(
-        path: &Path,
-        bytes: &[u8; HEADER],
-        versions: RangeInclusive<u32>,
-        limits: &Limits,
-    ) -> Result<Self> {
+    fn read(path: &Path, bytes: &[u8; HEADER], versions: RangeInclusive<u32>) -> Result<Self> {
         let number = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|i| bytes[at + i]));
         let (version, count) = (number(4), number(8));
         let [sh_degree, fraction] = [bytes[12], bytes[13]];
@@ -58,7 +53,7 @@ impl Header {
             expected "version 2 to 4"; help "{REMEDY}");
         ensure!(sh_degree <= 3, path, "SH degree"; found "{sh_degree}"; expected "0 to 3"; help "export with a lower degree");
         ensure!(fraction <= 31, path, "bits behind the point"; found "{fraction}"; expected "0 to 31"; help "{REMEDY}");
-        limits.check_points(path, count.into())?;
+        files::check_points(path, count.into())?;
         Ok(Self {
             version,
             count: count as usize,
@@ -147,12 +142,12 @@ fn unpack_rotation(bits: u32) -> [f32; 4] {
 ///
 /// # Errors
 /// [`crate::Error::Input`], [`crate::Error::Limit`], [`crate::Error::Io`].
-pub(super) fn read(path: &Path, limits: &Limits) -> Result<PlyScene> {
+pub(super) fn read(path: &Path) -> Result<PlyScene> {
     let file = files::read(path)?;
     let (header, content) = if file.starts_with(&MAGIC) {
-        zstd_arrays(path, &file, limits)?
+        zstd_arrays(path, &file)?
     } else {
-        gzip_arrays(path, &file, limits)?
+        gzip_arrays(path, &file)?
     };
     scene_of(path, unpack(&header, &content))
 }
@@ -162,7 +157,7 @@ fn damaged(path: &Path, found: impl Display) -> Error {
 }
 
 /// Header and arrays of versions 2 and 3: one stream.
-fn gzip_arrays(path: &Path, file: &[u8], limits: &Limits) -> Result<(Header, Vec<u8>)> {
+fn gzip_arrays(path: &Path, file: &[u8]) -> Result<(Header, Vec<u8>)> {
     if !file.starts_with(&[0x1F, 0x8B]) {
         bail!(path, "first bytes"; found "{}", kind(file).unwrap_or("another kind of file"); expected "a .spz file"; help "{REMEDY}");
     }
@@ -170,7 +165,7 @@ fn gzip_arrays(path: &Path, file: &[u8], limits: &Limits) -> Result<(Header, Vec
     let mut header = [0; HEADER];
     let read = stream.read_exact(&mut header);
     read.map_err(|e| damaged(path, e))?;
-    let header = Header::read(path, &header, 2..=3, limits)?;
+    let header = Header::read(path, &header, 2..=3)?;
     let mut content = Vec::new();
     let bytes = header.count * header.widths().iter().sum::<usize>();
     add(path, &mut stream, bytes, &mut content)?;
@@ -181,10 +176,10 @@ fn gzip_arrays(path: &Path, file: &[u8], limits: &Limits) -> Result<(Header, Vec
 }
 
 /// Header and arrays of version 4: a table with the packed and the unpacked size of each array, then a stream for each.
-fn zstd_arrays(path: &Path, file: &[u8], limits: &Limits) -> Result<(Header, Vec<u8>)> {
+fn zstd_arrays(path: &Path, file: &[u8]) -> Result<(Header, Vec<u8>)> {
     const TABLE_AT: usize = 16;
     let short = || damaged(path, format!("{} bytes", file.len()));
-    let header = Header::read(path, file.first_chunk().ok_or_else(short)?, 4..=4, limits)?;
+    let header = Header::read(path, file.first_chunk().ok_or_else(short)?, 4..=4)?;
     let fits = header.count * header.widths()[0] <= MAX_RATIO * file.len();
     ensure!(fits, path, "header"; found "{} Gaussians in {} bytes", header.count, file.len(); expected "fewer"; help "{REMEDY}");
     let number = |at: usize| Some(u64::from_le_bytes(*file.get(at..)?.first_chunk()?));

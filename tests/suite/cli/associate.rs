@@ -3,7 +3,7 @@
 use crate::support::plate_objects::{plate_folder, short_run};
 use crate::support::plates::plates;
 use crate::support::program::{fails, read_json, succeeds, utf8, warnings};
-use coseg::data::{Classes, LabelMap, Limits};
+use coseg::data::{Classes, LabelMap};
 use coseg::splat::ply;
 use std::collections::BTreeSet;
 use std::fs;
@@ -40,7 +40,7 @@ fn associate_writes_maps_of_global_ids() {
     assert_eq!((classes.len(), classes.name(4)), (4, "object 4"));
     let bytes = fs::read(out.join("labels/v2.png")).expect("map");
     assert_eq!(bytes[24..26], [16, 0], "16-bit grey");
-    let labels = ply::read(&out.join("scene.ply"), &Limits::default())
+    let labels = ply::read(&out.join("scene.ply"))
         .expect("scene")
         .labels
         .expect("labels");
@@ -55,10 +55,8 @@ fn associate_writes_maps_of_global_ids() {
     // The ids mean the same in all views.
     let mut pairs = BTreeSet::new();
     for i in 0..6 {
-        let map =
-            LabelMap::read(&out.join(format!("labels/v{i}.png")), &Limits::default()).expect("map");
-        let truth = LabelMap::read(&dir.join(format!("labels/v{i}.png")), &Limits::default())
-            .expect("truth");
+        let map = LabelMap::read(&out.join(format!("labels/v{i}.png"))).expect("map");
+        let truth = LabelMap::read(&dir.join(format!("labels/v{i}.png"))).expect("truth");
         pairs.extend(map.ids.into_iter().zip(truth.ids));
     }
     assert_eq!(

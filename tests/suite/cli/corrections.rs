@@ -2,7 +2,7 @@
 
 use crate::support::plates::scene;
 use crate::support::program::{fails, read_json, succeeds, utf8, warnings};
-use coseg::data::{Classes, LabelMap, Limits};
+use coseg::data::{Classes, LabelMap};
 use coseg::files::sha256;
 use coseg::splat::ply;
 use glam::Vec3;
@@ -34,7 +34,7 @@ fn run_on_plates(folder: &Path) -> PathBuf {
 
 /// Positions and labels of the scene of `run`.
 fn labelled(run: &Path) -> (Vec<[f32; 3]>, Option<Vec<u16>>) {
-    let scene = ply::read(&run.join("scene.ply"), &Limits::default()).unwrap();
+    let scene = ply::read(&run.join("scene.ply")).unwrap();
     let means = scene.gaussians.means.iter();
     let world = means.map(|mean| (Vec3::from(*mean) + scene.origin.as_vec3()).to_array());
     let world = world.collect();

@@ -2,13 +2,13 @@
 
 use crate::support::plates::{HEIGHT, WIDTH, plates, scene};
 use crate::support::program::{fails, succeeds, utf8};
-use coseg::data::{Classes, Limits, ObjectOf};
+use coseg::data::{Classes, ObjectOf};
 use coseg::splat::{Gaussians, ply};
 use glam::DVec3;
 use std::path::{Path, PathBuf};
 
 fn read(path: &Path) -> (Gaussians, Vec<u16>) {
-    let scene = ply::read(path, &Limits::default()).unwrap();
+    let scene = ply::read(path).unwrap();
     (scene.gaussians, scene.labels.unwrap())
 }
 
@@ -95,7 +95,7 @@ fn the_program_lists_picks_and_edits() {
     let (left, left_labels) = read(&out);
     assert_eq!(left_labels, [vec![2; 25], vec![3; 25]].concat());
     assert_eq!(left, before.select(&(25..75).collect::<Vec<u32>>()));
-    assert_eq!(ply::read(&out, &Limits::default()).unwrap().origin, ORIGIN);
+    assert_eq!(ply::read(&out).unwrap().origin, ORIGIN);
     assert!(out.with_file_name("classes.json").is_file());
 
     edit(&[

@@ -2,7 +2,7 @@
 
 use crate::support::plates::{plates, scene};
 use crate::support::program::{fails, succeeds, utf8};
-use coseg::data::{Classes, Limits};
+use coseg::data::Classes;
 use coseg::files::sha256;
 use coseg::splat::ply;
 use glam::DVec3;
@@ -35,7 +35,7 @@ fn the_command_applies_edits_to_their_scene_alone() {
         said.contains("86 of 111") && said.contains("edits: 2"),
         "{said}"
     );
-    let read = |name: &str| ply::read(&out.join(name), &Limits::default()).unwrap();
+    let read = |name: &str| ply::read(&out.join(name)).unwrap();
     let mended = read("scene.ply");
     let mut want = [vec![2; 25], vec![3; 25], vec![4; 36]].concat();
     want[55] = 5;
@@ -104,7 +104,7 @@ fn a_command_writes_over_its_own_output_and_over_others_by_force() {
     let refused =
         |words: &[String]| fails(&words.iter().map(String::as_str).collect::<Vec<_>>(), 1);
     // Two classes of plates that do not touch, so that another level gives another table.
-    let mut scene_ply = ply::read(&path, &Limits::default()).unwrap();
+    let mut scene_ply = ply::read(&path).unwrap();
     for id in scene_ply.labels.as_mut().unwrap() {
         *id = (*id).min(2);
     }

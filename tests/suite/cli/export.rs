@@ -2,7 +2,7 @@
 
 use crate::support::plates::plates;
 use crate::support::program::{fails, listed, succeeds, text, utf8};
-use coseg::data::{Classes, Limits};
+use coseg::data::Classes;
 use coseg::splat::{formats, ply};
 use glam::DVec3;
 use std::fs;
@@ -42,7 +42,7 @@ fn each_object_becomes_a_file() {
     ];
     assert_eq!(listed(&out), files);
     let (gaussians, labels) = plates();
-    let part = ply::read(&out.join("3_blue.ply"), &Limits::default()).unwrap();
+    let part = ply::read(&out.join("3_blue.ply")).unwrap();
     let rows: Vec<u32> = (0..111).filter(|&row| labels[row as usize] == 3).collect();
     assert_eq!(part.gaussians, gaussians.select(&rows));
     assert_eq!(part.labels, Some(vec![3; 25]));
@@ -108,8 +108,8 @@ fn a_scene_becomes_a_file_with_its_labels() {
         assert_eq!(names(&there[0]), names(&there[1]));
         let back = path(&format!("{name}.ply"));
         succeeds(&["export", "--scene", utf8(&path(name)), "--out", utf8(&back)]);
-        let back = ply::read(&back, &Limits::default()).unwrap();
-        let read = formats::read(&path(name), &Limits::default()).unwrap();
+        let back = ply::read(&back).unwrap();
+        let read = formats::read(&path(name)).unwrap();
         assert_eq!((back.gaussians, back.labels), (read.gaussians, read.labels));
     }
     // Some objects in one file, in the order of the scene.
@@ -122,7 +122,7 @@ fn a_scene_becomes_a_file_with_its_labels() {
         "--only",
         "blue,red",
     ]);
-    let some = ply::read(&path("d/s.ply"), &Limits::default()).unwrap();
+    let some = ply::read(&path("d/s.ply")).unwrap();
     assert_eq!(some.labels, Some([[1; 25], [3; 25]].concat()));
 }
 

@@ -2,7 +2,7 @@
 
 use crate::support::plates::{HEIGHT, WIDTH, scene};
 use crate::support::program::{cpu_backend, fails, read_npy, succeeds, utf8};
-use coseg::data::{Limits, Split, read_cameras};
+use coseg::data::{Split, read_cameras};
 use coseg::features::FeatureColors;
 use coseg::raster::{Settings, render};
 use coseg::splat::ply;
@@ -58,7 +58,7 @@ fn features_are_rendered_in_the_colours_of_the_run() {
         &arrays,
         &[&features[..], &["--format", "npy"]].concat(),
     ));
-    let read = ply::read(&run.join("scene.ply"), &Limits::default()).unwrap();
+    let read = ply::read(&run.join("scene.ply")).unwrap();
     let colors = FeatureColors::read(&run.join(COLORS), read.gaussians.len()).unwrap();
     for channel in 0..3 {
         let values = colors.rgb.iter().map(|color| color[channel]);

@@ -2,7 +2,6 @@
 
 use crate::support::plates::{plates, scene};
 use crate::support::program::{fails, succeeds, utf8};
-use coseg::data::Limits;
 use coseg::splat::{Gaussians, ply};
 use glam::DVec3;
 use std::path::Path;
@@ -42,7 +41,7 @@ fn what_no_photo_shows_goes_and_the_rest_keeps_its_labels() {
         let arguments: Vec<String> = arguments.into_iter().chain(option).collect();
         let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
         let said = succeeds(&arguments);
-        let read = ply::read(&path(out).join("scene.ply"), &Limits::default()).unwrap();
+        let read = ply::read(&path(out).join("scene.ply")).unwrap();
         (said, read)
     };
     let share = plates.len() as f64 / (plates.len() + HIDDEN) as f64;

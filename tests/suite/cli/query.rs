@@ -6,7 +6,7 @@ use crate::support::dino_weights::write;
 use crate::support::feature_maps::write_npy;
 use crate::support::plates::{HEIGHT, WIDTH, scene};
 use crate::support::program::{fails, listed, read_npy, succeeds, utf8};
-use coseg::data::{Classes, LabelMap, Limits};
+use coseg::data::{Classes, LabelMap};
 use coseg::features::Activation;
 use coseg::features::clip::{TextEncoder, Tokenizer};
 use coseg::splat::ply;
@@ -47,7 +47,7 @@ impl Plates {
         fs::create_dir(plates.path("maps")).unwrap();
         for view in 0..6 {
             let truth = plates.path(&format!("photos/labels/v{view}.png"));
-            let ids = LabelMap::read(&truth, &Limits::default()).unwrap().ids;
+            let ids = LabelMap::read(&truth).unwrap().ids;
             let word = |id: &u16| match id {
                 1 => &words[0],
                 2 => &words[1],
@@ -118,7 +118,7 @@ impl Plates {
 
     /// Labels of what was written.
     fn labels(&self) -> Vec<u16> {
-        let scene = ply::read(&self.found("scene.ply"), &Limits::default()).unwrap();
+        let scene = ply::read(&self.found("scene.ply")).unwrap();
         scene.labels.unwrap()
     }
 }
@@ -177,7 +177,7 @@ fn a_text_finds_exactly_the_object_that_has_its_features() {
     let (shape, shown) = read_npy(&plates.found("a_red_plate/v1.relevancy.npy"));
     assert_eq!(shape, [HEIGHT as u64, WIDTH as u64]);
     let truth = plates.path("photos/labels/v1.png");
-    let ids = LabelMap::read(&truth, &Limits::default()).unwrap().ids;
+    let ids = LabelMap::read(&truth).unwrap().ids;
     let mean = |is_red: bool| {
         let pixels = shown
             .iter()
@@ -211,7 +211,7 @@ fn a_text_finds_exactly_the_object_that_has_its_features() {
     succeeds(&[&export[..], &["--only", "a red plate"]].concat());
     let names = listed(&parts);
     let part = names.iter().find(|name| name.ends_with("a_red_plate.ply"));
-    let part = ply::read(&parts.join(part.unwrap()), &Limits::default()).unwrap();
+    let part = ply::read(&parts.join(part.unwrap())).unwrap();
     assert!(part.gaussians.len() >= 20, "{}", part.gaussians.len());
 }
 
@@ -238,7 +238,7 @@ fn a_run_knows_its_photos_and_its_maps_and_the_best_scale_counts() {
         "{said}"
     );
     // A run has its own order.
-    let scene = ply::read(&plates.found("scene.ply"), &Limits::default()).unwrap();
+    let scene = ply::read(&plates.found("scene.ply")).unwrap();
     for (mean, label) in scene.gaussians.means.iter().zip(plates.labels()) {
         let x = f64::from(mean[0]) + scene.origin.x;
         let z = f64::from(mean[2]) + scene.origin.z;

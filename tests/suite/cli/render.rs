@@ -2,7 +2,7 @@
 
 use crate::support::plates::{HEIGHT, WIDTH, camera, plates, scene};
 use crate::support::program::{cpu_backend, listed, read_json, read_npy, succeeds, utf8};
-use coseg::data::{Classes, Limits};
+use coseg::data::Classes;
 use coseg::raster::{Projected, Settings, render};
 use coseg::splat::camera::Camera;
 use coseg::splat::ply;
@@ -43,7 +43,7 @@ fn render_writes_arrays_labels_and_pictures() {
     let expected = [of_view("v2"), of_view("v5")].concat();
     assert_eq!(files, expected);
 
-    let read = ply::read(&scene, &Limits::default()).unwrap();
+    let read = ply::read(&scene).unwrap();
     let camera = Camera {
         center: camera(5).center - read.origin,
         ..camera(5)
@@ -139,7 +139,7 @@ fn vote_outvotes_wrong_views() {
         said.contains("mIoU") && said.contains("2 held-out views"),
         "{said}"
     );
-    let voted = ply::read(&out.join("scene.ply"), &Limits::default()).unwrap();
+    let voted = ply::read(&out.join("scene.ply")).unwrap();
     // Red is called green in one training view of four. The outermost Gaussians of a plate reach over its border.
     let labels = voted.labels.unwrap();
     let right = labels.iter().zip(&truth).filter(|(a, b)| a == b).count();

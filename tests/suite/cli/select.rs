@@ -2,7 +2,7 @@
 
 use crate::support::plates::{HEIGHT, WIDTH, camera, plates, scene};
 use crate::support::program::{fails, succeeds, utf8};
-use coseg::data::{Classes, Limits};
+use coseg::data::Classes;
 use coseg::features::FeatureColors;
 use coseg::objects::pick;
 use coseg::raster::{Projected, Settings};
@@ -79,7 +79,7 @@ impl Unlabelled {
 }
 
 fn labels(folder: &Path) -> Vec<u16> {
-    ply::read(&folder.join("scene.ply"), &Limits::default())
+    ply::read(&folder.join("scene.ply"))
         .unwrap()
         .labels
         .unwrap()

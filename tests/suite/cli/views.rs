@@ -4,7 +4,6 @@ use crate::support::plates::{HEIGHT, WIDTH};
 use crate::support::program::{fails, succeeds, utf8};
 use crate::support::rendered_views::{render, run_folder};
 use coseg::backend::device::BackendName;
-use coseg::data::Limits;
 use coseg::splat::ply;
 use std::fs;
 use std::path::Path;
@@ -70,13 +69,7 @@ fn a_run_folder_stands_for_its_files() {
         "--remove",
         "wall",
     ]);
-    assert_eq!(
-        ply::read(&edited, &Limits::default())
-            .unwrap()
-            .gaussians
-            .len(),
-        75
-    );
+    assert_eq!(ply::read(&edited).unwrap().gaussians.len(), 75);
     render(
         &edited,
         &folder.path().join("of edited"),

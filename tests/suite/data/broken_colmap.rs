@@ -2,8 +2,10 @@
 
 use crate::support::colmap::{Calibrated, VIEWS, binary, name, photo, pinhole, scene, text};
 use crate::support::damage::Damage;
-use coseg::data::{Limits, LoadOptions, check, load};
+use coseg::data::{LoadOptions, check, load};
+use coseg::files::{MAX_POINTS, MAX_VIEWS};
 use std::fs;
+use std::io::Write;
 use std::path::Path;
 
 #[track_caller]
@@ -202,29 +204,31 @@ fn claims_that_the_file_cannot_hold_are_refused() {
         }
         fs::write(&path, whole).expect("write");
     }
-    let limits = Limits {
-        points: 1,
-        ..Limits::default()
-    };
+    // Files that are as long as they say, and have no content.
+    for (file, what, count) in [
+        ("images.bin", "images", 64 * MAX_VIEWS + 1),
+        ("points3D.bin", "points", MAX_POINTS + 1),
+    ] {
+        let dir = scene(binary, &pinhole());
+        let path = dir.path().join("sparse/0").join(file);
+        let claim = fs::File::create(&path).expect("create");
+        (&claim).write_all(&count.to_le_bytes()).expect("write");
+        claim.set_len(8 + 100 * count).expect("a sparse file");
+        let count = count.to_string();
+        expect_error(
+            dir.path(),
+            &options,
+            &[file, what, &count, "exceeds the limit"],
+        );
+    }
+    let dir = scene(text, &pinhole());
+    let lines = (0..=MAX_VIEWS).map(|i| format!("{i} 1 0 0 0 {i} 0 0 7 cam0/{i}.png\n\n"));
+    let path = dir.path().join("sparse/0/images.txt");
+    fs::write(path, lines.collect::<String>()).expect("write");
     expect_error(
         dir.path(),
-        &LoadOptions {
-            limits,
-            ..options.clone()
-        },
-        &["points3D.bin", "exceeds the limit"],
-    );
-    let limits = Limits {
-        views: 8,
-        ..Limits::default()
-    };
-    expect_error(
-        dir.path(),
-        &LoadOptions {
-            limits,
-            ..options.clone()
-        },
-        &["frames", "exceeds the limit", "stride"],
+        &options,
+        &["frames", "65537", "exceeds the limit", "stride"],
     );
 }
 

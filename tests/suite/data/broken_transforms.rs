@@ -2,7 +2,8 @@
 
 use crate::support::damage::Damage;
 use crate::support::small_scene::{edit, expect_error, manifest, scene};
-use coseg::data::{LabelMap, Limits, LoadOptions, load};
+use coseg::data::{LabelMap, LoadOptions, load};
+use coseg::files::{MAX_POINTS, MAX_VIEWS};
 use serde_json::{Value, json};
 use std::fs;
 
@@ -261,52 +262,47 @@ fn broken_label_maps_are_refused_by_name() {
 
 #[test]
 fn sizes_beyond_the_limits_are_refused() {
+    let options = LoadOptions::default();
     let dir = scene();
-    for (limits, what) in [
-        (
-            Limits {
-                views: 2,
-                ..Limits::default()
-            },
-            "frames",
-        ),
-        (
-            Limits {
-                image_pixels: 191,
-                ..Limits::default()
-            },
-            "pixels",
-        ),
-        (
-            Limits {
-                points: 1,
-                ..Limits::default()
-            },
-            "points",
-        ),
-    ] {
-        expect_error(
-            dir.path(),
-            &LoadOptions {
-                limits,
-                ..LoadOptions::default()
-            },
-            &[what, "exceeds the limit"],
-        );
-    }
-    let limits = Limits {
-        views: 3,
-        image_pixels: 192,
-        points: 2,
-    };
-    load(
+    edit(&dir, |v| {
+        let frame = |i: usize| {
+            let mut frame = v["frames"][1].clone();
+            frame["file_path"] = json!(format!("images/v{i}.png"));
+            frame
+        };
+        let frames = (0..=MAX_VIEWS as usize).map(frame).collect();
+        v["frames"] = Value::Array(frames);
+    });
+    expect_error(
         dir.path(),
-        &LoadOptions {
-            limits,
-            ..LoadOptions::default()
-        },
-    )
-    .expect("just within the limits");
+        &options,
+        &["transforms.json", "frames", "65537", "exceeds the limit"],
+    );
+    // Headers that declare too much before data that is not there.
+    let dir = scene();
+    let photo = dir.path().join("images/v1.png");
+    let mut png = fs::read(&photo).expect("photo");
+    png[16..20].copy_from_slice(&(1_u32 << 14).to_be_bytes());
+    png[20..24].copy_from_slice(&((1_u32 << 13) + 1).to_be_bytes());
+    let mut crc = flate2::Crc::new();
+    crc.update(&png[12..29]);
+    png[29..33].copy_from_slice(&crc.sum().to_be_bytes());
+    fs::write(&photo, png).expect("write");
+    expect_error(
+        dir.path(),
+        &options,
+        &["v1.png", "pixels", "134234112", "exceeds the limit"],
+    );
+    let dir = scene();
+    let cloud = dir.path().join("points.ply");
+    let text = fs::read_to_string(&cloud).expect("cloud");
+    let declared = format!("element vertex {}", MAX_POINTS + 1);
+    fs::write(&cloud, text.replace("element vertex 2", &declared)).expect("write");
+    expect_error(
+        dir.path(),
+        &options,
+        &["points.ply", "points", "268435457", "exceeds the limit"],
+    );
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Class tables, their colours, label maps on disk, atomic files.
 
-use coseg::data::{Classes, LabelMap, Limits};
+use coseg::data::{Classes, LabelMap};
 use coseg::files::atomic;
 use std::fs;
 use std::io::Write;
@@ -85,10 +85,7 @@ fn label_maps_survive_their_file_in_8_and_16_bits() {
         };
         map.write(&path).expect("write");
         assert_eq!(fs::read(&path).expect("read")[24], bits);
-        assert_eq!(
-            LabelMap::read(&path, &Limits::default()).expect("read"),
-            map
-        );
+        assert_eq!(LabelMap::read(&path).expect("read"), map);
     }
     let short = LabelMap {
         width: 3,

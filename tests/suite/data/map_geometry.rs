@@ -7,7 +7,7 @@ use crate::support::program::{succeeds, utf8};
 use crate::support::transforms_json::edit;
 use coseg::config::Association;
 use coseg::data::formats::transforms::load_cameras;
-use coseg::data::{LabelMap, Limits, LoadOptions, MapGeometry, check, info, load};
+use coseg::data::{LabelMap, LoadOptions, MapGeometry, check, info, load};
 use serde_json::json;
 use std::fs;
 use std::path::Path;
@@ -198,8 +198,7 @@ fn associated_maps_come_back_as_they_were_written() {
         let loaded = load(dir, &options).expect("scene");
         let cameras = load_cameras(&out.join("cameras.json"), None).expect("cameras");
         for (i, (view, camera)) in loaded.views.iter().zip(cameras).enumerate() {
-            let written = LabelMap::read(&out.join(format!("labels/v{i}.png")), &Limits::default())
-                .expect("map");
+            let written = LabelMap::read(&out.join(format!("labels/v{i}.png"))).expect("map");
             assert_eq!((written.width, view.camera.width), (width, width));
             assert!(
                 view.raw.as_ref().expect("raw labels").map() == written,

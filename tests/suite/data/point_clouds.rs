@@ -1,6 +1,6 @@
 //! Point clouds as PLY, in every encoding and colour type.
 
-use coseg::data::{Limits, Points};
+use coseg::data::Points;
 use glam::DVec3;
 use std::fs;
 
@@ -57,7 +57,6 @@ fn cloud(encoding: &str, colors: &str, rows: [[f64; 6]; 2]) -> Vec<u8> {
 fn clouds_are_read_in_every_encoding_and_colour_type() {
     let dir = tempfile::tempdir().expect("folder");
     let path = dir.path().join("points.ply");
-    let limits = Limits::default();
     for encoding in ["ascii", "binary_little_endian", "binary_big_endian"] {
         for (colors, full) in [
             ("uchar", 255.0),
@@ -70,7 +69,7 @@ fn clouds_are_read_in_every_encoding_and_colour_type() {
                 [4.0, 5.0, 6.5, 0.0, full, 0.0],
             ];
             fs::write(&path, cloud(encoding, colors, rows)).expect("write");
-            let points = Points::read(&path, DVec3::new(1.0, 2.0, 3.0), &limits).expect("points");
+            let points = Points::read(&path, DVec3::new(1.0, 2.0, 3.0)).expect("points");
             assert_eq!(
                 points.positions,
                 [[0.0; 3], [3.0, 3.0, 3.5]],
@@ -92,7 +91,7 @@ fn clouds_are_read_in_every_encoding_and_colour_type() {
         ),
     )
     .expect("write");
-    let message = Points::read(&path, DVec3::ZERO, &limits)
+    let message = Points::read(&path, DVec3::ZERO)
         .expect_err("an error")
         .to_string();
     assert!(message.contains("row 0, column x"), "{message}");
@@ -102,7 +101,7 @@ fn clouds_are_read_in_every_encoding_and_colour_type() {
         end_header\n1 2 3",
     )
     .expect("write");
-    let points = Points::read(&path, DVec3::ZERO, &limits).expect("points");
+    let points = Points::read(&path, DVec3::ZERO).expect("points");
     assert_eq!(
         (points.positions, points.colors),
         (vec![[1.0, 2.0, 3.0]], vec![[0.5; 3]])

@@ -2,8 +2,8 @@
 
 use coseg::data::formats::transforms::{load_cameras, write_cameras};
 use coseg::data::{
-    self, Class, Classes, LabelMap, LabelRuns, Limits, LoadOptions, NamedCamera, ObjectOf, Points,
-    Split, read_cameras,
+    self, Class, Classes, LabelMap, LabelRuns, LoadOptions, NamedCamera, ObjectOf, Points, Split,
+    read_cameras,
 };
 use coseg::splat::camera::Camera;
 use glam::{DMat4, DQuat, DVec3};
@@ -176,7 +176,7 @@ proptest! {
         let dir = tempfile::tempdir().expect("folder");
         let path = dir.path().join("map.png");
         map.write(&path).expect("write");
-        prop_assert_eq!(&LabelMap::read(&path, &Limits::default()).expect("read"), &map);
+        prop_assert_eq!(&LabelMap::read(&path).expect("read"), &map);
         let runs = LabelRuns::from(map.clone());
         prop_assert!(runs.bytes() <= 2 * map.ids.len());
         prop_assert_eq!(runs.runs().map(|(_, length)| length).sum::<usize>(), map.ids.len());
@@ -215,8 +215,8 @@ proptest! {
         let _ = load_cameras(&at("transforms.json"), None);
         let _ = data::load(dir.path(), &options);
         let _ = Classes::read(&at("classes.json"));
-        let _ = LabelMap::read(&at("map.png"), &Limits::default());
-        let _ = Points::read(&at("cloud.ply"), DVec3::ZERO, &Limits::default());
+        let _ = LabelMap::read(&at("map.png"));
+        let _ = Points::read(&at("cloud.ply"), DVec3::ZERO);
         for form in ["txt", "bin"] {
             model.iter().for_each(|part| fs::write(at(&format!("{part}.{form}")), &bytes).expect("write"));
             prop_assert!(data::load(&at("colmap"), &options).is_err());

@@ -153,7 +153,7 @@ fn what_datasets_leave_out_is_unlabelled_unless_a_class_has_that_id() {
     crate::support::plates::scene(dir.path());
     let raw = |id: u16| {
         let path = dir.path().join("raw/v0.png");
-        let mut map = LabelMap::read(&path, &coseg::data::Limits::default()).expect("map");
+        let mut map = LabelMap::read(&path).expect("map");
         map.ids[0] = id;
         map.write(&path).expect("written");
         load(dir.path(), &LoadOptions::default())

@@ -1,7 +1,7 @@
 //! Score files: what they give back, and one broken in each field.
 
 use crate::support::assert_names;
-use coseg::data::{Limits, ScoreGrid, ScoreMap};
+use coseg::data::{ScoreGrid, ScoreMap};
 use std::path::Path;
 
 /// Three classes at 3 x 2 cells of a photo of 12 x 8 pixels.
@@ -19,7 +19,7 @@ fn scores() -> ScoreMap {
 }
 
 fn write(scores: &ScoreMap, path: &Path) -> coseg::Result<()> {
-    scores.write(path, &Limits::default())
+    scores.write(path)
 }
 
 #[test]
@@ -27,7 +27,7 @@ fn a_file_gives_back_what_was_written() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("a.scores");
     write(&scores(), &path).expect("write");
-    assert_eq!(ScoreMap::read(&path, &Limits::default()).expect("read"), scores());
+    assert_eq!(ScoreMap::read(&path).expect("read"), scores());
 }
 
 #[test]
@@ -54,8 +54,8 @@ fn scores_that_cannot_be_are_refused() {
         }
         assert_names(&write(&spoilt, path).expect_err(named), &["never-written.scores", named]);
     }
-    let small = Limits { image_pixels: 11, ..Limits::default() };
-    assert!(matches!(scores().write(path, &small), Err(coseg::Error::Limit { .. })));
+    let large = ScoreMap { width: 1 << 14, height: 1 << 13, ..scores() };
+    assert!(matches!(write(&large, path), Err(coseg::Error::Limit { .. })));
     assert!(!path.exists());
 }
 
@@ -67,7 +67,7 @@ fn damaged_files_are_errors() {
     let bytes = std::fs::read(&path).expect("read");
     let read = |bytes: &[u8]| {
         std::fs::write(&path, bytes).expect("write");
-        ScoreMap::read(&path, &Limits::default())
+        ScoreMap::read(&path)
     };
     for end in 0..bytes.len() {
         assert!(read(&bytes[..end]).is_err(), "cut off after {end}");
@@ -85,7 +85,7 @@ fn damaged_files_are_errors() {
     let longer = [&bytes[..], &[0]].concat();
     assert_names(&read(&longer).expect_err("longer"), &["more behind the end"]);
     assert_names(&read(b"\x89PNG").expect_err("a PNG"), &["a.scores", "compressed data"]);
-    assert!(ScoreMap::read(&folder.path().join("none.scores"), &Limits::default()).is_err());
+    assert!(ScoreMap::read(&folder.path().join("none.scores")).is_err());
 }
 
 #[test]
@@ -107,7 +107,7 @@ fn tensors_of_other_kinds_are_named() {
         let mut encoder = ZlibEncoder::new(Vec::new(), Compression::fast());
         encoder.write_all(&bytes).expect("encode");
         std::fs::write(&path, encoder.finish().expect("encode")).expect("write");
-        ScoreMap::read(&path, &Limits::default())
+        ScoreMap::read(&path)
     };
     let shape: &[usize] = &[1, 2, 2];
     let (ids, probabilities) = (("ids", Dtype::U16, shape), ("probabilities", Dtype::U8, shape));

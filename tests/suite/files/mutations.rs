@@ -10,7 +10,7 @@ use coseg::checkpoint::Checkpoint;
 use coseg::compare::Plan;
 use coseg::config::Config;
 use coseg::data::{
-    self, Classes, LabelMap, Limits, LoadOptions, Points, ScoreGrid, ScoreMap, read_cameras,
+    self, Classes, LabelMap, LoadOptions, Points, ScoreGrid, ScoreMap, read_cameras,
 };
 use coseg::objects::Identities;
 use coseg::segmenter::{ClassFile, Contract, Network};
@@ -53,11 +53,8 @@ fn scenes_with_transforms() {
     survives(&at("transforms.json"), |file| read_cameras(file, None));
     survives(&at("classes.json"), Classes::read);
     survives(&at("images/v1.png"), |_| data::check(dir.path(), &options));
-    let limits = Limits::default();
-    survives(&at("labels/v1.png"), |file| LabelMap::read(file, &limits));
-    survives(&at("points.ply"), |file| {
-        Points::read(file, DVec3::ZERO, &limits)
-    });
+    survives(&at("labels/v1.png"), |file| LabelMap::read(file));
+    survives(&at("points.ply"), |file| Points::read(file, DVec3::ZERO));
     let photo = at("images/v1.jpg");
     picture(16, 12, 1).save(&photo).expect("JPEG");
     small_scene::edit(&dir, |v| {
@@ -140,7 +137,7 @@ fn gaussians_and_files_of_a_run() {
         Some(&labels[..8]),
     )
     .expect("write");
-    survives(&at("scene.ply"), |file| ply::read(file, &Limits::default()));
+    survives(&at("scene.ply"), |file| ply::read(file));
     let identities = Identities {
         scores: vec![0.5; 24],
         classes: 3,
@@ -163,8 +160,7 @@ fn gaussians_and_files_of_a_run() {
 fn gaussians_in_other_formats() {
     let dir = tempfile::tempdir().expect("folder");
     let at = |name: &str| dir.path().join(name);
-    let limits = Limits::default();
-    let read = |file: &Path| formats::read(file, &limits).map(|scene| scene.labels);
+    let read = |file: &Path| formats::read(file).map(|scene| scene.labels);
     let (gaussians, labels) = plates::plates();
     let gaussians = gaussians.with_sh_degree(1);
     for (name, format) in [("a.spz", Format::Spz), ("a.ply", Format::CompressedPly)] {
@@ -247,10 +243,6 @@ fn networks_and_what_they_write() {
         ids: vec![1, 1, 2, 3, 9, 4, 5, 0, 1, 0, 3, 0],
         probabilities: vec![200, 255, 128, 130, 100, 99, 55, 0, 127, 0, 80, 0],
     };
-    scores
-        .write(&at("a.scores"), &Limits::default())
-        .expect("write");
-    survives(&at("a.scores"), |file| {
-        ScoreMap::read(file, &Limits::default())
-    });
+    scores.write(&at("a.scores")).expect("write");
+    survives(&at("a.scores"), |file| ScoreMap::read(file));
 }

@@ -2,7 +2,7 @@
 
 use crate::support::plates::{HEIGHT, WIDTH, loaded};
 use coseg::config::SegmentationConfig;
-use coseg::data::{Limits, LoadOptions, Scene, ScoreGrid, ScoreMap, Split, View, load};
+use coseg::data::{LoadOptions, Scene, ScoreGrid, ScoreMap, Split, View, load};
 use coseg::objects::{Corrections, Editing, Identities};
 use coseg::pipeline::train_decoder::{TrainingViews, ViewSample};
 use coseg::raster::{Settings, SplatTensors};
@@ -170,7 +170,7 @@ fn corrected_pixels_are_certain_beside_scores() {
     };
     let path = folder.path().join("raw/scores/v0.scores");
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-    scores.write(&path, &Limits::default()).unwrap();
+    scores.write(&path).unwrap();
     let options = LoadOptions {
         raw_labels: Some("raw".into()),
         ..LoadOptions::default()

@@ -3,7 +3,7 @@
 use crate::support::plate_objects::short_run;
 use crate::support::plates;
 use crate::support::program::{read_json, succeeds, utf8};
-use coseg::data::{Class, Classes, LabelMap, Limits, ObjectOf};
+use coseg::data::{Class, Classes, LabelMap, ObjectOf};
 use coseg::metrics::{SemanticView, semantic_scores};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
@@ -159,7 +159,7 @@ fn panoptic_plates(dir: &Path) {
         .enumerate()
     {
         let path = dir.join(format!("labels/v{i}.png"));
-        let instances = LabelMap::read(&path, &Limits::default()).expect("truth");
+        let instances = LabelMap::read(&path).expect("truth");
         instances
             .write(&dir.join(format!("instances/v{i}.png")))
             .expect("instances");

@@ -3,7 +3,6 @@
 use crate::support::plate_runs::{config, whole};
 use crate::support::plates;
 use coseg::config::{Budget, Config, Variant};
-use coseg::data::Limits;
 use coseg::error::Error;
 use coseg::pipeline::run;
 use coseg::progress::Silent;
@@ -65,7 +64,7 @@ fn given_gaussians_are_labelled_as_they_are() {
         "{found:?}, not {want:?}"
     );
     // As does a scene that was written with another origin.
-    let back = ply::read(&out.join("scene.ply"), &Limits::default()).unwrap();
+    let back = ply::read(&out.join("scene.ply")).unwrap();
     assert_eq!(
         sorted(&back.gaussians, back.origin),
         sorted(&plates, DVec3::ZERO)

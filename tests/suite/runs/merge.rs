@@ -172,7 +172,7 @@ fn runs_with_other_origins_come_to_one_place() {
         folder: _folder,
     } = Runs::semantic();
     let file = runs[1].join("scene.ply");
-    let mut ply = ply::read(&file, &coseg::data::Limits::default()).unwrap();
+    let mut ply = ply::read(&file).unwrap();
     let shift = DVec3::new(0.5, -2.0, 8.0);
     ply.gaussians.means.iter_mut().for_each(|mean| {
         *mean = (DVec3::from(mean.map(f64::from)) - shift)

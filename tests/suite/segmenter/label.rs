@@ -4,7 +4,7 @@ use crate::support::onnx::Onnx;
 use crate::support::plates::{self, HEIGHT, WIDTH, scene};
 use crate::support::program::{fails, listed, succeeds, utf8};
 use coseg::config::Config;
-use coseg::data::{Classes, LabelMap, Limits, LoadOptions, ScoreMap, View, load};
+use coseg::data::{Classes, LabelMap, LoadOptions, ScoreMap, View, load};
 use coseg::objects::{vote, weighted_vote};
 use coseg::provenance::Provenance;
 use coseg::raster::Settings;
@@ -189,7 +189,7 @@ fn what_the_command_did_not_write_is_refused() {
     let out = folder.path().join("out");
     succeeds(&label(&out).each_ref().map(String::as_str));
     let map = out.join("v2.png");
-    let mut ids = LabelMap::read(&map, &Default::default()).expect("map");
+    let mut ids = LabelMap::read(&map).expect("map");
     ids.ids[0] = 3;
     ids.write(&map).expect("write");
     let corrected = std::fs::read(&map).expect("read");
@@ -238,10 +238,10 @@ fn train_labels_the_photos_first_and_a_resumed_run_refuses_other_scores() {
     // Each photo loses the least probable class of one place.
     for name in scores {
         let file = labels.join("scores").join(name);
-        let mut scores = ScoreMap::read(&file, &Limits::default()).expect("scores");
+        let mut scores = ScoreMap::read(&file).expect("scores");
         let last = scores.probabilities.iter_mut().rfind(|p| **p > 0);
         *last.expect("a probability") = 0;
-        scores.write(&file, &Limits::default()).expect("write");
+        scores.write(&file).expect("write");
     }
     let message = fails(&["train", "--resume", utf8(&run)], 1);
     assert!(message.contains("raw labels"), "{message}");

@@ -1,7 +1,7 @@
 //! The network of `../shared` against the labels of its reference script, and how long a photo takes.
 
 use crate::support::shared_dir;
-use coseg::data::{LabelMap, Limits};
+use coseg::data::LabelMap;
 use coseg::segmenter::{Contract, Mapping, Network};
 use std::path::Path;
 use std::time::Instant;
@@ -26,7 +26,7 @@ fn room(network: &Network, room: &Path, every: usize) -> (f64, f64, usize) {
             .expect("decode")
             .into_rgb8();
         let (map, _) = network.run(&photo).expect("run").labels(&mapping, 3);
-        let expected = LabelMap::read(path, &Limits::default()).expect("labels");
+        let expected = LabelMap::read(path).expect("labels");
         assert_eq!((map.width, map.height), (expected.width, expected.height));
         equal += map
             .ids

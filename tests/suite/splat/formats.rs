@@ -2,7 +2,6 @@
 
 use crate::support::rounding::{errors, gaussians, worst};
 use crate::support::spz::version_4;
-use coseg::data::Limits;
 use coseg::splat::SH_0;
 use coseg::splat::formats::{self, Format};
 use coseg::splat::ply::{self, PlyScene};
@@ -14,11 +13,11 @@ use std::io::Write;
 use std::path::Path;
 
 fn read(path: &Path) -> PlyScene {
-    formats::read(path, &Limits::default()).expect("readable")
+    formats::read(path).expect("readable")
 }
 
 fn refused(path: &Path) -> String {
-    let error = formats::read(path, &Limits::default()).expect_err("refused");
+    let error = formats::read(path).expect_err("refused");
     error.to_string()
 }
 

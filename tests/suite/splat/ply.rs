@@ -1,6 +1,4 @@
 //! Gaussian scenes as PLY: the layout, and what survives a file.
-
-use coseg::data::Limits;
 use coseg::splat::Gaussians;
 use coseg::splat::ply::{PlyScene, read, write};
 use glam::DVec3;
@@ -28,7 +26,7 @@ pub(super) fn gaussians(n: usize, sh_degree: usize) -> Gaussians {
 }
 
 fn reread(path: &Path) -> PlyScene {
-    read(path, &Limits::default()).expect("readable")
+    read(path).expect("readable")
 }
 
 fn header(path: &Path) -> String {

@@ -2,7 +2,7 @@
 
 use super::ply::{ascii, gaussians};
 use coseg::Error;
-use coseg::data::{Limits, Points};
+use coseg::data::Points;
 use coseg::splat::ply::{read, write};
 use glam::DVec3;
 use std::fs;
@@ -20,7 +20,7 @@ fn an_origin_from_which_no_position_is_finite_is_refused() {
     ] {
         let comment = format!("coseg origin {origin}");
         fs::write(&path, text.replace("made by hand", &comment)).expect("write");
-        match read(&path, &Limits::default()) {
+        match read(&path) {
             Ok(scene) => assert!(
                 is_usable
                     && scene
@@ -82,9 +82,7 @@ fn broken_gaussian_files_are_refused_by_name() {
     ];
     for (change, parts) in cases {
         ascii(&path, change);
-        let message = read(&path, &Limits::default())
-            .expect_err("an error")
-            .to_string();
+        let message = read(&path).expect_err("an error").to_string();
         for part in parts.iter().chain(&["scene.ply"]) {
             assert!(message.contains(part), "{part:?} is not in: {message}");
         }
@@ -94,21 +92,17 @@ fn broken_gaussian_files_are_refused_by_name() {
     let opacity_of_row_1 = bytes.len() - 17 * 4 - 8 * 4;
     bytes[opacity_of_row_1..][..4].copy_from_slice(&f32::NAN.to_le_bytes());
     fs::write(&path, bytes).expect("write");
-    let message = read(&path, &Limits::default())
-        .expect_err("an error")
-        .to_string();
+    let message = read(&path).expect_err("an error").to_string();
     assert!(
         message.contains("row 1, column opacity: found NaN"),
         "{message}"
     );
-    let message = read(&dir.path().join("none.ply"), &Limits::default())
+    let message = read(&dir.path().join("none.ply"))
         .expect_err("an error")
         .to_string();
     assert!(message.contains("none.ply"), "{message}");
     fs::write(&path, "ply\nformat ascii 1.0\nelement face 0\nend_header\n").expect("write");
-    let message = read(&path, &Limits::default())
-        .expect_err("an error")
-        .to_string();
+    let message = read(&path).expect_err("an error").to_string();
     assert!(
         message.contains("[face]") && message.contains("`vertex`"),
         "{message}"
@@ -124,7 +118,7 @@ fn broken_gaussian_files_are_refused_by_name() {
             property float z\nend_header\n"
         );
         fs::write(&path, text).expect("write");
-        let message = Points::read(&path, DVec3::ZERO, &Limits::default())
+        let message = Points::read(&path, DVec3::ZERO)
             .expect_err("an error")
             .to_string();
         assert!(message.contains(part), "{message}");
@@ -135,7 +129,7 @@ fn broken_gaussian_files_are_refused_by_name() {
         .to_vec();
     twice.extend([0; 64]);
     fs::write(&path, twice).expect("write");
-    let message = Points::read(&path, DVec3::ZERO, &Limits::default())
+    let message = Points::read(&path, DVec3::ZERO)
         .expect_err("an error")
         .to_string();
     assert!(message.contains("used twice"), "{message}");
@@ -183,7 +177,7 @@ fn a_ply_cut_anywhere_is_an_error() {
     for (whole, certain) in [(&binary, binary.len()), (&text, noticed)] {
         for length in 0..whole.len() {
             fs::write(&path, &whole[..length]).expect("write");
-            let result = read(&path, &Limits::default());
+            let result = read(&path);
             assert!(
                 length >= certain || result.is_err(),
                 "cut to {length} of {} bytes",
@@ -230,9 +224,7 @@ fn files_that_are_taken_for_scenes_are_named() {
     ];
     for (text, found) in cases {
         fs::write(&path, text).expect("write");
-        let message = read(&path, &Limits::default())
-            .expect_err("an error")
-            .to_string();
+        let message = read(&path).expect_err("an error").to_string();
         assert!(
             message.contains(found) && !message.contains("ParseError"),
             "{message}"

@@ -1,7 +1,7 @@
 //! Properties of scenes in PLY files: what is written comes back, and no damage panics.
 
 use coseg::Error;
-use coseg::data::{Limits, Points};
+use coseg::data::Points;
 use coseg::splat::Gaussians;
 use coseg::splat::ply::{read, write};
 use glam::DVec3;
@@ -93,8 +93,8 @@ fn files(path: &Path, (gaussians, labels): &Labelled, origin: DVec3) -> [Vec<u8>
 /// Whether `bytes` are a scene. Read as a scene and as a cloud, they have finite numbers or an error that names the file.
 fn is_read(path: &Path, bytes: &[u8]) -> Result<bool, TestCaseError> {
     fs::write(path, bytes).expect("written");
-    let scene = read(path, &Limits::default());
-    let cloud = Points::read(path, DVec3::ZERO, &Limits::default());
+    let scene = read(path);
+    let cloud = Points::read(path, DVec3::ZERO);
     for error in [scene.as_ref().err(), cloud.as_ref().err()]
         .into_iter()
         .flatten()
@@ -137,7 +137,7 @@ proptest! {
         let path = dir.path().join("scene.ply");
         for bytes in files(&path, &scene, DVec3::ZERO) {
             fs::write(&path, bytes).expect("written");
-            let found = read(&path, &Limits::default()).expect("readable");
+            let found = read(&path).expect("readable");
             prop_assert_eq!(found.origin, DVec3::ZERO);
             prop_assert_eq!(&(found.gaussians, found.labels), &scene);
         }

@@ -2,7 +2,6 @@
 
 use crate::support::program::text;
 use crate::support::rounding::{errors, gaussians};
-use coseg::data::Limits;
 use coseg::splat::Gaussians;
 use coseg::splat::formats::{self, Format};
 use coseg::splat::ply;
@@ -22,7 +21,7 @@ fn convert(from: &Path, to: &Path, options: &[&str]) -> bool {
 }
 
 fn read(path: &Path) -> Gaussians {
-    let scene = formats::read(path, &Limits::default()).expect("readable");
+    let scene = formats::read(path).expect("readable");
     assert_eq!(scene.origin, DVec3::ZERO);
     scene.gaussians
 }
@@ -40,9 +39,8 @@ fn splat_transform_reads_and_writes_the_same_values() {
     }
     let dir = tempfile::tempdir().expect("folder");
     let at = |name: &str| dir.path().join(name);
-    let limits = Limits::default();
-    let scene = std::env::var_os("COSEG_SCENE")
-        .map(|path| ply::read(path.as_ref(), &limits).expect("a scene"));
+    let scene =
+        std::env::var_os("COSEG_SCENE").map(|path| ply::read(path.as_ref()).expect("a scene"));
     let (scene, origin) = scene.map_or_else(
         || (gaussians(3_000, 3), DVec3::ZERO),
         |s| (s.gaussians, s.origin),

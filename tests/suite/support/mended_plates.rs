@@ -4,7 +4,7 @@ use crate::support::browser::browser;
 use crate::support::devtools::Tab;
 use crate::support::plates::scene as plates_scene;
 use crate::support::program::{succeeds, utf8};
-use coseg::data::{Classes, Limits};
+use coseg::data::Classes;
 use coseg::splat::ply;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -70,7 +70,7 @@ pub fn assert_applied_to(tab: &mut Tab, scene: &Path, dir: &Path) {
     let out = dir.join("mended");
     let edit = ["edit", "--scene", utf8(scene), "--edits", utf8(&edits)];
     succeeds(&[&edit[..], &["--out", utf8(&out), "--force"]].concat());
-    let mended = ply::read(&out.join("scene.ply"), &Limits::default()).unwrap();
+    let mended = ply::read(&out.join("scene.ply")).unwrap();
     let want = tab.value("Array.from(page.state.labels())");
     assert_eq!(json!(mended.labels.unwrap()), want);
     let classes = Classes::read(&out.join("classes.json")).unwrap();

@@ -5,7 +5,7 @@ use crate::support::plates::{self, camera, plates};
 use crate::support::program::{read_json, succeeds, utf8};
 use crate::support::spoilt_masks::shuffled;
 use coseg::config::LabelSource;
-use coseg::data::{LabelMap, LabelRuns, Limits, LoadOptions, Scene, Split, View, load};
+use coseg::data::{LabelMap, LabelRuns, LoadOptions, Scene, Split, View, load};
 use coseg::error::Result;
 use coseg::metrics::{InstanceScores, instance_scores};
 use coseg::objects::{self, LabelMaps, vote};
@@ -111,10 +111,7 @@ pub fn plate_folder(dir: &Path) {
     for frame in value["frames"].as_array_mut().expect("frames") {
         frame["instance_path"] = frame["label_path"].take();
         frame.as_object_mut().expect("frame").remove("label_path");
-        let truth = LabelMap::read(
-            &dir.join(frame["instance_path"].as_str().expect("path")),
-            &Limits::default(),
-        );
+        let truth = LabelMap::read(&dir.join(frame["instance_path"].as_str().expect("path")));
         let raw = dir.join(frame["raw_label_path"].as_str().expect("path"));
         shuffled(&truth.expect("truth"), &mut rng)
             .write(&raw)

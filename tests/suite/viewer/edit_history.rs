@@ -3,7 +3,6 @@
 use crate::support::devtools::{CTRL, SHIFT};
 use crate::support::mended_plates::{assert_applied, opened, selected, spot, state};
 use crate::support::program::utf8;
-use coseg::data::Limits;
 use coseg::splat::ply;
 use serde_json::json;
 use std::path::Path;
@@ -61,7 +60,7 @@ fn everything_is_undone_and_done_again_bit_for_bit() {
     assert_eq!(count, 11);
     assert_applied(&mut tab, dir.path());
     // Positions too, but for the rounding of each motion.
-    let mended = ply::read(&dir.path().join("mended/scene.ply"), &Limits::default()).unwrap();
+    let mended = ply::read(&dir.path().join("mended/scene.ply")).unwrap();
     let places = tab.value(
         "Array.from(page.state.partOf).map((part, i) => [part, i]).filter(([part]) => page.state.parts[part].object !== null) \
          .map(([part, i]) => { const { rotation, shift } = page.state.parts[part].pose; \

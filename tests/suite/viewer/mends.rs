@@ -4,7 +4,6 @@ use crate::support::browser::browser;
 use crate::support::devtools::{ALT, SHIFT, Tab};
 use crate::support::mended_plates::{assert_applied, opened, page, selected, spot, state};
 use crate::support::program::{succeeds, utf8};
-use coseg::data::Limits;
 use coseg::objects::Regions;
 use coseg::splat::ply;
 use serde_json::json;
@@ -16,7 +15,7 @@ fn a_plate_that_is_called_wall_is_put_right() {
     let page = page(dir.path());
     // The green plate is called wall.
     let path = dir.path().join("plates.ply");
-    let mut scene = ply::read(&path, &Limits::default()).unwrap();
+    let mut scene = ply::read(&path).unwrap();
     let right = scene.labels.clone().unwrap();
     let wrong: Vec<u16> = right
         .iter()
@@ -142,7 +141,7 @@ fn a_selection_grows_to_the_superpoints_that_it_touches() {
     let Some((dir, mut tab)) = opened() else {
         return;
     };
-    let scene = ply::read(&dir.path().join("plates.ply"), &Limits::default()).unwrap();
+    let scene = ply::read(&dir.path().join("plates.ply")).unwrap();
     let of = Regions::new(&scene.gaussians, &[]).unwrap().superpoints.of;
     tab.key("KeyP", 0);
     tab.value("page.tools.radius = 6");

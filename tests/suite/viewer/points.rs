@@ -5,7 +5,6 @@ use crate::support::devtools::Tab;
 use crate::support::mended_plates::{assert_applied, selected, spot, state};
 use crate::support::plates::{plates, scene as plates_scene};
 use crate::support::program::{succeeds, utf8};
-use coseg::data::Limits;
 use coseg::objects::{Growth, Regions};
 use coseg::splat::{Gaussians, ply};
 use glam::DVec3;
@@ -91,7 +90,7 @@ fn clicks_give_a_scene_its_first_labels() {
         .collect();
     assert_eq!(tab.value("Array.from(page.state.labels())"), json!(labels));
     assert_applied(&mut tab, dir.path());
-    let scene = ply::read(&dir.path().join("mended/scene.ply"), &Limits::default()).unwrap();
+    let scene = ply::read(&dir.path().join("mended/scene.ply")).unwrap();
     assert_eq!(scene.labels, Some(labels));
     tab.value("page.edits.undo(); page.edits.undo(); page.edits.undo()");
     assert_eq!(state(&mut tab), start);

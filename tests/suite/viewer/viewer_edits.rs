@@ -3,7 +3,7 @@
 use crate::support::browser::{after, browser, drawn, psnr, scripted};
 use crate::support::plates::{self, plates, scene as plates_scene};
 use crate::support::program::{succeeds, utf8};
-use coseg::data::{Classes, Limits, read_cameras};
+use coseg::data::{Classes, read_cameras};
 use coseg::raster::{Settings, render};
 use coseg::splat::camera::Camera;
 use coseg::splat::ply::{self, PlyScene};
@@ -55,7 +55,7 @@ fn edited(browser: &str, dir: &Path, page: &Path, script: &str) -> (String, PlyS
         .split_once("/scene.ply")
         .unwrap()
         .0;
-    let edited = ply::read(&dir.join(folder).join("scene.ply"), &Limits::default()).unwrap();
+    let edited = ply::read(&dir.join(folder).join("scene.ply")).unwrap();
     let camera = plates::camera(0);
     let camera = Camera {
         center: camera.center - edited.origin,

@@ -6,7 +6,7 @@ mod nerfstudio;
 use super::camera_checks::side;
 use super::layout;
 use super::transforms::{self, not_finite::quoted};
-use crate::data::{Limits, LoadOptions, NamedCamera, Split};
+use crate::data::{LoadOptions, NamedCamera, Split};
 use crate::error::{Result, bail, ensure, invalid};
 use crate::files;
 use serde::de::DeserializeOwned;
@@ -85,7 +85,7 @@ fn size(path: &Path, place: &str, sides: [(&str, f64); 2]) -> Result<[usize; 2]>
         side(path, field.trim_start_matches('.'), length)
     });
     let size = [width?, height?];
-    Limits::default().check_pixels(&path.join(place), size[0], size[1])?;
+    files::check_pixels(&path.join(place), size[0], size[1])?;
     Ok(size)
 }
 
@@ -104,5 +104,5 @@ fn parsed<T: DeserializeOwned>(path: &Path, name: &str, value: Value, expected: 
 /// Refuses a list of cameras that is empty, or longer than a scene may be.
 fn check_count(path: &Path, field: &str, count: usize) -> Result<()> {
     ensure!(count > 0, path, "{field}"; found "no cameras"; expected "at least one"; help "export them again");
-    Limits::default().check_views(path, count)
+    files::check_views(path, count)
 }

@@ -3,12 +3,11 @@
 use super::DAMAGED_HELP;
 use super::cameras::Cameras;
 use super::reader::Reader;
-use crate::data::Limits;
 use crate::data::formats::camera_checks::{is_coordinate, posed};
 use crate::data::formats::frame::joined_name;
 use crate::data::photos::lens::Lens;
 use crate::error::{Result, ensure, invalid};
-use crate::files::check_limit;
+use crate::files::{MAX_VIEWS, check_limit};
 use crate::splat::camera::Camera;
 use glam::{DMat3, DMat4, DQuat, DVec3};
 use std::path::{Component, Path};
@@ -32,18 +31,18 @@ pub(super) struct PosedImage {
 }
 
 /// How many images the model has.
-pub(super) fn count(path: &Path, limits: &Limits) -> Result<u64> {
+pub(super) fn count(path: &Path) -> Result<u64> {
     match Reader::open(path, "image", MIN_IMAGE_BYTES)?.count() {
         Some(count) => Ok(count),
-        None => Ok(read(path, limits)?.len() as u64),
+        None => Ok(read(path)?.len() as u64),
     }
 }
 
 /// Reads `images.bin` or `images.txt`.
-pub(super) fn read(path: &Path, limits: &Limits) -> Result<Vec<PosedImage>> {
+pub(super) fn read(path: &Path) -> Result<Vec<PosedImage>> {
     let mut reader = Reader::open(path, "image", MIN_IMAGE_BYTES)?;
     // A model may have more images than a scene: they are thinned out later.
-    let most = (limits.views as u64).saturating_mul(64);
+    let most = 64 * MAX_VIEWS;
     let count = reader.count().unwrap_or(0);
     check_limit(path, "images", count, most, "split the model")?;
     let mut images = Vec::new();

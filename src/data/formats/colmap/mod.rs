@@ -12,10 +12,10 @@ use super::folder::{Folder, Problems};
 use super::frame::{Frame, below};
 use super::listing::{Cloud, Listing};
 use super::side_folders::SideFolders;
+use crate::data::Points;
 use crate::data::options::LoadOptions;
-use crate::data::{Limits, Points};
 use crate::error::{Result, bail, invalid};
-use crate::files::names;
+use crate::files::{check_points, names};
 use glam::DVec3;
 use model::SparseModel;
 use reader::Reader;
@@ -49,9 +49,9 @@ pub(crate) fn expect(dir: &Path, options: &LoadOptions) -> Result<()> {
 /// Lists the frames of the folder.
 pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listing> {
     let Folder { dir, options, .. } = folder;
-    let model = SparseModel::find(dir, &options.limits)?;
+    let model = SparseModel::find(dir)?;
     let cameras = cameras::read(&model.cameras)?;
-    let mut images = images::read(&model.images, &options.limits)?;
+    let mut images = images::read(&model.images)?;
     images.sort_by(|a, b| a.name.cmp(&b.name));
     let folders = SideFolders::new(folder, problems);
     let mut first = HashMap::new();
@@ -101,9 +101,9 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
 }
 
 /// Reads `points3D`, relative to `origin`; colours are sRGB.
-pub(crate) fn read_points(path: &Path, origin: DVec3, limits: &Limits) -> Result<Points> {
+pub(crate) fn read_points(path: &Path, origin: DVec3) -> Result<Points> {
     let mut reader = Reader::open(path, "point", 8 + 24 + 3 + 8 + 8)?;
-    limits.check_points(path, reader.count().unwrap_or(0))?;
+    check_points(path, reader.count().unwrap_or(0))?;
     let mut points = Points::default();
     while reader.next()? {
         reader.value::<u64>("POINT3D_ID")?;
@@ -120,7 +120,7 @@ pub(crate) fn read_points(path: &Path, origin: DVec3, limits: &Limits) -> Result
         reader.skip_list(8, "TRACK", false)?;
         points.positions.push(relative);
         points.colors.push(color.map(|c| f32::from(c) / 255.0));
-        limits.check_points(path, points.len() as u64)?;
+        check_points(path, points.len() as u64)?;
     }
     Ok(points)
 }

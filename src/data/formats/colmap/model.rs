@@ -1,7 +1,6 @@
 //! Where a COLMAP model lies in a scene folder, and which photos it lacks.
 
 use super::images::{self, PosedImage};
-use crate::data::Limits;
 use crate::data::first_names;
 use crate::data::formats::frame::below;
 use crate::data::photos::is_photo;
@@ -30,7 +29,7 @@ impl SparseModel {
     ///
     /// # Errors
     /// There is no model, or only a part of one; one of several cannot be read.
-    pub fn find(dir: &Path, limits: &Limits) -> Result<Self> {
+    pub fn find(dir: &Path) -> Result<Self> {
         let folders = candidates(dir);
         let first = Self::first_of(dir, &folders)?;
         if folders.len() < 2 {
@@ -38,7 +37,7 @@ impl SparseModel {
         }
         let mut counts = Vec::new();
         for folder in &folders {
-            counts.push(images::count(&part(&dir.join(folder), "images")?, limits)?);
+            counts.push(images::count(&part(&dir.join(folder), "images")?)?);
         }
         let most = counts.iter().copied().max().unwrap_or_default();
         let is_most = |count: &u64| *count == most;

@@ -24,9 +24,9 @@ use super::listing::{Cloud, Listing};
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::photos::lens::Lens;
-use crate::data::{Limits, LoadOptions, NamedCamera, Split};
+use crate::data::{LoadOptions, NamedCamera, Split};
 use crate::error::{Error, Result, ensure, invalid};
-use crate::files::{file_name, names};
+use crate::files::{check_pixels, check_views, file_name, names};
 use crate::splat::camera::Camera;
 use label_files::LabelFiles;
 use rayon::prelude::*;
@@ -51,12 +51,11 @@ pub(crate) fn alternatives(dir: &Path) -> Vec<String> {
 /// Lists the frames of the folder.
 pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listing> {
     let Folder { dir, options, .. } = folder;
-    let limits = &options.limits;
     let sources = Sources::read(dir, options, problems)?;
     let kept = sources.pick(options, problems);
-    limits.check_views(&sources.file, kept.len())?;
+    check_views(&sources.file, kept.len())?;
     let files = LabelFiles::new(folder, &sources, problems);
-    let look_at = |kept: &Kept| frame(dir, &sources.files[kept.source], kept, limits);
+    let look_at = |kept: &Kept| frame(dir, &sources.files[kept.source], kept);
     let looked_at: Vec<_> = kept.par_iter().map(look_at).collect();
     let mut frames = Vec::with_capacity(kept.len());
     for (Kept { source, index, .. }, (frame, faults)) in kept.iter().zip(looked_at) {
@@ -87,7 +86,7 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
 
 /// A frame without labels, and its faults. It is left out where not even the size of its photo is known, which the file gives, or
 /// else the photo.
-fn frame(dir: &Path, source: &Source, kept: &Kept, limits: &Limits) -> (Option<Frame>, Vec<Error>) {
+fn frame(dir: &Path, source: &Source, kept: &Kept) -> (Option<Frame>, Vec<Error>) {
     let (transforms, i) = (&source.transforms, kept.index);
     let file = &transforms.path;
     let mut problems = Problems::default();
@@ -100,9 +99,7 @@ fn frame(dir: &Path, source: &Source, kept: &Kept, limits: &Limits) -> (Option<F
         );
     }
     let size = match problems.ok(transforms.declared_size(i)) {
-        Some(None) if is_there => problems
-            .ok(ImageFile::open(&path, limits))
-            .map(|image| image.size),
+        Some(None) if is_there => problems.ok(ImageFile::open(&path)).map(|image| image.size),
         declared => declared.flatten(),
     };
     let present = problems.is_empty();
@@ -143,7 +140,7 @@ pub fn load_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
             invalid!(path, "{}.w", transforms.field(index); found "no image size"; expected "w and h in pixels";
                 help "add w and h")
         })?;
-        Limits::default().check_pixels(path, size.0, size.1)?;
+        check_pixels(path, size.0, size.1)?;
         let (camera, lens) = transforms.camera(index, size)?;
         let image = PathBuf::from(&transforms.frames[index].file_path);
         let frame = Frame {

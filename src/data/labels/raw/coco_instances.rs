@@ -6,8 +6,9 @@ use super::drawing::{self, Drawing, Point, Region, rectangle};
 use super::runs::Runs;
 use super::shape_file::drawings;
 use super::{RawFile, Vocabulary};
-use crate::data::{Classes, Limits};
+use crate::data::Classes;
 use crate::error::{Result, bail, ensure, invalid};
+use crate::files::check_pixels;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use serde_json::Value;
@@ -71,7 +72,6 @@ pub(super) fn read(
     path: &Path,
     frames: &[RawFile],
     classes: &Classes,
-    limits: &Limits,
 ) -> Result<(HashMap<String, Drawing>, Vocabulary)> {
     let expected = "{\"images\": [{\"id\", \"file_name\", \"width\", \"height\"}, ..], \"annotations\": [{\"image_id\", \
         \"category_id\", \"segmentation\"}, ..], \"categories\": [{\"id\", \"name\"}, ..]}";
@@ -85,7 +85,7 @@ pub(super) fn read(
         ensure!(images.insert(image.id, image).is_none(),
             path, "images[{i}].id"; found "{} twice", image.id; expected "each id once"; help "{DAMAGED_HELP}");
     }
-    let mut shapes = shapes(path, file.annotations, &images, &indices, limits)?;
+    let mut shapes = shapes(path, file.annotations, &images, &indices)?;
     shapes.sort_by(|a, b| b.area.total_cmp(&a.area));
     let mut drawn: BTreeMap<u64, (&str, Drawing)> = BTreeMap::new();
     for shape in shapes {
@@ -114,7 +114,6 @@ fn shapes<'a>(
     annotations: Vec<Annotation>,
     images: &HashMap<u64, &'a Image>,
     indices: &HashMap<u64, usize>,
-    limits: &Limits,
 ) -> Result<Vec<Shape<'a>>> {
     let mut shapes = Vec::new();
     for (i, annotation) in annotations.into_iter().enumerate() {
@@ -127,7 +126,7 @@ fn shapes<'a>(
             invalid!(path, "{}", field("image_id"); found "{}", annotation.image_id;
                 expected "one of the {} ids of images", images.len(); help "{DAMAGED_HELP}")
         })?;
-        if let Some(region) = annotation.region(path, field, limits)? {
+        if let Some(region) = annotation.region(path, field)? {
             shapes.push(Shape {
                 image,
                 category,
@@ -141,14 +140,9 @@ fn shapes<'a>(
 
 impl Annotation {
     /// What it covers; `None` where it says nothing. `field` gives the names of its keys for errors.
-    fn region(
-        self,
-        path: &Path,
-        field: impl Fn(&str) -> String,
-        limits: &Limits,
-    ) -> Result<Option<Region>> {
+    fn region(self, path: &Path, field: impl Fn(&str) -> String) -> Result<Option<Region>> {
         let region = match self.segmentation {
-            Some(given) => given.region(path, &field("segmentation"), limits)?,
+            Some(given) => given.region(path, &field("segmentation"))?,
             None => None,
         };
         match region {
@@ -231,7 +225,7 @@ enum Counts {
 
 impl Segmentation {
     /// What it covers; `None` where it says nothing. `field` is named in errors.
-    fn region(self, path: &Path, field: &str, limits: &Limits) -> Result<Option<Region>> {
+    fn region(self, path: &Path, field: &str) -> Result<Option<Region>> {
         match self {
             Self::Polygons(mut lists) => {
                 lists.retain(|list| !list.is_empty());
@@ -250,7 +244,7 @@ impl Segmentation {
                 size: [height, width],
                 counts,
             }) => {
-                limits.check_pixels(path, width, height)?;
+                check_pixels(path, width, height)?;
                 let counts = match counts {
                     Counts::Numbers(counts) => Some(counts),
                     Counts::Packed(text) => unpacked(&text),

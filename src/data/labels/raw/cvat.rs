@@ -7,9 +7,9 @@ use super::runs::Runs;
 use super::shape_file::drawings;
 use super::shape_labels::ShapeLabels;
 use super::{RawFile, Vocabulary};
-use crate::data::{Classes, Limits};
+use crate::data::Classes;
 use crate::error::{Error, Result, bail, ensure, invalid};
-use crate::files::{self, check_limit};
+use crate::files::{self, check_limit, check_pixels};
 use roxmltree::{Document, Node, ParsingOptions};
 use std::collections::HashMap;
 use std::path::Path;
@@ -30,7 +30,6 @@ pub(super) fn read(
     path: &Path,
     frames: &[RawFile],
     classes: &Classes,
-    limits: &Limits,
 ) -> Result<(HashMap<String, Drawing>, Vocabulary)> {
     let text = text(path)?;
     let options = ParsingOptions {
@@ -51,7 +50,7 @@ pub(super) fn read(
         path, "annotations"; found "no <image>"; expected "images with shapes"; help "{DAMAGED_HELP}");
     let of_images = images
         .iter()
-        .map(|image| image.shapes(limits))
+        .map(|image| image.shapes())
         .collect::<Result<Vec<_>>>()?;
     let names = of_images.iter().flatten().map(|shape| shape.label);
     let mut labels = ShapeLabels::new(path, classes, names)?;
@@ -160,7 +159,7 @@ impl<'a> Element<'a> {
     }
 
     /// The shapes of an image that have an area.
-    fn shapes(&self, limits: &Limits) -> Result<Vec<Labelled<'a>>> {
+    fn shapes(&self) -> Result<Vec<Labelled<'a>>> {
         let mut shapes = Vec::new();
         for shape in self.children() {
             if WITHOUT_AREA.contains(&shape.tag()) {
@@ -170,14 +169,14 @@ impl<'a> Element<'a> {
                 label: shape.required("label")?,
                 group: shape.node.attribute("group_id").map(str::to_owned),
                 depth: shape.number_or_zero("z_order")?,
-                region: shape.region(self, limits)?,
+                region: shape.region(self)?,
             });
         }
         Ok(shapes)
     }
 
     /// What a shape covers of `image`.
-    fn region(&self, image: &Self, limits: &Limits) -> Result<Region> {
+    fn region(&self, image: &Self) -> Result<Region> {
         let polygon = match self.tag() {
             "polygon" => self.points()?,
             "box" => {
@@ -191,7 +190,7 @@ impl<'a> Element<'a> {
                 let radii = [self.number("rx")?, self.number("ry")?];
                 self.turned(drawing::ellipse(center, radii), center)?
             }
-            "mask" => return Ok(Region::Runs(self.mask(image, limits)?)),
+            "mask" => return Ok(Region::Runs(self.mask(image)?)),
             other => bail!(self.path, "{}", self.place(); found "<{other}>";
                 expected "polygon, box, ellipse or mask ({} label nothing)", WITHOUT_AREA.join(", ");
                 help "{DAMAGED_HELP}"),
@@ -226,9 +225,9 @@ impl<'a> Element<'a> {
     }
 
     /// A mask: run lengths along the rows of a box of `image`.
-    fn mask(&self, image: &Self, limits: &Limits) -> Result<Runs> {
+    fn mask(&self, image: &Self) -> Result<Runs> {
         let picture = image.size()?;
-        limits.check_pixels(self.path, picture.0, picture.1)?;
+        check_pixels(self.path, picture.0, picture.1)?;
         let corner = (self.pixels("left")?, self.pixels("top")?);
         let size = self.size()?;
         let text = self.required("rle")?;

@@ -1,11 +1,10 @@
 //! A folder of binary masks for each photo, as Segment Anything's `amg.py` writes them: `0.png`, `1.png`, and so on, and
 //! perhaps `metadata.csv`.
 
+use crate::data::LabelMap;
 use crate::data::photos::image_file::ImageFile;
-use crate::data::{LabelMap, Limits};
 use crate::error::{Error, Result, bail, ensure, invalid};
-use crate::files::check_limit;
-use crate::files::{self, Numbered, extension, names, numbered};
+use crate::files::{self, Numbered, check_limit, check_pixels, extension, names, numbered};
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -20,7 +19,6 @@ const DAMAGED_HELP: &str = "copy the folder of masks again, or write it again";
 pub(super) fn read(
     path: &Path,
     photo: (usize, usize),
-    limits: &Limits,
     check_size: &dyn Fn(&ImageFile) -> Result<()>,
 ) -> Result<LabelMap> {
     let folder = if path.is_dir() {
@@ -44,7 +42,7 @@ pub(super) fn read(
     let files = numbered(&folder, "", &["png"])?;
     let has_table = check_table(&folder, &files)?;
     let size = match files.values().next() {
-        Some(first) => ImageFile::open(first, limits)?.size,
+        Some(first) => ImageFile::open(first)?.size,
         None if has_table => photo,
         None => {
             bail!(&folder, "masks"; found "no PNG files";
@@ -52,13 +50,13 @@ pub(super) fn read(
         }
     };
     let (width, height) = size;
-    limits.check_pixels(&folder, width, height)?;
+    check_pixels(&folder, width, height)?;
     let help = "keep the masks with the best scores";
     check_limit(&folder, "masks", files.len() as u64, u16::MAX.into(), help)?;
     let mut ids = vec![0; width * height];
     let mut areas = vec![u32::MAX; width * height];
     for (path, id) in files.values().zip(1..) {
-        let file = ImageFile::open(path, limits)?;
+        let file = ImageFile::open(path)?;
         check_size(&file)?;
         file.expect_size(size, "the first mask of the photo")?;
         let mask = covered(path, &file)?;

@@ -18,7 +18,7 @@ use super::label_map::expect_file;
 use crate::config::{Association, RawFormat};
 use crate::data::labels::scores::ScoreIds;
 use crate::data::photos::image_file::ImageFile;
-use crate::data::{Classes, LabelMap, Limits, LoadOptions, Segment};
+use crate::data::{Classes, LabelMap, LoadOptions, Segment};
 use crate::error::{Result, bail};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -158,7 +158,7 @@ fn format_of_file(dir: &Path, options: &LoadOptions, file: &RawFile) -> RawForma
         return file.format;
     }
     // A file that cannot be read is reported where it is read.
-    let Ok(image) = ImageFile::open(path, &options.limits) else {
+    let Ok(image) = ImageFile::open(path) else {
         return RawFormat::Grey;
     };
     match image.png_color() {
@@ -205,7 +205,6 @@ impl RawLabels {
         };
         let are_segments = options.association != Association::None;
         let folder = || folder(dir, options, first);
-        let limits = &options.limits;
         let drawn = |(drawings, vocabulary)| (Source::Drawn(drawings), Some(vocabulary));
         let (source, vocabulary) = match format_of(dir, options, files) {
             RawFormat::Auto | RawFormat::Grey => match own_classes::table(dir, &folder()) {
@@ -224,8 +223,8 @@ impl RawLabels {
                 (Source::Ade20k(vocabulary.ids.clone()), Some(vocabulary))
             }
             RawFormat::Labelme => drawn(labelme::read(files, classes)?),
-            RawFormat::CocoInstances => drawn(coco_instances::read(first, files, classes, limits)?),
-            RawFormat::Cvat => drawn(cvat::read(first, files, classes, limits)?),
+            RawFormat::CocoInstances => drawn(coco_instances::read(first, files, classes)?),
+            RawFormat::Cvat => drawn(cvat::read(first, files, classes)?),
             RawFormat::Masks if are_segments => (Source::Masks, None),
             RawFormat::Masks => bail!(setting "data.association"; found "\"none\"";
                 expected "\"gaussians\", as raw labels are folders of masks, whose ids differ from view to view";
@@ -259,18 +258,17 @@ impl RawLabels {
         (name, path): (&str, &Path),
         photo: (usize, usize),
         classes: &Classes,
-        limits: &Limits,
         check_size: &dyn Fn(&ImageFile) -> Result<()>,
     ) -> Result<RawMap> {
         if let Source::Masks = self.source {
-            return masks::read(path, photo, limits, check_size).map(RawMap::from);
+            return masks::read(path, photo, check_size).map(RawMap::from);
         }
         expect_file(path)?;
         let in_classes = |raw| self.in_classes(raw, classes);
         if let Some(drawing) = self.drawings().and_then(|drawings| drawings.get(name)) {
             return drawing.paint(photo).map(in_classes);
         }
-        let file = ImageFile::open(path, limits)?;
+        let file = ImageFile::open(path)?;
         check_size(&file)?;
         match &self.source {
             Source::Coco(panoptic) => panoptic.decode(path, &file).map(in_classes),

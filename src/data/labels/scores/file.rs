@@ -1,8 +1,6 @@
 //! The file with the scores of one photo.
-
-use crate::data::Limits;
 use crate::error::{Error, Result, bail, ensure, invalid};
-use crate::files::{atomic, check_limit};
+use crate::files::{MAX_IMAGE_PIXELS, atomic, check_limit};
 use flate2::Compression;
 use flate2::bufread::ZlibDecoder;
 use flate2::write::ZlibEncoder;
@@ -66,11 +64,11 @@ impl ScoreMap {
     /// Reads a file that [`ScoreMap::write`] made.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Limit`] for more cells than [`Limits::image_pixels`]; [`Error::Input`] for a file that is cut
+    /// [`Error::Io`]; [`Error::Limit`] for more cells than [`MAX_IMAGE_PIXELS`]; [`Error::Input`] for a file that is cut
     /// off or damaged, tensors of other types or shapes, a grid that is not finite, and probabilities that ascend or
     /// add up to more than 255.
-    pub fn read(path: &Path, limits: &Limits) -> Result<Self> {
-        let bytes = inflate(path, limits)?;
+    pub fn read(path: &Path) -> Result<Self> {
+        let bytes = inflate(path)?;
         let damaged = |e: safetensors::SafeTensorError| invalid!(path, "header"; found "{e}"; expected "scores of a photo as `coseg label` writes them"; help "{DAMAGED_HELP}");
         let (_, header) = SafeTensors::read_metadata(&bytes).map_err(damaged)?;
         let header = header.metadata().as_ref().and_then(|all| all.get(KEY));
@@ -101,7 +99,7 @@ impl ScoreMap {
                 .collect(),
             probabilities: probabilities.to_vec(),
         };
-        scores.check(path, limits)?;
+        scores.check(path)?;
         Ok(scores)
     }
 
@@ -109,13 +107,13 @@ impl ScoreMap {
     ///
     /// # Errors
     /// [`Error::Io`]; [`Error::Input`] and [`Error::Limit`] for scores that [`ScoreMap::read`] refuses.
-    pub fn write(&self, path: &Path, limits: &Limits) -> Result<()> {
-        atomic::write_bytes(path, &self.encode(path, limits)?)
+    pub fn write(&self, path: &Path) -> Result<()> {
+        atomic::write_bytes(path, &self.encode(path)?)
     }
 
     /// The bytes of the file; `path` names it in errors.
-    pub(crate) fn encode(&self, path: &Path, limits: &Limits) -> Result<Vec<u8>> {
-        self.check(path, limits)?;
+    pub(crate) fn encode(&self, path: &Path) -> Result<Vec<u8>> {
+        self.check(path)?;
         let encode = |e: String| Error::io(path, "encode", io::Error::other(e));
         let ids: Vec<u8> = self.ids.iter().flat_map(|id| id.to_le_bytes()).collect();
         let shape = vec![self.classes, self.height, self.width];
@@ -140,11 +138,11 @@ impl ScoreMap {
     }
 
     /// Refuses what the fields cannot be.
-    fn check(&self, path: &Path, limits: &Limits) -> Result<()> {
+    fn check(&self, path: &Path) -> Result<()> {
         let cells = (self.width as u64).saturating_mul(self.height as u64);
         let values = cells.saturating_mul(self.classes as u64);
         let help = "store fewer classes of each cell";
-        check_limit(path, "scores", values, limits.image_pixels, help)?;
+        check_limit(path, "scores", values, MAX_IMAGE_PIXELS, help)?;
         let lengths = [self.ids.len(), self.probabilities.len()];
         ensure!(values > 0 && lengths.map(|n| n as u64) == [values; 2], path, "tensors";
             found "{lengths:?} values of {} classes, {}x{} cells", self.classes, self.width, self.height;
@@ -178,9 +176,9 @@ impl ScoreMap {
     }
 }
 
-/// The bytes of a compressed file, no more than scores within `limits` take. The file must end where its stream does.
-fn inflate(path: &Path, limits: &Limits) -> Result<Vec<u8>> {
-    let most = limits.image_pixels.saturating_mul(3).saturating_add(HEADER);
+/// The bytes of a compressed file, no more than scores may take. The file must end where its stream does.
+fn inflate(path: &Path) -> Result<Vec<u8>> {
+    let most = 3 * MAX_IMAGE_PIXELS + HEADER;
     let help = "store fewer classes of each cell";
     let size = std::fs::metadata(path).map_err(|e| Error::io(path, "open", e))?;
     check_limit(path, "bytes", size.len(), most, help)?;

@@ -4,9 +4,9 @@ mod file;
 
 pub use self::file::{ScoreGrid, ScoreMap};
 
+use crate::data::Classes;
 use crate::data::bilinear::beside;
 use crate::data::photos::lens::Undistortion;
-use crate::data::{Classes, Limits};
 use crate::error::Result;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -39,7 +39,6 @@ pub struct ViewScores {
     pub(crate) file: PathBuf,
     pub(crate) ids: Arc<ScoreIds>,
     pub(crate) placement: Placement,
-    pub(crate) limits: Limits,
 }
 
 /// How a view lies on its photo.
@@ -77,7 +76,7 @@ impl ViewScores {
     /// # Errors
     /// As [`ScoreMap::read`].
     pub fn read(&self, classes: &Classes) -> Result<LabelProbabilities> {
-        let map = ScoreMap::read(&self.file, &self.limits)?;
+        let map = ScoreMap::read(&self.file)?;
         let index = |id: &u16| classes.index(*self.ids.get(id)?).map(|index| index as u16);
         let indices = map.ids.iter().map(index).collect();
         Ok(LabelProbabilities {
