@@ -54,10 +54,14 @@ fn within(what: &str, bytes: u64, available: Option<u64>, help: &str) -> Result<
 
 /// Free memory, bytes, where the system tells.
 fn available() -> Option<u64> {
-    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let mut lines = text.lines();
-    let line = lines.find_map(|line| line.strip_prefix("MemAvailable:"))?;
-    let kilobytes: u64 = line.trim().trim_end_matches("kB").trim().parse().ok()?;
+    proc_bytes("/proc/meminfo", "MemAvailable:")
+}
+
+/// The bytes in the line of `file` that begins with `key`, where the system has such a file.
+pub(crate) fn proc_bytes(file: &str, key: &str) -> Option<u64> {
+    let text = std::fs::read_to_string(file).ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix(key))?;
+    let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kilobytes * 1024)
 }
 

@@ -2,6 +2,7 @@
 
 use super::History;
 use crate::config::Variant;
+use crate::memory::proc_bytes;
 use crate::metrics::{ImageScores, InstanceScores, PixelScores, SemanticScores};
 use crate::pipeline::{AssociationCounts, HeldOutScores, Seconds};
 use serde::{Deserialize, Serialize};
@@ -113,10 +114,5 @@ impl From<&HeldOutScores> for VariantScores {
 
 /// Peak resident memory of this process so far, bytes (`VmHWM`); `None` where the system does not report it.
 pub fn peak_memory_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status
-        .lines()
-        .find_map(|line| line.strip_prefix("VmHWM:"))?;
-    let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kilobytes * 1024)
+    proc_bytes("/proc/self/status", "VmHWM:")
 }
