@@ -1,12 +1,10 @@
 //! Checkpoints: named tensors and settings in one safetensors file. A crash while it is written leaves the old file whole.
 //!
-//! A checksum covers every byte: a damaged file is refused. Settings are one JSON object under the key `coseg` of `__metadata__`. Numbers that must come back bit for bit belong in
-//! tensors.
+//! A checksum covers every byte: a damaged file is refused. Settings are one JSON object under the key `coseg` of `__metadata__`. Their finite numbers come back bit for bit. JSON has
+//! no NaN and no infinity: numbers that may be one belong in tensors.
 
 use crate::error::{Error, Result, ensure, invalid};
 use crate::files::{self, atomic};
-use crate::metrics::ImageScores;
-use crate::progress::CurvePoint;
 use crate::seal;
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensorError, SafeTensors};
@@ -19,8 +17,6 @@ use std::path::{Path, PathBuf};
 const VERSION: u64 = 4;
 /// Key of the JSON object within `__metadata__`.
 const KEY: &str = "coseg";
-/// Numbers stored of each point of a curve.
-const CURVE_COLUMNS: usize = 7;
 
 /// Scalar types that a checkpoint holds.
 pub trait Scalar: Sized {
@@ -244,50 +240,5 @@ impl Checkpoint {
             checkpoint.tensors.insert(name, tensor);
         }
         Ok(checkpoint)
-    }
-
-    /// Adds the tensor `curve`; absent scores are stored as NaN.
-    ///
-    /// # Errors
-    /// As [`Checkpoint::put`].
-    pub fn put_curve(&mut self, curve: &[CurvePoint]) -> Result<()> {
-        let row = |p: &CurvePoint| -> [f64; CURVE_COLUMNS] {
-            [
-                p.iteration as f64,
-                p.seconds,
-                p.loss,
-                p.held_out.psnr.unwrap_or(f64::NAN),
-                p.held_out.ssim.unwrap_or(f64::NAN),
-                p.miou.unwrap_or(f64::NAN),
-                p.gaussians as f64,
-            ]
-        };
-        let values: Vec<f64> = curve.iter().flat_map(row).collect();
-        self.put("curve", &[curve.len(), CURVE_COLUMNS], values)
-    }
-
-    /// Moves the tensor `curve` out.
-    ///
-    /// # Errors
-    /// As [`Checkpoint::take`].
-    pub fn take_curve(&mut self) -> Result<Vec<CurvePoint>> {
-        let points = self.shape("curve")?.first().copied().unwrap_or(0);
-        let values: Vec<f64> = self.take("curve", &[points, CURVE_COLUMNS])?;
-        let score = |v: f64| (!v.is_nan()).then_some(v);
-        let point = |row: &[f64; CURVE_COLUMNS]| {
-            let &[iteration, seconds, loss, psnr, ssim, miou, gaussians] = row;
-            CurvePoint {
-                iteration: iteration as usize,
-                seconds,
-                loss,
-                held_out: ImageScores {
-                    psnr: score(psnr),
-                    ssim: score(ssim),
-                },
-                miou: score(miou),
-                gaussians: gaussians as usize,
-            }
-        };
-        Ok(values.as_chunks().0.iter().map(point).collect())
     }
 }

@@ -2,7 +2,7 @@
 
 use super::densify::GradientStatistics;
 use super::optimizer::{Moments, NAMES, from_values, into_values, widths, zero_moments};
-use crate::checkpoint::{Checkpoint, Scalar};
+use crate::checkpoint::Checkpoint;
 use crate::error::Result;
 use crate::progress::{CurvePoint, Review};
 use crate::provenance::Provenance;
@@ -11,8 +11,6 @@ use std::path::Path;
 
 /// Kind of checkpoint.
 const KIND: &str = "building";
-/// Values of a review in a checkpoint.
-const REVIEW_COLUMNS: usize = 6;
 
 /// State of stage one after some iterations. With scene and settings it determines the rest of the run.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -65,8 +63,8 @@ impl TrainerState {
         let mut c = Checkpoint::new(KIND);
         let n = self.gaussians.len();
         c.set("sh_degree", &self.gaussians.sh_degree)?;
-        c.put("seed", &[], vec![self.seed])?;
-        c.put("iteration", &[], vec![self.iteration as u64])?;
+        c.set("seed", &self.seed)?;
+        c.set("iteration", &self.iteration)?;
         let values = into_values(self.gaussians.clone());
         let all = [
             (&values, ""),
@@ -81,13 +79,11 @@ impl TrainerState {
         }
         c.put("density.gradient", &[n], self.stats.gradient.clone())?;
         c.put("density.visible", &[n], self.stats.visible.clone())?;
-        let reviews = self.reviews.iter().flat_map(review_values).collect();
-        c.put("reviews", &[self.reviews.len(), REVIEW_COLUMNS], reviews)?;
-        c.put("loss.sum", &[], vec![self.losses.0])?;
-        c.put("loss.count", &[], vec![self.losses.1])?;
-        c.put("seconds", &[], vec![self.seconds])?;
+        c.set("reviews", &self.reviews)?;
+        c.set("losses", &self.losses)?;
+        c.set("seconds", &self.seconds)?;
         c.set("provenance", &self.provenance)?;
-        c.put_curve(&self.curve)?;
+        c.set("curve", &self.curve)?;
         c.save(path)
     }
 
@@ -108,10 +104,15 @@ impl TrainerState {
             }
         };
         let mut state = Self {
-            seed: scalar(&mut c, "seed")?,
+            provenance: c.get("provenance")?,
+            seed: c.get("seed")?,
+            iteration: c.get("iteration")?,
+            reviews: c.get("reviews")?,
+            losses: c.get("losses")?,
+            curve: c.get("curve")?,
+            seconds: c.get("seconds")?,
             ..Self::default()
         };
-        state.iteration = scalar::<u64>(&mut c, "iteration")? as usize;
         let mut values = Moments::default();
         for (k, width) in widths(sh_degree).into_iter().enumerate() {
             values[k] = c.take(NAMES[k], &[n, width])?;
@@ -123,45 +124,6 @@ impl TrainerState {
             gradient: c.take("density.gradient", &[n])?,
             visible: c.take("density.visible", &[n])?,
         };
-        let count = c.shape("reviews")?.first().copied().unwrap_or(0);
-        let reviews: Vec<f64> = c.take("reviews", &[count, REVIEW_COLUMNS])?;
-        state.reviews = reviews.as_chunks().0.iter().map(review).collect();
-        state.losses = (scalar(&mut c, "loss.sum")?, scalar(&mut c, "loss.count")?);
-        state.seconds = scalar(&mut c, "seconds")?;
-        state.provenance = c.get("provenance")?;
-        state.curve = c.take_curve()?;
         Ok(state)
     }
-}
-
-/// A row of the tensor of reviews.
-fn review_values(review: &Review) -> [f64; REVIEW_COLUMNS] {
-    [
-        review.iteration as f64,
-        review.gaussians as f64,
-        review.kept as f64,
-        review.psnr_before,
-        review.psnr_after,
-        review.psnr_trained,
-    ]
-}
-
-/// The inverse of [`review_values`].
-fn review(values: &[f64; REVIEW_COLUMNS]) -> Review {
-    let [iteration, gaussians, kept] = [0, 1, 2].map(|i| values[i] as usize);
-    let [psnr_before, psnr_after, psnr_trained] = [3, 4, 5].map(|i| values[i]);
-    Review {
-        iteration,
-        gaussians,
-        kept,
-        psnr_before,
-        psnr_after,
-        psnr_trained,
-    }
-}
-
-/// A tensor without dimensions.
-fn scalar<T: Scalar>(c: &mut Checkpoint, name: &str) -> Result<T> {
-    let value = c.take::<T>(name, &[])?.pop();
-    value.ok_or_else(|| c.wrong(format!("tensor {name}"), "no value", "one value"))
 }

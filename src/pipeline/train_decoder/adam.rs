@@ -1,16 +1,18 @@
 //! The parameters of a burn module as one vector, and Adam over it.
 
 use crate::backend::device::{read, upload};
+use crate::checkpoint::Checkpoint;
 use crate::error::Result;
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::optim::{AdamConfig, AdamState, AdaptiveMomentumState, Optimizer};
-use burn::tensor::{Device, Gradients, Tensor};
+use burn::tensor::{Gradients, Tensor};
 
 /// Added to the root of the second moment.
 const EPSILON: f32 = 1e-8;
-
-/// Named vectors, as checkpoints store them.
-pub type NamedValues = Vec<(String, Vec<f32>)>;
+/// Names of the vectors in a checkpoint.
+const FIRST: &str = "first moment";
+const SECOND: &str = "second moment";
+const MEAN: &str = "mean";
 
 /// burn's Adam over all parameters of a module, and the mean of the parameters over the last steps.
 #[derive(Clone)]
@@ -69,49 +71,53 @@ impl Adam {
         }
     }
 
-    /// Step count, moments and mean.
+    /// Puts step count, moments and mean into `checkpoint`.
     ///
     /// # Errors
     /// [`crate::Error::Device`] when the device does not return them.
-    pub fn state(&self) -> Result<NamedValues> {
-        let mut named = vec![("steps".to_owned(), vec![self.steps as f32])];
+    pub fn save(&self, checkpoint: &mut Checkpoint) -> Result<()> {
+        checkpoint.set("steps", &self.steps)?;
+        checkpoint.set("averaged", &self.mean.is_some())?;
         if let Some(AdamState { momentum }) = &self.state {
-            let moments = [&momentum.moment_1, &momentum.moment_2];
-            for (name, moment) in ["first moment", "second moment"].iter().zip(moments) {
-                named.push(((*name).to_owned(), read(name, moment.clone())?));
-            }
+            save_vector(checkpoint, FIRST, momentum.moment_1.clone())?;
+            save_vector(checkpoint, SECOND, momentum.moment_2.clone())?;
         }
         if let Some(mean) = &self.mean {
-            named.push(("mean".to_owned(), read("mean", mean.clone())?));
+            save_vector(checkpoint, MEAN, mean.clone())?;
         }
-        Ok(named)
+        Ok(())
     }
 
-    /// Restores the state of [`Adam::state`] on `device`. `None` when a name is missing.
-    pub fn restore(
-        &mut self,
-        state: &dyn Fn(&str) -> Option<Vec<f32>>,
-        device: &Device,
-    ) -> Option<()> {
-        let vector = |name: &str| Some(vector(state(name)?, device));
-        self.steps = *state("steps")?.first()? as usize;
+    /// Takes the state of [`Adam::save`] out of `checkpoint`, for as many parameters as `like` has, to its device.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::take`] and [`Checkpoint::get`].
+    pub fn load(&mut self, checkpoint: &mut Checkpoint, like: &Tensor<1>) -> Result<()> {
+        self.steps = checkpoint.get("steps")?;
+        let averaged: bool = checkpoint.get("averaged")?;
+        let mut vector = |name| load_vector(checkpoint, name, like);
         self.state = match self.steps {
             0 => None,
             time => {
-                let [first, second] = [vector("first moment")?, vector("second moment")?];
-                let momentum = AdaptiveMomentumState::new(time, first, second);
+                let momentum = AdaptiveMomentumState::new(time, vector(FIRST)?, vector(SECOND)?);
                 Some(AdamState::new(momentum))
             }
         };
-        self.mean = vector("mean");
-        Some(())
+        self.mean = averaged.then(|| vector(MEAN)).transpose()?;
+        Ok(())
     }
 }
 
-/// A vector on `device`, without autodiff.
-fn vector(values: Vec<f32>, device: &Device) -> Tensor<1> {
-    let shape = [values.len()];
-    upload(values, shape, &device.clone().inner())
+/// Puts a vector into `checkpoint`.
+pub fn save_vector(checkpoint: &mut Checkpoint, name: &str, vector: Tensor<1>) -> Result<()> {
+    let values = read(name, vector)?;
+    checkpoint.put(name, &[values.len()], values)
+}
+
+/// Takes a vector as long as `like` out of `checkpoint`, to its device.
+pub fn load_vector(checkpoint: &mut Checkpoint, name: &str, like: &Tensor<1>) -> Result<Tensor<1>> {
+    let values = checkpoint.take(name, &like.dims())?;
+    Ok(upload(values, like.dims(), &like.device()))
 }
 
 /// The parameters of `module` in its own order, `[P]`, without autodiff.
@@ -163,9 +169,4 @@ pub fn with_parameters<M: Module>(module: M, values: Tensor<1>) -> M {
         }
     }
     module.map(&mut Unflatten(values, 0))
-}
-
-/// `module` with the parameters `values`; `None` where it has another number of them.
-pub fn restored<M: Module>(module: M, values: Vec<f32>, device: &Device) -> Option<M> {
-    (values.len() == module.num_params()).then(|| with_parameters(module, vector(values, device)))
 }

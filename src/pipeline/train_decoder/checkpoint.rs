@@ -1,13 +1,10 @@
 //! The checkpoint of a variant in training.
 
-use super::adam::{parameters, restored};
-use super::{ClassRecall, IdentityModel, Losses, Training, TrainingPlan, TrainingSchedule};
-use crate::backend::device::read;
+use super::adam::{load_vector, parameters, save_vector, with_parameters};
+use super::{ClassRecall, IdentityModel, Training, TrainingPlan, TrainingSchedule};
 use crate::checkpoint::Checkpoint;
 use crate::error::Result;
 use crate::provenance::Provenance;
-use burn::module::Module;
-use std::collections::HashMap;
 use std::path::Path;
 
 const KIND: &str = "segmentation variant";
@@ -19,23 +16,12 @@ impl<M: IdentityModel> Training<M> {
         let mut checkpoint = Checkpoint::new(KIND);
         checkpoint.set("iteration", &self.iteration)?;
         checkpoint.set("provenance", provenance)?;
-        checkpoint.put_curve(&self.curve)?;
-        let Losses { sum, count } = self.losses;
-        checkpoint.put("running", &[3], vec![self.seconds, sum, count])?;
+        checkpoint.set("curve", &self.curve)?;
+        checkpoint.set("seconds", &self.seconds)?;
+        checkpoint.set("losses", &self.losses)?;
         checkpoint.put("recall", &[self.recall.0.len()], self.recall.0.clone())?;
-        let mut vectors = self.adam.state()?;
-        vectors.push((
-            PARAMETERS.to_owned(),
-            read(PARAMETERS, parameters(&self.module))?,
-        ));
-        let lengths: Vec<(&str, usize)> = vectors
-            .iter()
-            .map(|(name, values)| (name.as_str(), values.len()))
-            .collect();
-        checkpoint.set("vectors", &lengths)?;
-        for (name, values) in vectors {
-            checkpoint.put(name, &[values.len()], values)?;
-        }
+        save_vector(&mut checkpoint, PARAMETERS, parameters(&self.module))?;
+        self.adam.save(&mut checkpoint)?;
         checkpoint.save(path)
     }
 
@@ -53,38 +39,18 @@ impl<M: IdentityModel> Training<M> {
         self.iteration = checkpoint.get("iteration")?;
         let finished = self.iteration == plan.config.iterations;
         schedule.provenance.check(&stored, finished, path)?;
-        let lengths: Vec<(String, usize)> = checkpoint.get("vectors")?;
-        let mut vectors: HashMap<String, Vec<f32>> = HashMap::new();
-        for (name, length) in lengths {
-            let values = checkpoint.take(&name, &[length])?;
-            vectors.insert(name, values);
-        }
-        if self.restore(&|name| vectors.get(name).cloned()).is_none() {
-            return Err(checkpoint.wrong(
-                "vectors",
-                "those of another model",
-                "parameters and moments of this variant",
-            ));
-        }
-        let running: Vec<f64> = checkpoint.take("running", &[3])?;
-        self.seconds = running[0];
-        self.losses = Losses {
-            sum: running[1],
-            count: running[2],
-        };
+        let fresh = parameters(&self.module);
+        let trained = load_vector(&mut checkpoint, PARAMETERS, &fresh)?;
+        self.module = with_parameters(self.module.clone(), trained);
+        self.adam.load(&mut checkpoint, &fresh)?;
+        self.seconds = checkpoint.get("seconds")?;
+        self.losses = checkpoint.get("losses")?;
         self.recall = ClassRecall(checkpoint.take("recall", &[self.recall.0.len()])?);
-        self.curve = checkpoint.take_curve()?;
+        self.curve = checkpoint.get("curve")?;
         if !schedule.provenance.renders_as(&stored) {
             // Scores by another rule than this run's.
             self.curve.iter_mut().for_each(|point| point.miou = None);
         }
         Ok(())
-    }
-
-    /// Takes back parameters and the state of Adam. `None` when a vector is missing or has another length.
-    fn restore(&mut self, state: &dyn Fn(&str) -> Option<Vec<f32>>) -> Option<()> {
-        let device = self.module.devices().into_iter().next()?;
-        self.module = restored(self.module.clone(), state(PARAMETERS)?, &device)?;
-        self.adam.restore(state, &device)
     }
 }

@@ -13,8 +13,8 @@ mod sampling;
 mod view_input;
 mod views;
 
+pub use self::adam::Adam;
 pub(super) use self::adam::parameter_gradients;
-pub use self::adam::{Adam, NamedValues};
 pub use self::class_recall::ClassRecall;
 pub use self::decoder_model::{DecodedParts, DecoderModel, DecoderPlan, dropped_channels};
 pub use self::per_gaussian::{Logits, PerGaussian};
@@ -34,6 +34,7 @@ use crate::reconstruction::optimizer::finite_loss;
 use crate::segmentation::loss::{CoSegLoss, Scores};
 use burn::module::Module;
 use burn::tensor::{Gradients, Tensor};
+use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -144,7 +145,7 @@ pub struct Training<M: IdentityModel> {
 }
 
 /// Sum and number of losses.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct Losses {
     sum: f64,
     count: f64,

@@ -3,6 +3,7 @@
 use crate::support::painted_plane::{config, scene};
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::Tensor;
+use coseg::checkpoint::Checkpoint;
 use coseg::config::{Budget, BuildingConfig, Config, LabelSource, Resolution, Variant};
 use coseg::data::{LabelMap, Split};
 use coseg::objects::{Identities, LabelMaps, RenderOptions, Renderer, Votes, vote};
@@ -90,13 +91,11 @@ fn moments(training: &Training<DecoderModel>) -> Vec<[Vec<f32>; 2]> {
     }
     let mut sizes = Sizes(Vec::new());
     training.module.visit(&mut sizes);
-    let state = training.adam.state().expect("readable");
-    let vector = |name: &str| {
-        let found = state.iter().find(|(found, _)| found == name);
-        found.expect("a moment").1.clone()
-    };
+    let count: usize = sizes.0.iter().sum();
+    let mut state = Checkpoint::new("adam");
+    training.adam.save(&mut state).expect("readable");
+    let mut vector = |name: &str| -> Vec<f32> { state.take(name, &[count]).expect("a moment") };
     let [first, second] = [vector("first moment"), vector("second moment")];
-    assert_eq!(sizes.0.iter().sum::<usize>(), first.len());
     let mut start = 0;
     let of_parameter = |size| {
         let range = start..start + size;

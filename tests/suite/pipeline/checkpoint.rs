@@ -3,6 +3,15 @@
 use coseg::checkpoint::Checkpoint;
 use std::fs;
 
+/// Numbers that a fast parser of JSON reads with an error in the last bit, and the smallest ones.
+const FINITE: [f64; 5] = [
+    0.1 + 0.2,
+    1.0 / 3.0 * 1e-17,
+    0.123_456_789_012_345_67e-5,
+    f64::MIN_POSITIVE,
+    5e-324,
+];
+
 fn sample() -> Checkpoint {
     let mut c = Checkpoint::new("building");
     c.put(
@@ -19,6 +28,7 @@ fn sample() -> Checkpoint {
     c.put("empty", &[0, 3], Vec::<f32>::new()).expect("fits");
     c.set("names", &["a", "b"]).expect("JSON");
     c.set("seed", &u64::MAX).expect("JSON");
+    c.set("losses", &FINITE).expect("JSON");
     c
 }
 
@@ -48,6 +58,7 @@ fn round_trip_is_exact_and_leaves_no_temporary_file() {
     assert_eq!(c.take::<f32>("empty", &[0, 3]).expect("there"), [0.0; 0]);
     assert_eq!(c.get::<Vec<String>>("names").expect("there"), ["a", "b"]);
     assert_eq!(c.get::<u64>("seed").expect("there"), u64::MAX);
+    assert_eq!(c.get::<[f64; 5]>("losses").expect("there"), FINITE);
 
     // the same state gives the same bytes
     let again = dir.path().join("again.safetensors");
