@@ -3,7 +3,7 @@
 use crate::checkpoint::Scalar;
 use crate::config::{Config, LabelSource};
 use crate::data::{LabelRuns, Scene, Split, View};
-use crate::error::{Error, Result, in_order, invalid};
+use crate::error::{Result, bail, in_order, invalid};
 use crate::splat::Gaussians;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -104,7 +104,7 @@ impl Provenance {
     /// The provenance of a variant of stage two; `of_features`: it learns from features of the Gaussians.
     ///
     /// # Errors
-    /// [`Error::Io`] when a file of scores cannot be read.
+    /// [`crate::Error::Io`] when a file of scores cannot be read.
     pub fn stage_two(
         config: &Config,
         scene: &Scene,
@@ -166,44 +166,52 @@ impl Provenance {
         *self != Self::default()
     }
 
-    /// Refuses a checkpoint, `stored` in `file`, of other settings or data. A `finished` training may be scored by another rule
-    /// of rendering.
+    /// Refuses a `file` with the provenance `stored` of other settings or data. A `finished` training may be scored by another rule of
+    /// rendering. The errors give `help`, or say how to resume.
     ///
     /// # Errors
-    /// [`Error::Config`] naming the first setting that differs, or the one that explains other data; [`Error::Input`] naming
+    /// [`crate::Error::Config`] naming the first setting that differs, or the one that explains other data; [`crate::Error::Input`] naming
     /// the data.
-    pub fn check(&self, stored: &Self, finished: bool, file: &Path) -> Result<()> {
-        match self.difference(stored, finished) {
-            Some(difference) => Err(difference.refuses_to_resume(file)),
+    pub fn check(
+        &self,
+        stored: &Self,
+        finished: bool,
+        file: &Path,
+        help: Option<&str>,
+    ) -> Result<()> {
+        let other_value = |key: &str, now: &str, then: &str| {
+            let resume = "resume with that value, or train with this one into another folder";
+            invalid!(setting "{key}"; found "{now}"; expected "{then}, as when {} was written", file.display();
+                help "{}", help.unwrap_or(resume))
+        };
+        let check_settings = |now: &Values, then: &Values| match first_difference(now, then) {
+            Some(key) => {
+                let value = |values: &Values| values.get(key).cloned().unwrap_or("nothing".into());
+                Err(other_value(key, &value(now), &value(then)))
+            }
             None => Ok(()),
-        }
-    }
-
-    /// What differs in `stored`, if anything: the first setting, or the one that explains other data, or the data. `finished` as in
-    /// [`Provenance::check`].
-    pub(crate) fn difference(&self, stored: &Self, finished: bool) -> Option<Difference> {
-        if let Some(setting) = first_difference(&self.settings, &stored.settings) {
-            return Some(setting);
-        }
+        };
+        check_settings(&self.settings, &stored.settings)?;
         if !finished && self.render != stored.render {
             let text = |render| serde_json::json!(render).to_string();
-            return Some(Difference::Setting {
-                key: "segmentation.render".to_owned(),
-                now: text(self.render),
-                then: text(stored.render),
-            });
+            let (now, then) = (text(self.render), text(stored.render));
+            return Err(other_value("segmentation.render", &now, &then));
         }
         let kinds = self.data.keys().chain(stored.data.keys());
         let digest = |of: &Self, data| of.data.get(data).map(|origin| origin.digest.clone());
-        let data = kinds
+        let Some(data) = kinds
             .filter(|data| digest(self, data) != digest(stored, data))
-            .min()?;
-        let explained = match (self.data.get(data), stored.data.get(data)) {
-            (Some(now), Some(then)) => first_difference(&now.settings, &then.settings),
-            _ => None,
+            .min()
+        else {
+            return Ok(());
         };
+        if let (Some(now), Some(then)) = (self.data.get(data), stored.data.get(data)) {
+            check_settings(&now.settings, &then.settings)?;
+        }
         let [name, original] = data.words();
-        explained.or(Some(Difference::Data { name, original }))
+        let resume = format!("resume with {original}, or train into another folder");
+        bail!(file, "{name}"; found "those of other data"; expected "those of this run";
+            help "{}", help.unwrap_or(&resume))
     }
 
     /// Whether label maps are rendered by the same rule as in `stored`.
@@ -212,50 +220,12 @@ impl Provenance {
     }
 }
 
-/// A difference between two provenances.
-pub(crate) enum Difference {
-    /// A setting by its dotted key. The values are JSON texts.
-    Setting {
-        key: String,
-        now: String,
-        then: String,
-    },
-    /// Data, where no setting explains the difference: its name, and what to resume with.
-    Data {
-        name: &'static str,
-        original: &'static str,
-    },
-}
-
-impl Difference {
-    /// The refusal to resume from `file`.
-    fn refuses_to_resume(&self, file: &Path) -> Error {
-        match self {
-            Self::Setting { key, now, then } => {
-                invalid!(setting "{key}"; found "{now}"; expected "{then}, as when {} was written", file.display();
-                    help "resume with that value, or train with this one into another folder")
-            }
-            Self::Data { name, original } => {
-                invalid!(file, "{name}"; found "those of other data"; expected "those of this run";
-                    help "resume with {original}, or train into another folder")
-            }
-        }
-    }
-}
-
 /// The first key with different values. The scene folder comes last: its name differs for a scene that was moved as well.
-fn first_difference(now: &Values, then: &Values) -> Option<Difference> {
-    let key = now
-        .keys()
+fn first_difference<'a>(now: &'a Values, then: &'a Values) -> Option<&'a String> {
+    now.keys()
         .chain(then.keys())
         .filter(|key| now.get(*key) != then.get(*key))
-        .min_by_key(|key| key.as_str() == "data.dir")?;
-    let value = |values: &Values| values.get(key).cloned().unwrap_or("nothing".into());
-    Some(Difference::Setting {
-        key: key.clone(),
-        now: value(now),
-        then: value(then),
-    })
+        .min_by_key(|key| key.as_str() == "data.dir")
 }
 
 /// The settings of some sections, without those that do not affect results. Paths count by their file names, as files may move.

@@ -5,12 +5,12 @@ use crate::config::Variant;
 use crate::error::{Result, bail, ensure};
 use crate::files::{self, atomic};
 use crate::metrics::ClassIou;
-use crate::provenance::{Difference, Provenance};
+use crate::provenance::Provenance;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// What to do about a file of something else.
-const HELP: &str = "delete the file to train it again, or choose another --out";
+pub(super) const HELP: &str = "delete the file to train it again, or choose another --out";
 
 /// Which cell.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -90,7 +90,7 @@ pub(super) fn write_cell(out: &Path, cell: Cell, provenance: Provenance) -> Resu
 /// The finished cell `id` in the folder `out`. It has to have `provenance`, and be of `commit` unless that is `None`.
 ///
 /// # Errors
-/// [`crate::Error::Input`] naming the file and what differs.
+/// [`crate::Error::Input`] and [`crate::Error::Config`] naming the file and what differs.
 pub(super) fn read_cell(
     out: &Path,
     id: &CellId,
@@ -101,30 +101,10 @@ pub(super) fn read_cell(
     let stored: CellFile = files::json(path, "a cell of `coseg compare`")?;
     let cell = stored.cell;
     ensure!(cell.id == *id, path, "scene, labels, row, seed"; found "{}", cell.id; expected "{id}"; help "{HELP}");
-    check_provenance(provenance, &stored.provenance, path)?;
+    provenance.check(&stored.provenance, false, path, Some(HELP))?;
     if let Some(commit) = commit.filter(|commit| *commit != cell.commit) {
         bail!(path, "commit"; found "{}", cell.commit; expected "{commit}, that of this program";
             help "{HELP}, or keep such cells with --keep-cells");
     }
     Ok(cell)
-}
-
-/// Refuses the finished file `path` of a comparison, which has the provenance `stored`, where the plan has another one.
-///
-/// # Errors
-/// [`crate::Error::Input`] naming the file and what differs.
-pub(super) fn check_provenance(
-    of_plan: &Provenance,
-    stored: &Provenance,
-    path: &Path,
-) -> Result<()> {
-    match of_plan.difference(stored, false) {
-        None => Ok(()),
-        Some(Difference::Setting { key, now, then }) => {
-            bail!(path, "{key}"; found "{then}"; expected "{now}, as in the plan"; help "{HELP}")
-        }
-        Some(Difference::Data { name, .. }) => {
-            bail!(path, "{name}"; found "those of other data"; expected "those of the plan"; help "{HELP}")
-        }
-    }
 }

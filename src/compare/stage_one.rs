@@ -1,7 +1,7 @@
 //! The Gaussians of a scene that all of its cells share: trained once, or taken from a file.
 
 use super::Options;
-use super::cells::check_provenance;
+use super::cells::HELP;
 use super::plan::{Plan, SceneFolder};
 use crate::config::{BuildingConfig, Config};
 use crate::error::{Result, bail};
@@ -26,7 +26,7 @@ impl SharedGaussians {
     /// Those of `scene`, trained first or taken from the file that `options` name, unless that is done.
     ///
     /// # Errors
-    /// [`crate::Error::Input`] for Gaussians of other settings or photos, or from another file; those of [`pipeline::run`].
+    /// [`crate::Error::Config`] and [`crate::Error::Input`] for Gaussians of other settings or photos, or from another file; those of [`pipeline::run`].
     pub fn of(
         scene: &SceneFolder,
         plan: &Plan,
@@ -108,6 +108,6 @@ impl Record {
         }
         let config = settings(plan, scene, self.given.as_deref())?;
         let of_plan = Provenance::stage_one(&config, &load_scene(&config)?);
-        check_provenance(&of_plan, &self.provenance, path)
+        of_plan.check(&self.provenance, false, path, Some(HELP))
     }
 }

@@ -134,7 +134,7 @@ fn take(
     let provenance = Provenance::initial_scene(config, scene, &gaussians);
     if built.is_file() {
         let stored = TrainerState::load(&built)?.provenance;
-        provenance.check(&stored, false, &built)?;
+        provenance.check(&stored, false, &built, None)?;
     }
     let new = !initial.is_file();
     if new {
@@ -143,7 +143,7 @@ fn take(
         checkpoint.save(&initial)?;
     } else {
         let stored = Checkpoint::load(&initial, INITIAL_KIND)?.get("provenance")?;
-        provenance.check(&stored, false, &initial)?;
+        provenance.check(&stored, false, &initial, None)?;
     }
     Ok(Reconstruction {
         gaussians: gaussians.select(&gaussians.spatial_order()),
@@ -169,7 +169,7 @@ fn build(
     let taken = files.initial();
     if taken.is_file() {
         let stored = Checkpoint::load(&taken, INITIAL_KIND)?.get("provenance")?;
-        Provenance::stage_one(config, scene).check(&stored, false, &taken)?;
+        Provenance::stage_one(config, scene).check(&stored, false, &taken, None)?;
     }
     let state = match initial {
         _ if checkpoint.is_file() => Some(TrainerState::load(&checkpoint)?),

@@ -350,7 +350,7 @@ fn check_state(state: &TrainerState, scene: &Scene, config: &Config) -> Result<P
     let provenance = Provenance::stage_one(config, scene);
     if state.provenance.is_known() {
         let file = Path::new("the building checkpoint");
-        provenance.check(&state.provenance, false, file)?;
+        provenance.check(&state.provenance, false, file, None)?;
     }
     ensure!(state.seed == config.seed, setting "seed"; found "{}", config.seed; expected "{}", state.seed;
         help "resume with the seed of the checkpoint");

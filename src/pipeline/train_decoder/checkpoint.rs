@@ -38,7 +38,7 @@ impl<M: IdentityModel> Training<M> {
         let stored: Provenance = checkpoint.get("provenance")?;
         self.iteration = checkpoint.get("iteration")?;
         let finished = self.iteration == plan.config.iterations;
-        schedule.provenance.check(&stored, finished, path)?;
+        schedule.provenance.check(&stored, finished, path, None)?;
         let fresh = parameters(&self.module);
         let trained = load_vector(&mut checkpoint, PARAMETERS, &fresh)?;
         self.module = with_parameters(self.module.clone(), trained);

@@ -171,8 +171,8 @@ fn other_settings_data_and_commits_are_refused() {
         &[
             cell,
             "segmentation.iterations",
-            "found 8",
-            "expected 9",
+            "found 9",
+            "expected 8, as when",
             "--out",
         ],
     );
