@@ -54,7 +54,7 @@ pub fn associate(
     viewing.end();
     let mut counts = AssociationCounts {
         segments: found.segments,
-        objects: found.groups.len(),
+        objects: found.classes.len(),
         dropped: found.dropped,
         divided: found.divided,
         seconds: 0.0,

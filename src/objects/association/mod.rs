@@ -32,7 +32,7 @@ mod sweeps;
 use crate::data::{Class, Classes, LabelRuns, ObjectOf, Scene, Split, View, class_color};
 use crate::error::{Result, bail, ensure};
 use crate::raster::Settings;
-use crate::splat::{Gaussians, rows_where};
+use crate::splat::Gaussians;
 use divide::divided;
 use groups::{Assigned, Category, Groups, Unmatched};
 use ownership::{extents, sightings_in_views};
@@ -40,26 +40,11 @@ use relabel::relabelled;
 use segments::{NO_SEGMENT, ViewSegments, view_segments};
 use std::collections::{BTreeSet, HashMap};
 
-/// An object that segments of several views show.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Group {
-    /// Id in the maps and in the class table.
-    pub id: u16,
-    /// Class of its segments, where the segmenter gives one.
-    pub class: Option<u16>,
-    /// Training views with a segment of it.
-    pub views: usize,
-    /// Sum of `alpha' T` of its segments, pixels of the training views.
-    pub weight: f64,
-}
-
 /// Label maps with ids that mean the same in every view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Association {
-    /// The groups as a class table; id 0 is unlabelled.
+    /// The groups as a class table, largest first; id 0 is unlabelled.
     pub classes: Classes,
-    /// The groups, ascending by id, largest first.
-    pub groups: Vec<Group>,
     /// For each view of the scene, its raw labels in ids of the groups.
     pub maps: Vec<Option<LabelRuns>>,
     /// Number of segments in the training views.
@@ -147,7 +132,7 @@ impl AssociationInputs<'_> {
         }
         let mut groups = Groups::new(self.gaussians.len());
         let assigned = sweeps::form_groups(&mut groups, &views, progress)?;
-        let (kept, found) = numbered_groups(&groups, &assigned)?;
+        let kept = numbered_groups(&groups, &assigned)?;
         let maps = self.maps(&mut groups, &views, &assigned, &kept, progress)?;
         let segments = || {
             assigned
@@ -157,7 +142,6 @@ impl AssociationInputs<'_> {
         let categories = kept.iter().map(|&group| groups.category(group));
         Ok(Association {
             classes: class_table(categories, &self.scene.classes),
-            groups: found,
             maps,
             segments: segments().count(),
             dropped: segments()
@@ -210,33 +194,21 @@ impl AssociationInputs<'_> {
     }
 }
 
-/// The groups that have a segment, largest first, by number and as the result lists them.
+/// The numbers of the groups that have a segment, largest first.
 ///
 /// # Errors
 /// [`crate::Error::Limit`] for more groups than u16 has ids.
-fn numbered_groups(groups: &Groups, assigned: &[Assigned<'_>]) -> Result<(Vec<u32>, Vec<Group>)> {
+fn numbered_groups(groups: &Groups, assigned: &[Assigned<'_>]) -> Result<Vec<u32>> {
     let totals = merge::totals(groups);
     let weight = |group: u32| totals[group as usize].weight;
-    let mut views = vec![0; groups.len()];
-    for view in assigned {
-        let present: BTreeSet<u32> = view.groups.iter().flatten().copied().collect();
-        present
-            .into_iter()
-            .for_each(|group| views[group as usize] += 1);
-    }
-    let mut kept = rows_where(&views, |views| *views > 0);
+    let present = assigned.iter().flat_map(|view| &view.groups).flatten();
+    let present: BTreeSet<u32> = present.copied().collect();
+    let mut kept: Vec<u32> = present.into_iter().collect();
     kept.sort_by(|&a, &b| weight(b).total_cmp(&weight(a)).then(a.cmp(&b)));
     ensure!(kept.len() < usize::from(u16::MAX),
         limit "groups of segments"; found "{}", kept.len(); expected "{}", u16::MAX - 1;
         help "give a segmentation of larger things");
-    let group = |(&group, id)| Group {
-        id,
-        class: groups.category(group).class,
-        views: views[group as usize],
-        weight: weight(group),
-    };
-    let found = kept.iter().zip(1..).map(group).collect();
-    Ok((kept, found))
+    Ok(kept)
 }
 
 /// The class table of groups of these categories: `object 1`, or `chair 2` where the class is known, or `floor` for stuff.

@@ -6,7 +6,7 @@ use crate::support::plate_objects::{
 use crate::support::plates;
 use crate::support::spoilt_masks::{Noise, spoilt};
 use coseg::config::{self, Variant};
-use coseg::data::{LabelMap, Segment};
+use coseg::data::{LabelMap, Segment, Split};
 use coseg::objects;
 use coseg::pipeline::run;
 use coseg::progress::Silent;
@@ -27,7 +27,7 @@ fn shuffled_ids_become_objects() {
     );
     assert_eq!(
         (
-            association.groups.len(),
+            association.classes.len(),
             association.dropped,
             association.segments
         ),
@@ -40,19 +40,24 @@ fn shuffled_ids_become_objects() {
         .map(|c| &*c.name)
         .collect();
     assert_eq!(names, ["object 1", "object 2", "object 3", "object 4"]);
+    let pixels = |id: u16| {
+        let views = scene.views.iter().zip(&association.maps);
+        let trained = views.filter(|(view, _)| view.split == Split::Train);
+        let counts = trained.map(|(_, of)| map(of).ids.iter().filter(|i| **i == id).count());
+        counts.collect::<Vec<usize>>()
+    };
+    let of_objects: Vec<_> = (1..=4).map(pixels).collect();
+    let sizes: Vec<usize> = of_objects.iter().map(|views| views.iter().sum()).collect();
     assert!(
-        association
-            .groups
-            .windows(2)
-            .all(|g| g[0].weight >= g[1].weight),
-        "largest first"
+        sizes.windows(2).all(|pair| pair[0] >= pair[1]),
+        "largest first: {sizes:?}"
     );
-    assert!(
-        association
-            .groups
-            .iter()
-            .all(|g| g.views == 4 && g.class.is_none())
-    );
+    let in_views = of_objects
+        .iter()
+        .map(|v| v.iter().filter(|n| **n > 0).count());
+    assert_eq!(in_views.collect::<Vec<_>>(), [4; 4]);
+    let mut entries = association.classes.entries.iter();
+    assert!(entries.all(|entry| entry.object_of.is_none()));
     association.apply(&mut scene);
     assert!(
         scene
@@ -117,20 +122,16 @@ fn no_object_has_two_classes_and_stuff_is_one_object() {
             .collect();
     }
     let association = found(&gaussians, &scene);
-    let wall: Vec<_> = association
-        .groups
-        .iter()
-        .filter(|g| g.class == Some(4))
-        .collect();
+    let of_class = |class: u16| -> Vec<u16> {
+        let entries = association.classes.entries.iter();
+        let of_class = entries.filter(|e| e.object_of.is_some_and(|of| of.class == class));
+        of_class.map(|entry| entry.id).collect()
+    };
+    let wall = of_class(4);
     assert_eq!(wall.len(), 1);
     // Names are those of the scene's classes.
-    assert_eq!(association.classes.name(wall[0].id), "wall");
-    let chairs = association
-        .groups
-        .iter()
-        .filter(|g| g.class == Some(2))
-        .count();
-    assert_eq!(chairs, 3, "{:?}", association.classes);
+    assert_eq!(association.classes.name(wall[0]), "wall");
+    assert_eq!(of_class(2).len(), 3, "{:?}", association.classes);
     assert!(
         association
             .classes
@@ -139,12 +140,7 @@ fn no_object_has_two_classes_and_stuff_is_one_object() {
             .any(|c| c.name == "green 2")
     );
     let found = map(&association.maps[0]);
-    let other: Vec<u16> = association
-        .groups
-        .iter()
-        .filter(|g| g.class == Some(3))
-        .map(|g| g.id)
-        .collect();
+    let other = of_class(3);
     let truth = map(&scene.views[0].instances);
     assert!(
         found
@@ -279,7 +275,7 @@ fn a_segment_over_two_things_is_divided_and_joins_nothing() {
         let (gaussians, scene) = joined(one);
         let association = found(&gaussians, &scene);
         assert_eq!(
-            (association.groups.len(), association.divided),
+            (association.classes.len(), association.divided),
             (4, 1),
             "{pair:?} in view {view}"
         );
@@ -300,6 +296,6 @@ fn what_most_views_take_for_one_is_one() {
         ([None, pair, None, pair], 4),
     ] {
         let (gaussians, scene) = joined(views);
-        assert_eq!(found(&gaussians, &scene).groups.len(), groups, "{views:?}");
+        assert_eq!(found(&gaussians, &scene).classes.len(), groups, "{views:?}");
     }
 }
