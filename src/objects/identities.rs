@@ -27,22 +27,6 @@ impl Identities {
             .collect()
     }
 
-    /// The softmax of each row: what logits stand for.
-    #[must_use]
-    pub fn softmax(&self) -> Self {
-        let mut scores = self.scores.clone();
-        for row in scores.chunks_exact_mut(self.classes.max(1)) {
-            let highest = row.iter().fold(f32::NEG_INFINITY, |h, &s| h.max(s));
-            row.iter_mut().for_each(|s| *s = (*s - highest).exp());
-            let sum: f32 = row.iter().sum();
-            row.iter_mut().for_each(|s| *s /= sum);
-        }
-        Self {
-            scores,
-            classes: self.classes,
-        }
-    }
-
     /// Class ids of [`Identities::labels`], the ignored id where nothing is known: the PLY's `label` column.
     pub fn ids(&self, classes: &Classes) -> Vec<u16> {
         let id = |c: u16| classes.entries.get(usize::from(c)).map(|c| c.id);
