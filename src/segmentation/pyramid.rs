@@ -218,46 +218,18 @@ impl Dependencies {
 /// steps. The paper does not mention this; `standardise = false` leaves the features as they are.
 #[derive(Clone, Debug)]
 pub struct Standardisation {
-    /// One for each level, then one for the set below them.
-    channels: Vec<ChannelScale>,
-}
-
-/// `[1, C]` mean and reciprocal spread; 0 for channels that do not vary.
-#[derive(Clone, Debug)]
-struct ChannelScale {
-    mean: Tensor<2>,
-    factor: Tensor<2>,
+    /// `[1, C]` mean and reciprocal spread of each level, then of the set below them; `None` where there are no features. The
+    /// reciprocal is 0 for channels that do not vary.
+    channels: Vec<Option<[Tensor<2>; 2]>>,
 }
 
 /// Spreads below this share of the channel's root mean square count as none.
 const MIN_SPREAD: f32 = 1e-5;
 
-impl ChannelScale {
-    fn of(features: &Tensor<2>) -> Self {
-        let [rows, channels] = features.dims();
-        if rows == 0 || channels == 0 {
-            let empty = Tensor::zeros([1, channels], &features.device());
-            return Self {
-                mean: empty.clone(),
-                factor: empty,
-            };
-        }
-        let mean = features.clone().mean_dim(0);
-        let square = features.clone().powi_scalar(2).mean_dim(0);
-        let spread = (features.clone() - mean.clone())
-            .powi_scalar(2)
-            .mean_dim(0)
-            .sqrt();
-        let varies = spread.clone().greater(square.sqrt() * MIN_SPREAD).float();
-        let factor = varies / spread.clamp_min(f32::MIN_POSITIVE);
-        Self { mean, factor }
-    }
-}
-
 impl Standardisation {
     /// Statistics of `pyramid`.
     pub fn of(pyramid: &Pyramid) -> Self {
-        let channels = pyramid.features().map(ChannelScale::of).collect();
+        let channels = pyramid.features().map(mean_and_factor).collect();
         Self { channels }
     }
 
@@ -265,10 +237,28 @@ impl Standardisation {
     pub fn apply(&self, pyramid: &mut Pyramid) {
         let levels = pyramid.levels.iter_mut().map(|level| &mut level.features);
         let features = levels.chain([&mut pyramid.top]);
-        for (features, ChannelScale { mean, factor }) in features.zip(&self.channels) {
-            if features.shape().num_elements() > 0 {
+        for (features, channels) in features.zip(&self.channels) {
+            if let Some([mean, factor]) = channels
+                && features.shape().num_elements() > 0
+            {
                 *features = (features.clone() - mean.clone()) * factor.clone();
             }
         }
     }
+}
+
+/// Mean and reciprocal spread of each channel, where there are any values.
+fn mean_and_factor(features: &Tensor<2>) -> Option<[Tensor<2>; 2]> {
+    if features.shape().num_elements() == 0 {
+        return None;
+    }
+    let mean = features.clone().mean_dim(0);
+    let square = features.clone().powi_scalar(2).mean_dim(0);
+    let spread = (features.clone() - mean.clone())
+        .powi_scalar(2)
+        .mean_dim(0)
+        .sqrt();
+    let varies = spread.clone().greater(square.sqrt() * MIN_SPREAD).float();
+    let factor = varies / spread.clamp_min(f32::MIN_POSITIVE);
+    Some([mean, factor])
 }
