@@ -9,6 +9,7 @@ use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
 use burn::tensor::{Device, Tensor};
 use glam::Vec3;
+use smart_default::SmartDefault;
 
 /// What a view shows. Rows are row-major, from the top left.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,14 +26,15 @@ pub struct Frame {
     pub labels: Option<LabelMap>,
 }
 
-/// How [`Renderer`] renders.
-#[derive(Clone, Copy, Debug)]
+/// How [`Renderer`] renders. By default with black behind, and labels from an alpha of 0.5 on.
+#[derive(Clone, Copy, Debug, SmartDefault)]
 pub struct RenderOptions {
     /// The rasterizer's.
     pub settings: Settings,
     /// Colour behind the scene, sRGB in 0..1.
     pub background: [f32; 3],
     /// Smallest alpha at which a pixel has a label. At 0 every pixel with a contributing Gaussian has one; above 1 no pixel has.
+    #[default(0.5)]
     pub min_coverage: f32,
 }
 
@@ -53,17 +55,6 @@ impl From<&Config> for RenderOptions {
             settings: Settings::from(&config.raster),
             background: config.raster.background,
             min_coverage: config.segmentation.min_coverage as f32,
-        }
-    }
-}
-
-impl Default for RenderOptions {
-    /// Default settings, black behind, labels from an alpha of 0.5 on.
-    fn default() -> Self {
-        Self {
-            settings: Settings::default(),
-            background: [0.0; 3],
-            min_coverage: 0.5,
         }
     }
 }

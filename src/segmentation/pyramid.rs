@@ -6,27 +6,20 @@ use crate::backend::device::upload;
 use crate::error::{Result, ensure};
 use crate::ops::{SparseMatrix, selected};
 use burn::tensor::Tensor;
+use smart_default::SmartDefault;
 use std::sync::Arc;
 
 /// Which features the decoder reads: the switches of the ablation table.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, SmartDefault)]
 pub struct Switches {
     /// Image features f_d,n.
+    #[default(true)]
     pub image: bool,
     /// Spatial features f_s,n and f_e.
+    #[default(true)]
     pub spatial: bool,
     /// All scales, or level 1 alone with the image features of the scale given (0 is scale 1).
     pub single_scale: Option<usize>,
-}
-
-impl Default for Switches {
-    fn default() -> Self {
-        Self {
-            image: true,
-            spatial: true,
-            single_scale: None,
-        }
-    }
 }
 
 /// Frozen inputs of one scale n = 1..4 (Eq. 7), on `N_n` points, without autodiff.

@@ -17,33 +17,27 @@ use crate::splat::Gaussians;
 use components::connected_components;
 use ellipsoid::Ellipsoid;
 use naming::Naming;
+use smart_default::SmartDefault;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What counts as touching, and as an object.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// What counts as touching, and as an object. The defaults were chosen on two trained rooms with true instances (docs/measured.md,
+/// "Things of one label").
+#[derive(Clone, Copy, Debug, PartialEq, SmartDefault)]
 pub struct Separation {
     /// Opacity at which a Gaussian ends, in (0, 1); a less opaque one touches nothing.
+    #[default(0.1)]
     pub level: f64,
     /// Pieces with less than this share of the area of their label's largest piece are strays, in [0, 1]. The area of a Gaussian is
     /// its opacity times its two larger standard deviations.
+    #[default(0.01)]
     pub smallest: f64,
     /// Pieces of fewer solid Gaussians than this are strays too, except the largest piece of a label.
+    #[default(10)]
     pub fewest: usize,
     /// Nearest Gaussians of the same label that each is compared with, at least 1. A large one is also compared with all whose
     /// centres lie within its longest half-axis.
+    #[default(24)]
     pub neighbours: usize,
-}
-
-/// Chosen on two trained rooms with true instances (docs/measured.md, "Things of one label").
-impl Default for Separation {
-    fn default() -> Self {
-        Self {
-            level: 0.1,
-            smallest: 0.01,
-            fewest: 10,
-            neighbours: 24,
-        }
-    }
 }
 
 /// Labels after separation.
