@@ -9,7 +9,7 @@ use crate::data::{self, LoadOptions, Scene, Split, View};
 use crate::error::{Error, Result, bail, ensure};
 use crate::files::lock::Lock;
 use crate::files::own;
-use crate::pipeline::{self, Scored, load_scene};
+use crate::pipeline::{self, load_scene};
 use crate::progress::{Event, Progress, go_on};
 use crate::provenance::Provenance;
 use crate::random::{Purpose, stream};
@@ -235,10 +235,11 @@ impl<'a> Comparison<'a> {
         let folder = self.options.out.join("runs").join(&id.scene);
         let folder = folder.join(&id.labels);
         let folder = folder.join(format!("{} {}", first.row.name, id.seed));
+        let scores_fields = true;
         let outcome = pipeline::run_on(
             scene.clone(),
             &config,
-            Scored::LabelsAndFeatures,
+            scores_fields,
             &folder,
             self.device,
             self.progress,

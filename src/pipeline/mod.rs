@@ -40,7 +40,7 @@ pub use self::initial_scene::compare_with_photos;
 pub use self::lift::{LiftedFeatures, Pruned};
 pub use self::prune::{Keep, Pruning, prune};
 pub use self::query::LiftedMaps;
-pub use self::run::{Outcome, Scored, Seconds, load_scene, run, run_on};
+pub use self::run::{Outcome, Seconds, load_scene, run, run_on};
 pub use self::segmentation_inputs::SegmentationInputs;
 pub use self::suggest::{Suggestion, suggest};
 pub use self::variant_outcome::VariantOutcome;

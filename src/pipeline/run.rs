@@ -125,13 +125,9 @@ impl Outcome {
 /// # Errors
 /// Those of the loader, each naming file and field.
 pub fn load_scene(config: &Config) -> Result<Scene> {
-    load(config, &LoadOptions::from(config))
-}
-
-fn load(config: &Config, options: &LoadOptions) -> Result<Scene> {
     match &config.data.dir {
         None => Ok(builtin::scene(builtin::EVALUATED_SEED)),
-        Some(dir) => data::load(dir, options),
+        Some(dir) => data::load(dir, &LoadOptions::from(config)),
     }
 }
 
@@ -147,30 +143,23 @@ pub fn run(
     progress: &mut dyn Progress,
 ) -> Result<Outcome> {
     let start = Instant::now();
-    let scene = load(config, &LoadOptions::from(config))?;
+    let scene = load_scene(config)?;
     let loading = start.elapsed().as_secs_f64();
-    let mut outcome = run_on(scene, config, Scored::Labels, out, device, progress)?;
+    let scores_fields = false;
+    let mut outcome = run_on(scene, config, scores_fields, out, device, progress)?;
     outcome.seconds.total += loading;
     Ok(outcome)
 }
 
-/// What is scored on held-out views, besides photos.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Scored {
-    /// Label maps.
-    Labels,
-    /// Label maps, and image features rendered from the Gaussians, see [`FieldScores`](super::FieldScores).
-    LabelsAndFeatures,
-}
-
-/// As [`run`], on a scene that was loaded before. Scores what `scored` says.
+/// As [`run`], on a scene that was loaded before. `scores_fields`: also scores image features rendered from the Gaussians on
+/// held-out views, see [`FieldScores`](super::FieldScores).
 ///
 /// # Errors
 /// Those of both stages, and of writing; [`crate::Error::Stopped`]. Files written before stay.
 pub fn run_on(
     scene: Scene,
     config: &Config,
-    scored: Scored,
+    scores_fields: bool,
     out: &Path,
     device: &Device,
     progress: &mut dyn Progress,
@@ -196,7 +185,7 @@ pub fn run_on(
     outcome.corrections = corrections;
     outcome.test = score_images(&outcome.gaussians, &outcome.scene, config, device)?;
     outcome.associate(progress)?;
-    outcome.segment(scored, &files, device, progress)?;
+    outcome.segment(scores_fields, &files, device, progress)?;
     outcome.seconds.total += start.elapsed().as_secs_f64();
     Ok(outcome)
 }
@@ -243,7 +232,7 @@ impl Outcome {
     /// Stage two: lifts features, trains the variants and scores them.
     fn segment(
         &mut self,
-        scored: Scored,
+        scores_fields: bool,
         files: &RunFiles,
         device: &Device,
         progress: &mut dyn Progress,
@@ -280,7 +269,7 @@ impl Outcome {
             lifted: lifted.features,
             semantics: self.semantics.as_ref(),
             corrections: self.corrections.as_ref(),
-            scores_fields: scored == Scored::LabelsAndFeatures,
+            scores_fields,
             ..SegmentationInputs::new(&self.scene, &self.gaussians, config, device)
         };
         let trained = train_variants(&inputs, &files.checkpoints, progress)?;

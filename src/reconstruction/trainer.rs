@@ -32,8 +32,6 @@ const LR_ROTATIONS: f64 = 1e-3;
 pub struct StepReport {
     /// Its number, from 1.
     pub iteration: usize,
-    /// Name of the view it trained on.
-    pub view: String,
     /// Its loss, before the step.
     pub loss: f64,
     /// Gaussians afterwards.
@@ -217,11 +215,9 @@ impl<'a> Trainer<'a> {
             self.parameters.reset_opacity()?;
         }
         self.seconds += start.elapsed().as_secs_f64();
-        let view = view.name.clone();
         let gaussians = self.parameters.len();
         Ok(StepReport {
             iteration,
-            view,
             loss: pass.loss,
             gaussians,
             review,

@@ -189,9 +189,4 @@ impl Decoder {
         self.last.bias = self.last.bias.map(|bias| bias.map(silent));
         self
     }
-
-    /// Bytes of the learned parameters; [`Module::num_params`] counts them.
-    pub fn bytes(&self) -> usize {
-        4 * self.num_params()
-    }
 }
