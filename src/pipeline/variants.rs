@@ -61,10 +61,16 @@ pub fn train_variants(
                 let identities = stage.evidence.pooled()?.identities.clone();
                 stage.of_identities(variant, identities)?
             }
-            Variant::PerGaussian => stage.per_gaussian(progress)?,
+            Variant::PerGaussian => {
+                let model = PerGaussian(inputs.config.segmentation.blend);
+                stage.of_raw_labels(variant, model, stage.logits(), LR_PER_GAUSSIAN, progress)?
+            }
             Variant::Grouping => stage.grouping(progress)?,
             Variant::Distilled => stage.distilled(progress)?,
-            Variant::PanopticLifting => stage.panoptic_lifting(progress)?,
+            Variant::PanopticLifting => {
+                let model = PanopticLifting::new(inputs);
+                stage.of_raw_labels(variant, model, stage.logits(), LR_PER_GAUSSIAN, progress)?
+            }
             _ => stage.decoder(variant, progress)?,
         };
         if let Some(identities) = &outcome.identities {
@@ -138,21 +144,21 @@ impl<'a> StageTwo<'a> {
         })
     }
 
-    /// Parameters `module` of `model` that learn the raw labels by `plan` at learning rate `rate`.
+    /// Parameters `module` of `model` that learn the raw labels at learning rate `rate`.
     fn of_raw_labels<M: IdentityModel>(
         &mut self,
         variant: Variant,
-        plan: &TrainingPlan,
         model: M,
         module: M::Module,
         rate: f64,
         progress: &mut dyn Progress,
     ) -> Result<VariantOutcome> {
         self.views.use_raw_labels();
+        let plan = plan(variant, self.inputs)?;
         let classes = self.inputs.scene.classes.len();
         let training = Training::new(model, module, Adam::new(rate, None), classes);
         let schedule = schedule(variant, self.inputs, self.checkpoints)?;
-        self.trained(variant, training, plan, &schedule, progress)
+        self.trained(variant, training, &plan, &schedule, progress)
     }
 
     /// Zero logits for each Gaussian and class.
@@ -162,46 +168,26 @@ impl<'a> StageTwo<'a> {
         Logits::zeros(size, &self.device)
     }
 
-    /// Identities that each Gaussian learns by itself.
-    fn per_gaussian(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
-        let model = PerGaussian(self.inputs.config.segmentation.blend);
-        let (variant, rate) = (Variant::PerGaussian, LR_PER_GAUSSIAN);
-        let plan = plan(variant, self.inputs)?;
-        self.of_raw_labels(variant, &plan, model, self.logits(), rate, progress)
-    }
-
     /// Gaussian Grouping.
     fn grouping(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
-        let (variant, rate) = (Variant::Grouping, LR_GROUPING);
-        let plan = plan(variant, self.inputs)?;
         let model = Grouping::new(self.inputs)?;
         let codes = Codes::random(self.inputs, &self.device);
-        self.of_raw_labels(variant, &plan, model, codes, rate, progress)
+        self.of_raw_labels(Variant::Grouping, model, codes, LR_GROUPING, progress)
     }
 
     /// Feature 3DGS: distillation, then a linear head on the raw labels.
     fn distilled(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
         let (inputs, variant) = (self.inputs, Variant::Distilled);
-        let plan = plan(variant, inputs)?;
         let distilled = distil(inputs, &self.device, progress)?;
         let model = LinearHead::new(&distilled.field);
         let head = LinearHead::random(inputs, &self.device);
-        let mut outcome =
-            self.of_raw_labels(variant, &plan, model, head, LR_LINEAR_HEAD, progress)?;
+        let mut outcome = self.of_raw_labels(variant, model, head, LR_LINEAR_HEAD, progress)?;
         outcome.seconds += distilled.seconds;
         outcome.learnable_bytes += distilled.field.bytes();
         if inputs.scores_fields {
             outcome.field = Some(distilled.scores(inputs)?);
         }
         Ok(outcome)
-    }
-
-    /// The losses of Panoptic Lifting.
-    fn panoptic_lifting(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
-        let (variant, rate) = (Variant::PanopticLifting, LR_PER_GAUSSIAN);
-        let plan = plan(variant, self.inputs)?;
-        let model = PanopticLifting::new(self.inputs);
-        self.of_raw_labels(variant, &plan, model, self.logits(), rate, progress)
     }
 
     /// A decoder (Eq. 7).
