@@ -20,31 +20,19 @@ pub struct ImageScores {
 }
 
 impl ImageScores {
-    /// Scores of one `[height, width, 3]` image against its photo; see [`psnr`] and [`ssim`] for `None`.
-    pub fn of(image: &[f32], truth: &[f32], width: usize, height: usize) -> Self {
-        Self {
-            psnr: psnr(image, truth),
-            ssim: ssim(image, truth, width, height, 3),
-        }
-    }
-
     /// Scores of a render of `view` (`[height, width, 3]`) against its photo, over the pixels that its mask uses: PSNR of those
-    /// pixels, SSIM over the windows that hold no other pixel. The same as [`ImageScores::of`] without a mask.
+    /// pixels, SSIM over the windows that hold no other pixel. See [`psnr`] and [`ssim`] for `None`.
     ///
     /// # Errors
     /// As [`crate::data::Photo::pixels`]; [`crate::Error::Argument`] for a mask of another size than the photo.
     pub fn of_view(image: &[f32], view: &View) -> Result<Self> {
         view.check_mask()?;
         let photo = view.rgb()?;
-        let width = view.image.width();
-        let height = view.image.height();
-        let Some(mask) = &view.mask else {
-            return Ok(Self::of(image, &photo, width, height));
-        };
-        let psnr = psnr(&mask.used(image, 3), &mask.used(&photo, 3));
+        let mask = view.mask.as_ref();
+        let size = [view.image.width(), view.image.height(), 3];
         Ok(Self {
-            psnr,
-            ssim: ssim_within(image, &photo, [width, height, 3], Some(mask)),
+            psnr: masked_psnr(image, &photo, mask),
+            ssim: ssim(image, &photo, size, mask),
         })
     }
 
@@ -79,6 +67,14 @@ pub fn psnr(image: &[f32], truth: &[f32]) -> Option<f64> {
     (!mse.is_nan()).then(|| (-10.0 * mse.max(1e-10).log10()).min(PSNR_CAP))
 }
 
+/// [`psnr`] of `[H, W, 3]` images over the pixels that `mask` uses.
+pub(crate) fn masked_psnr(image: &[f32], truth: &[f32], mask: Option<&Mask>) -> Option<f64> {
+    match mask {
+        Some(mask) => psnr(&mask.used(image, 3), &mask.used(truth, 3)),
+        None => psnr(image, truth),
+    }
+}
+
 /// Values outside 0..1 cannot be shown; NaN stays NaN.
 fn unit(v: f32) -> f64 {
     f64::from(v.clamp(0.0, 1.0))
@@ -95,20 +91,11 @@ const SIGMA: f64 = 1.5;
 /// Channels are averaged. The same as scikit-image's `structural_similarity(gaussian_weights=True, sigma=1.5,
 /// use_sample_covariance=False, data_range=1)`. All arithmetic in f64.
 ///
-/// `None` when a side is shorter than 11 pixels, the lengths do not fit, there are no channels, or a value is NaN.
+/// Only windows whose pixels are all used by `mask` count, if there is one.
+///
+/// `None` when a side is shorter than 11 pixels, the lengths do not fit, there are no channels, a value is NaN, no window counts, or
+/// the mask has another size.
 pub fn ssim(
-    image: &[f32],
-    truth: &[f32],
-    width: usize,
-    height: usize,
-    channels: usize,
-) -> Option<f64> {
-    ssim_within(image, truth, [width, height, channels], None)
-}
-
-/// [`ssim`] over the windows whose pixels are all used by `mask`; `None` also where there are none, or the mask has another
-/// size.
-fn ssim_within(
     image: &[f32],
     truth: &[f32],
     [width, height, channels]: [usize; 3],

@@ -14,6 +14,7 @@ mod semantic;
 pub use self::assignment::assignment;
 pub use self::boundary::boundary_iou;
 pub use self::clusters::{calinski_harabasz, davies_bouldin};
+pub(crate) use self::image::masked_psnr;
 pub use self::image::{ImageScores, PSNR_CAP, psnr, ssim};
 pub use self::instances::{InstanceScores, PanopticQuality, Quality, instance_scores};
 pub use self::labels::{Confusion, LabelScores, PixelScores, Void, label_scores};

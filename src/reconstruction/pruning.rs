@@ -11,7 +11,7 @@ use crate::backend::device::{read, upload};
 use crate::config::RasterConfig;
 use crate::data::View;
 use crate::error::Result;
-use crate::metrics::psnr;
+use crate::metrics::masked_psnr;
 use crate::ops::sum_all;
 use crate::raster::{RasterInput, Settings, rasterize};
 use crate::splat::Gaussians;
@@ -120,10 +120,7 @@ impl PrunedScene {
             let image = self.image(view, logits.clone(), &self.settings)?;
             let image = read("image", image)?;
             let photo = view.rgb()?;
-            let score = match &view.mask {
-                Some(mask) => psnr(&mask.used(&image, 3), &mask.used(&photo, 3)),
-                None => psnr(&image, &photo),
-            };
+            let score = masked_psnr(&image, &photo, view.mask.as_ref());
             sum += score.unwrap_or(0.0);
         }
         Ok(sum / views.len().max(1) as f64)

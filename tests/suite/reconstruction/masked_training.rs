@@ -105,8 +105,11 @@ fn scores_are_of_what_is_used() {
         .enumerate()
         .map(|(i, v)| v + 0.05 * (i as f32).sin())
         .collect();
-    let of = |image: &[f32]| ImageScores::of(image, &photo, width, height);
-    assert_eq!(ImageScores::of_view(&image, view).unwrap(), of(&image));
+    let want = ImageScores {
+        psnr: psnr(&image, &photo),
+        ssim: ssim(&image, &photo, [width, height, 3], None),
+    };
+    assert_eq!(ImageScores::of_view(&image, view).unwrap(), want);
     // The left 17 columns: PSNR and SSIM are those of the photo without them.
     view.mask = Some(Mask::new(width, height, |i| i % width >= 17));
     let cut = |image: &[f32]| -> Vec<f32> {
@@ -117,7 +120,7 @@ fn scores_are_of_what_is_used() {
     };
     let want = [
         psnr(&cut(&image), &cut(&photo)),
-        ssim(&cut(&image), &cut(&photo), width - 17, height, 3),
+        ssim(&cut(&image), &cut(&photo), [width - 17, height, 3], None),
     ];
     image
         .chunks_mut(3 * width)
