@@ -70,11 +70,12 @@ impl LiftedFeatures {
         viewing.end();
         let kept = rows_where(&lifted.keep, |keep| *keep);
         let dimensions = features.dimensions;
-        let mut rows = lifted.features;
-        rows.iter_mut()
+        let mut scales = lifted.sums.buffers;
+        scales
+            .iter_mut()
             .for_each(|rows| keep_rows(rows, &kept, dimensions));
         Ok(Self {
-            lifted: rows,
+            lifted: std::array::from_fn(|scale| std::mem::take(&mut scales[scale])),
             kept,
             dimensions,
             name,

@@ -70,23 +70,10 @@ impl<E: Real> Sums<E> {
 /// Features of every Gaussian.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unprojected {
-    /// Per scale `[N, channels]`; zeros for Gaussians that no view sees.
-    pub features: [Vec<f32>; SCALES],
-    /// Sum of alpha' T over all views per scale, `[N]`.
-    pub weights: [Vec<f32>; SCALES],
-    /// Algorithm 1's counter per scale, `[N]`.
-    pub counts: [Vec<u64>; SCALES],
+    /// The sums of all views. The buffers are divided: they are the features, zeros for Gaussians that no view sees.
+    pub sums: Sums<f32>,
     /// Whether attendance pruning keeps the Gaussian, `[N]`.
     pub keep: Vec<bool>,
-    /// Whether the Gaussian has weight in some view at every scale, `[N]`.
-    pub seen: Vec<bool>,
-}
-
-impl Unprojected {
-    /// Share of the Gaussians that attendance pruning removes, 0..1.
-    pub fn pruned_share(&self) -> f64 {
-        self.keep.iter().filter(|k| !**k).count() as f64 / self.keep.len().max(1) as f64
-    }
 }
 
 /// Lifts `features` of `views` (the training views, in this order) onto `gaussians`, of the pixels that the views' masks use. The
@@ -151,27 +138,15 @@ impl Unprojected {
         let keep = sums.attended(config);
         let sums = sums.normalised(config.normalisation);
         let n = keep.len();
-        let seen = (0..n).map(|i| sums.weights.iter().all(|w| w[i] > 0.0));
-        let unprojected = Self {
-            seen: seen.collect(),
-            keep,
-            features: by_scale(sums.buffers),
-            weights: by_scale(sums.weights),
-            counts: by_scale(sums.counts),
-        };
-        let unseen = unprojected.seen.iter().filter(|s| !**s).count();
+        let pruned = keep.iter().filter(|keep| !**keep).count();
+        let is_unseen = |i: &usize| sums.weights.iter().any(|weights| weights[*i] <= 0.0);
+        let unseen = (0..n).filter(is_unseen).count();
         tracing::info!(
             "unprojection: attendance pruning removes {:.2} % of {n} Gaussians; {unseen} are seen by no view",
-            100.0 * unprojected.pruned_share(),
+            100.0 * pruned as f64 / n.max(1) as f64,
         );
-        unprojected
+        Self { sums, keep }
     }
-}
-
-/// One vector a scale.
-fn by_scale<T>(all: Vec<Vec<T>>) -> [Vec<T>; SCALES] {
-    let mut all = all.into_iter();
-    std::array::from_fn(|_| all.next().unwrap_or_default())
 }
 
 /// Attendance pruning without features: which of `gaussians` are kept, `[N]`. These are the Gaussians that [`unproject`] of any

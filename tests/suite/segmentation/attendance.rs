@@ -61,7 +61,7 @@ fn no_attendance_threshold_prunes_nothing() {
     )
     .expect("features");
     assert!(lifted.keep.iter().all(|&k| k));
-    assert!(lifted.features.iter().flatten().all(|x| x.is_finite()));
+    assert!(lifted.sums.buffers.iter().flatten().all(|x| x.is_finite()));
     let empty = Gaussians::default();
     let lifted = unproject(
         &empty,
@@ -72,5 +72,5 @@ fn no_attendance_threshold_prunes_nothing() {
         &crate::support::device(),
     )
     .expect("nothing");
-    assert!(lifted.keep.is_empty() && lifted.features[0].is_empty());
+    assert!(lifted.keep.is_empty() && lifted.sums.buffers[0].is_empty());
 }

@@ -242,11 +242,12 @@ fn a_constant_map_unprojects_to_that_constant() {
             &crate::support::device(),
         )
         .expect("features");
+        let is_seen = |i: usize| lifted.sums.weights.iter().all(|w| w[i] > 0.0);
         let mut seen = 0;
-        for (scale, features) in lifted.features.iter().enumerate() {
+        for (scale, features) in lifted.sums.buffers.iter().enumerate() {
             let channels = features.len() / scene.len();
             for (i, row) in features.chunks_exact(channels).enumerate() {
-                if lifted.weights[scale][i] > 0.0 {
+                if lifted.sums.weights[scale][i] > 0.0 {
                     seen += 1;
                     for (c, &x) in row.iter().enumerate() {
                         assert!(
@@ -255,13 +256,13 @@ fn a_constant_map_unprojects_to_that_constant() {
                         );
                     }
                 } else {
-                    assert!(row.iter().all(|&x| x == 0.0) && !lifted.seen[i]);
+                    assert!(row.iter().all(|&x| x == 0.0) && !is_seen(i));
                 }
             }
         }
         assert!(seen > 1500, "{seen}");
         assert!(
-            !lifted.seen[scene.len() - 1] && !lifted.keep[scene.len() - 1],
+            !is_seen(scene.len() - 1) && !lifted.keep[scene.len() - 1],
             "nobody sees the last one"
         );
     }
