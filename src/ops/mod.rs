@@ -1,7 +1,6 @@
 //! The custom burn operations beside the rasterizer, and sums in a fixed order.
 
 mod adam;
-mod finite;
 #[cfg(feature = "cube")]
 mod gpu;
 mod photometric;
@@ -9,7 +8,6 @@ mod sparse;
 mod sum;
 
 pub use self::adam::{AdamStep, AdamTensors, adam_step, adam_step_plain};
-pub use self::finite::FiniteCheck;
 pub use self::photometric::{PhotometricTarget, photometric_loss, photometric_loss_plain};
 pub use self::sparse::{SparseBackend, SparseMatrix, sparse_apply, sparse_apply_plain};
 pub(crate) use self::sparse::{select, selected};

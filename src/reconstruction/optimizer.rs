@@ -4,7 +4,7 @@ use super::densify::{Densification, reset_opacity};
 use crate::backend::check_finite;
 use crate::backend::device::{indices, read, upload};
 use crate::error::{Error, Result};
-use crate::ops::{AdamStep, AdamTensors, FiniteCheck, adam_step};
+use crate::ops::{AdamStep, AdamTensors, adam_step, sum_all};
 use crate::raster::RasterInput;
 use crate::splat::Gaussians;
 use burn::tensor::{Bool, Device, Gradients, Tensor, TensorData};
@@ -106,21 +106,22 @@ pub fn finite_loss<const D: usize>(
     loss: Tensor<1>,
     gradients: &[(&str, &Tensor<D>)],
 ) -> Result<f32> {
-    let mut check = FiniteCheck::default();
-    gradients
+    // A NaN or an infinity always reaches the sum.
+    let sums = gradients
         .iter()
-        .for_each(|(_, gradient)| check.add(gradient));
-    let (value, finite) = check.read(loss)?;
-    if !value.is_finite() {
+        .map(|(_, gradient)| sum_all((*gradient).clone()));
+    let all = std::iter::once(loss).chain(sums).collect();
+    let found = read("loss", Tensor::cat(all, 0))?;
+    if !found[0].is_finite() {
         return Err(Error::non_finite(name, 0));
     }
     // The search clears what was only a sum that overflowed.
-    if !finite {
+    if !found.iter().all(|value| value.is_finite()) {
         for (name, gradient) in gradients {
             find_non_finite(name, gradient)?;
         }
     }
-    Ok(value)
+    Ok(found[0])
 }
 
 /// Looks at all values of a gradient.
@@ -286,5 +287,51 @@ impl Parameters {
             second[k] = read(NAMES[k], state.second.clone())?;
         }
         Ok((from_values(values, self.sh_degree), first, second))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::backend::device::{BackendName, device_of_tests};
+
+    #[test]
+    fn one_value_that_is_not_finite_is_seen() {
+        let names = BackendName::compiled().iter();
+        for device in names.filter_map(|&name| device_of_tests(name)) {
+            let tensor = |values: Vec<f32>| upload(values.clone(), [values.len()], &device);
+            let look = |loss: f32, bad: Option<(usize, f32)>| {
+                let gradients = [1, 700, 5000].map(|length| {
+                    let wave = |i: usize| 2e30 * (i as f32 * 1.7 + 0.3).sin();
+                    let mut values: Vec<f32> = (0..length).map(wave).collect();
+                    if let Some((place, value)) = bad.filter(|_| length == 700) {
+                        values[place] = value;
+                    }
+                    (format!("the {length}"), tensor(values))
+                });
+                let named = gradients
+                    .each_ref()
+                    .map(|(name, tensor)| (name.as_str(), tensor));
+                finite_loss("loss", tensor(vec![loss]), &named)
+            };
+            assert_eq!(look(0.25, None).expect("finite"), 0.25, "{device:?}");
+            for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+                for place in [0, 333, 699] {
+                    let error = look(0.25, Some((place, value))).expect_err("not finite");
+                    let want = Error::non_finite("gradient of the 700", place);
+                    assert_eq!(error.to_string(), want.to_string(), "{value} on {device:?}");
+                }
+                let error = look(value, None).expect_err("not finite");
+                let want = Error::non_finite("loss", 0);
+                assert_eq!(error.to_string(), want.to_string(), "{value} on {device:?}");
+            }
+            // Only the sum overflows.
+            let huge = tensor(vec![f32::MAX; 700]);
+            let found = finite_loss("loss", tensor(vec![0.5]), &[("huge", &huge)]);
+            assert_eq!(found.expect("finite"), 0.5, "{device:?}");
+            let none: [(&str, &Tensor<1>); 0] = [];
+            let found = finite_loss("loss", tensor(vec![7.0]), &none);
+            assert_eq!(found.expect("finite"), 7.0, "{device:?}");
+        }
     }
 }
