@@ -112,22 +112,6 @@ pub fn open_cpu() -> Result<Device> {
     open(cpu)
 }
 
-/// The device of wgpu, a software one too, if all kernels of this crate run on it.
-///
-/// # Errors
-/// As [`choose`], and [`Error::Device`] where there is a [`missing_capability`].
-pub fn open_gpu() -> Result<Device> {
-    let device = open(Some(BackendName::Wgpu))?;
-    match missing_capability(&device) {
-        None => Ok(device),
-        Some(missing) => Err(unusable(
-            BackendName::Wgpu,
-            format!("its adapter lacks what the kernels need: {missing}"),
-            "choose another adapter or backend",
-        )),
-    }
-}
-
 /// `name` and, where it is known, its adapter: "wgpu (NVIDIA H100 PCIe, vulkan)". A software adapter is called one.
 pub fn described(name: BackendName) -> String {
     #[cfg(feature = "wgpu")]
@@ -151,36 +135,24 @@ pub fn described(name: BackendName) -> String {
     name.to_string()
 }
 
-/// [`open_gpu`], where the adapter is no software one.
-///
-/// # Errors
-/// As [`open_gpu`]; [`Error::Device`] for a software adapter.
-pub fn open_hardware_gpu() -> Result<Device> {
-    let device = open_gpu()?;
-    match software_adapter(BackendName::Wgpu) {
-        None => Ok(device),
-        Some(adapter) => Err(unusable(
-            BackendName::Wgpu,
-            format!("the only adapter is {adapter}, a software one"),
-            "install the GPU's Vulkan, Metal or DX12 driver",
-        )),
-    }
-}
-
-/// [`open_gpu`] for tests. Without a GPU they print so and pass, unless COSEG_REQUIRE_GPU is set. Its value `hardware` excludes
-/// software adapters.
+/// The device of wgpu for tests, a software one too, if all kernels of this crate run on it. Without one they print so and pass,
+/// unless COSEG_REQUIRE_GPU is set. Its value `hardware` excludes software adapters.
 #[cfg(test)]
 pub(crate) fn gpu_of_tests() -> Option<Device> {
     let required = std::env::var_os("COSEG_REQUIRE_GPU");
     let hardware = required.as_ref().is_some_and(|how| how == "hardware");
-    let device = if hardware {
-        open_hardware_gpu()
-    } else {
-        open_gpu()
-    };
-    let device = device.inspect_err(|error| assert!(required.is_none(), "{error}"));
-    device
-        .inspect_err(|error| eprintln!("SKIPPED: {error}"))
+    let name = BackendName::Wgpu;
+    let opened = open(Some(name)).map_err(|error| error.to_string());
+    let suited = opened.and_then(|device| {
+        let reason = match hardware {
+            true => unsuited(name, &device),
+            false => missing_capability(&device),
+        };
+        reason.map_or(Ok(device), Err)
+    });
+    let suited = suited.inspect_err(|reason| assert!(required.is_none(), "{reason}"));
+    suited
+        .inspect_err(|reason| eprintln!("SKIPPED: {reason}"))
         .ok()
 }
 

@@ -62,7 +62,7 @@ pub mod transforms_json;
 pub mod turned_cameras;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
-use coseg::backend::device::BackendName;
+use coseg::backend::device::{self, BackendName};
 use coseg::segmentation::encoder::Encoding;
 use coseg::segmentation::pyramid::{Pyramid, Switches};
 use std::path::PathBuf;
@@ -72,7 +72,7 @@ pub fn device() -> Device {
     let name = BackendName::compiled()
         .iter()
         .rfind(|name| **name != BackendName::Wgpu);
-    coseg::backend::device::open(name.copied()).expect("a CPU backend")
+    device::open(name.copied()).expect("a CPU backend")
 }
 
 /// A device of each backend of this build, by name; without the GPU where this machine has none.
@@ -81,7 +81,7 @@ pub fn devices() -> Vec<(BackendName, Device)> {
         let device = match name {
             #[cfg(feature = "wgpu")]
             BackendName::Wgpu => gpu()?,
-            name => coseg::backend::device::open(Some(name)).expect("a CPU backend"),
+            name => device::open(Some(name)).expect("a CPU backend"),
         };
         Some((name, device))
     };
@@ -94,14 +94,21 @@ pub fn devices() -> Vec<(BackendName, Device)> {
 pub fn gpu() -> Option<Device> {
     let required = std::env::var_os("COSEG_REQUIRE_GPU");
     let hardware = required.as_ref().is_some_and(|how| how == "hardware");
-    let device = if hardware {
-        coseg::backend::device::open_hardware_gpu()
-    } else {
-        coseg::backend::device::open_gpu()
-    };
-    let device = device.inspect_err(|error| assert!(required.is_none(), "{error}"));
-    device
-        .inspect_err(|error| eprintln!("SKIPPED: {error}"))
+    let name = BackendName::Wgpu;
+    let opened = device::open(Some(name)).map_err(|error| error.to_string());
+    let suited = opened.and_then(|gpu| {
+        let adapter = device::described(name);
+        match device::missing_capability(&gpu) {
+            Some(missing) => Err(format!("{adapter} lacks what the kernels need: {missing}")),
+            None if hardware && adapter.ends_with(", a software adapter)") => {
+                Err(format!("{adapter} is the only one"))
+            }
+            None => Ok(gpu),
+        }
+    });
+    let suited = suited.inspect_err(|reason| assert!(required.is_none(), "{reason}"));
+    suited
+        .inspect_err(|reason| eprintln!("SKIPPED: {reason}"))
         .ok()
 }
 
