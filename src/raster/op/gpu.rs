@@ -7,7 +7,7 @@ use super::tensors::{
 };
 use crate::backend::HostBackend;
 use crate::error::{Error, Result};
-use crate::raster::gpu::{self, Inputs, Lists, Scenery};
+use crate::raster::gpu::{self, Forward, Inputs, Lists, Scenery};
 use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::kernel::{cast, into_contiguous};
@@ -53,7 +53,7 @@ pub(super) fn raster_forward(
             image,
             transmittance: forward.transmittance.clone(),
             radii: cast(forward.radii(), DType::F32),
-            saved: SavedForward::Gpu(Arc::new(forward)),
+            saved: SavedForward::new(forward),
         },
         // The CPU's own check names tensor and row.
         Ok(None) => match cpu::Inputs::<f32>::read::<CubeBackend>(tensors).forward(&call) {
@@ -70,7 +70,7 @@ pub(super) fn raster_backward(
     saved: SavedForward,
     call: Arc<RasterCall>,
 ) -> RasterTensors<CubeBackend> {
-    let SavedForward::Gpu(forward) = &saved else {
+    let Some(forward) = saved.get::<Forward>() else {
         return cpu::raster_backward(tensors, pixels, saved, call);
     };
     let gradients = forward.backward(
@@ -110,7 +110,7 @@ pub(super) fn project_view(
         background: [0.0; 3],
     };
     match Lists::new(&inputs(&tensors, None), scenery)? {
-        Some(lists) => Ok(ProjectedView::Gpu(Arc::new(lists))),
+        Some(lists) => Ok(ProjectedView::new(lists)),
         // The CPU's own check names tensor and row.
         None => cpu::project_view(tensors, call),
     }
@@ -123,16 +123,14 @@ pub(super) fn view_colours(
     view: ProjectedView,
     call: Arc<ViewCall>,
 ) -> Colours<CubeBackend> {
-    match &view {
-        ProjectedView::Gpu(lists) => {
-            Colours::Done(lists.colours(into_contiguous(means), into_contiguous(sh), degree))
-        }
-        _ => cpu::view_colours(means, sh, degree, view, call),
-    }
+    let Some(lists) = view.get::<Lists>() else {
+        return cpu::view_colours(means, sh, degree, view, call);
+    };
+    Colours::Done(lists.colours(into_contiguous(means), into_contiguous(sh), degree))
 }
 
 pub(super) fn blend_view(values: CubeTensor, view: ProjectedView) -> TensorPair<CubeBackend> {
-    let ProjectedView::Gpu(lists) = &view else {
+    let Some(lists) = view.get::<Lists>() else {
         return cpu::blend_view(values, view);
     };
     if values.dtype != DType::F32 {
@@ -159,7 +157,7 @@ pub(super) fn blend_view_adjoint(
     image: CubeTensor,
     view: ProjectedView,
 ) -> TensorPair<CubeBackend> {
-    let ProjectedView::Gpu(lists) = &view else {
+    let Some(lists) = view.get::<Lists>() else {
         return cpu::blend_view_adjoint(image, view);
     };
     if image.dtype != DType::F32 {
