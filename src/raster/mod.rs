@@ -16,5 +16,5 @@ pub use self::cpu::{
     Blended, PixelGradients, Positions, Projected, Rendered, SplatGradients, TilePairs, render,
 };
 pub(crate) use self::op::{GaussianLabels, Largest};
-pub use self::op::{Lifted, RasterInput, RasterOutput, SplatTensors, SplatView, rasterize};
+pub use self::op::{RasterInput, RasterOutput, SplatTensors, SplatView, rasterize};
 pub use self::settings::{Settings, Splats};

@@ -180,7 +180,7 @@ impl FrozenGaussians {
         let mut mask = vec![0.0_f32; camera.width * camera.height];
         pixels.iter().for_each(|&pixel| mask[pixel as usize] = 1.0);
         let mask = upload(mask, [camera.height, camera.width, 1], &splats.device());
-        let weights = read("weights", view.blend_adjoint(mask)?.sums)?;
+        let weights = read("weights", view.blend_adjoint(mask)?)?;
         let visible = rows_where(weights, |weight| weight > 0.0);
         let weights = self.as_rendered(view, &visible, Arc::new(pixels.clone()));
         Ok((visible, pixels, weights))

@@ -105,12 +105,12 @@ fn lifted(
     let size = [view.camera().height, view.camera().width, part.len()];
     let image = cast.image(part, &view.device()).reshape(size);
     let Some(shares) = shares else {
-        return Ok(view.blend_adjoint(image)?.sums);
+        return view.blend_adjoint(image);
     };
     let shares = shares.of_classes(part, &view.device());
     let (blended, _) = view.blend(shares.clone())?;
     let ratio = image / (blended + MIN_SHARE);
-    Ok(view.blend_adjoint(ratio)?.sums * shares)
+    Ok(view.blend_adjoint(ratio)? * shares)
 }
 
 #[cfg(test)]

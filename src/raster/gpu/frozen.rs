@@ -3,14 +3,13 @@
 use super::blend;
 use super::inputs::Inputs;
 use super::pixel_sums;
-use super::prepare::{Prepared, Scenery, check_size, prepare};
+use super::prepare::{Prepared, Scenery, check_size, prepare, read_words};
 use super::project::SPLAT;
 use super::sh::{self, Harmonics};
 use crate::backend::gpu::{Gpu, launch};
 use crate::error::Result;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
-use std::sync::OnceLock;
 
 /// Pixels whose centres lie within `low..=high`, of `limit`.
 #[cube]
@@ -25,7 +24,7 @@ fn covered(low: f32, high: f32, limit: f32) -> f32 {
 fn count_pixels(
     splats: &[f32],
     radii: &[u32],
-    counts: &mut [f32],
+    counts: &mut [u32],
     gaussians: u32,
     width: f32,
     height: f32,
@@ -34,7 +33,7 @@ fn count_pixels(
     if i >= gaussians as usize {
         terminate!();
     }
-    let mut count = 0.0f32;
+    let mut count = 0u32;
     if radii[i] > 0u32 {
         let radius = f32::cast_from(radii[i]);
         let x = splats[SPLAT * i];
@@ -45,18 +44,16 @@ fn count_pixels(
         while row < end {
             let dy = row + 0.5f32 - y;
             let half = max(radius * radius - dy * dy, 0.0f32).sqrt();
-            count += covered(x - half, x + half, width);
+            count += u32::cast_from(covered(x - half, x + half, width));
             row += 1.0f32;
         }
     }
     counts[i] = count;
 }
 
-/// Projection, tile lists and disc pixels of a view.
+/// Projection and tile lists of a view.
 pub(crate) struct Lists {
     prepared: Prepared,
-    /// `[N]`, made at first use: blending alone does not need them.
-    counts: OnceLock<CubeTensor>,
 }
 
 impl Lists {
@@ -67,10 +64,12 @@ impl Lists {
     pub fn new(inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<Self>> {
         let gpu = Gpu::of(&inputs.means);
         let prepared = prepare(&gpu, inputs, scenery)?;
-        Ok(prepared.map(|prepared| Self {
-            prepared,
-            counts: OnceLock::new(),
-        }))
+        Ok(prepared.map(|prepared| Self { prepared }))
+    }
+
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.prepared.order.len
     }
 
     /// Bytes of projection and lists.
@@ -87,19 +86,18 @@ impl Lists {
         sh::colours(&gpu, &means, &harmonics, radii, &prepared.view)
     }
 
-    /// Disc pixels of every Gaussian, `[N]`.
-    pub fn counts(&self) -> CubeTensor {
+    /// Disc pixels of every Gaussian.
+    ///
+    /// # Errors
+    /// [`crate::Error::Device`] when the device does not return them.
+    pub fn disc_pixels(&self) -> Result<Vec<u32>> {
         let prepared = &self.prepared;
-        let len = prepared.order.len;
-        let count = || {
-            let gpu = Gpu::of(&prepared.view);
-            let counts = gpu.floats([len]);
-            launch!(gpu, count_pixels, gpu.cubes_for(len);
-                &prepared.projected.splats, &prepared.projected.radii, &counts;
-                len as u32, prepared.size[0] as f32, prepared.size[1] as f32);
-            counts
-        };
-        self.counts.get_or_init(count).clone()
+        let gpu = Gpu::of(&prepared.view);
+        let counts = gpu.words(self.len());
+        launch!(gpu, count_pixels, gpu.cubes_for(self.len());
+            &prepared.projected.splats, &prepared.projected.radii, &counts;
+            self.len() as u32, prepared.size[0] as f32, prepared.size[1] as f32);
+        read_words(&gpu, &counts)
     }
 
     /// The image `[H, W, channels]` of `values` (`[N, channels]`, contiguous), and the transmittance `[H, W]`.
@@ -114,15 +112,15 @@ impl Lists {
         Ok(blend::blend(&gpu, &self.prepared, &values, channels))
     }
 
-    /// `W^T y` `[N, channels]` and the counts `[N]`; `y` is `[H, W, channels]`, contiguous.
+    /// `W^T y` `[N, channels]`; `y` is `[H, W, channels]`, contiguous.
     ///
     /// # Errors
     /// [`crate::Error::Limit`] for what the device cannot hold.
-    pub fn lift(&self, y: &CubeTensor, channels: usize) -> Result<(CubeTensor, CubeTensor)> {
+    pub fn lift(&self, y: &CubeTensor, channels: usize) -> Result<CubeTensor> {
         let gpu = Gpu::of(y);
         let count = self.prepared.order.len.saturating_mul(channels);
         check_size(&gpu, "Gaussians times channels", count, size_of::<f32>())?;
-        let sums = pixel_sums::adjoint(&gpu, &self.prepared, y, pixel_sums::row_bytes(&gpu));
-        Ok((sums, self.counts()))
+        let budget = pixel_sums::row_bytes(&gpu);
+        Ok(pixel_sums::adjoint(&gpu, &self.prepared, y, budget))
     }
 }

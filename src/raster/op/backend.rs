@@ -4,8 +4,8 @@ use super::cpu;
 #[cfg(feature = "cube")]
 use super::gpu;
 use super::tensors::{
-    Colours, PixelTensors, ProjectedView, RasterCall, RasterPass, RasterTensors, SavedForward,
-    TensorPair, ViewCall,
+    BlendedView, PixelTensors, ProjectedView, RasterCall, RasterPass, RasterTensors, Rows,
+    SavedForward, ViewCall,
 };
 use crate::backend::custom_op;
 use crate::error::Result;
@@ -26,9 +26,9 @@ custom_op! {
             degree: usize,
             view: ProjectedView,
             call: Arc<ViewCall>,
-        ) -> Colours<Self>;
+        ) -> Rows<Self>;
         /// `W s` of `values` `[N, C]`: the image `[H, W, C]` and the transmittance `[H, W]`.
-        fn blend_view(values: FloatTensor<Self>, view: ProjectedView) -> TensorPair<Self>;
+        fn blend_view(values: FloatTensor<Self>, view: ProjectedView) -> BlendedView<Self>;
     }
     backward {
         /// Gradients of all inputs.
@@ -38,8 +38,8 @@ custom_op! {
             saved: SavedForward,
             call: Arc<RasterCall>,
         ) -> RasterTensors<Self>;
-        /// `W^T y` of an image `[H, W, C]`: sums `[N, C]`, and disc pixels `[N]`.
-        fn blend_view_adjoint(image: FloatTensor<Self>, view: ProjectedView) -> TensorPair<Self>;
+        /// `W^T y` of an image `[H, W, C]`: sums `[N, C]`.
+        fn blend_view_adjoint(image: FloatTensor<Self>, view: ProjectedView) -> Rows<Self>;
     }
 }
 
@@ -124,22 +124,22 @@ mod autodiff {
         degree: usize,
         view: ProjectedView,
         call: Arc<ViewCall>,
-    ) -> Colours<Autodiff<B, C>> {
+    ) -> Rows<Autodiff<B, C>> {
         let [means, sh] = [means, sh].map(Autodiff::<B, C>::inner);
         match B::view_colours(means, sh, degree, view, call) {
-            Colours::Done(colours) => Colours::Done(Autodiff::<B, C>::from_inner(colours)),
-            Colours::Failed(error) => Colours::Failed(error),
+            Rows::Done(colours) => Rows::Done(Autodiff::<B, C>::from_inner(colours)),
+            Rows::Failed(error) => Rows::Failed(error),
         }
     }
 
     pub(super) fn blend_view<B: RasterBackend, C: CheckpointStrategy>(
         values: AutodiffTensor<B, C>,
         view: ProjectedView,
-    ) -> TensorPair<Autodiff<B, C>> {
+    ) -> BlendedView<Autodiff<B, C>> {
         let plain = Autodiff::<B, C>::inner(values.clone());
         match B::blend_view(plain, view.clone()) {
-            TensorPair::Failed(error) => TensorPair::Failed(error),
-            TensorPair::Done(image, transmittance) => {
+            BlendedView::Failed(error) => BlendedView::Failed(error),
+            BlendedView::Done(image, transmittance) => {
                 let shape = values.shape();
                 let image = track::<B, C, 1, _>([values], |_| {
                     let backward = move |gradient, _: [bool; 1]| {
@@ -147,7 +147,7 @@ mod autodiff {
                     };
                     (image, backward)
                 });
-                TensorPair::Done(image, Autodiff::<B, C>::from_inner(transmittance))
+                BlendedView::Done(image, Autodiff::<B, C>::from_inner(transmittance))
             }
         }
     }
@@ -160,8 +160,8 @@ mod autodiff {
     ) -> FloatTensor<B> {
         let (device, dtype) = (gradient.device(), gradient.dtype().into());
         match B::blend_view_adjoint(gradient, view) {
-            TensorPair::Done(sums, _) => sums,
-            TensorPair::Failed(error) => {
+            Rows::Done(sums) => sums,
+            Rows::Failed(error) => {
                 tracing::error!("no gradient of blended values: {error}");
                 B::float_full(shape, f32::NAN.into(), &device, dtype)
             }

@@ -1,8 +1,8 @@
 //! The operations by the CPU's kernels: slices from tensors, tensors from slices.
 
 use super::tensors::{
-    Colours, Forward, INPUTS, PixelTensors, ProjectedView, RasterCall, RasterPass, RasterTensors,
-    SavedForward, TensorPair, ViewCall,
+    BlendedView, Forward, INPUTS, PixelTensors, ProjectedView, RasterCall, RasterPass,
+    RasterTensors, Rows, SavedForward, ViewCall,
 };
 use crate::backend::{HostBackend, HostValues, Real, check_finite, device_of, real_kernel};
 use crate::error::{Error, Result, invalid};
@@ -85,20 +85,20 @@ pub(super) fn view_colours<B: HostBackend>(
     degree: usize,
     view: ProjectedView,
     call: Arc<ViewCall>,
-) -> Colours<B> {
+) -> Rows<B> {
     let device = device_of::<B>(&means);
     let shape = means.shape();
     real_kernel!(means, E => {
         let Some(projected) = view.get::<Projected<E>>() else {
-            return Colours::Failed(other_kernels());
+            return Rows::Failed(other_kernels());
         };
         let stored = sh.shape()[1].isqrt() - 1;
         let center = call.camera.center.to_array();
         let means = B::values::<E>(means);
         let sh = B::values::<E>(sh);
         match visible_colours(&means, &sh, stored, degree, center, projected.radii()) {
-            Ok(colours) => Colours::Done(B::tensor::<E>(colours, &shape, &device)),
-            Err(error) => Colours::Failed(error),
+            Ok(colours) => Rows::Done(B::tensor::<E>(colours, &shape, &device)),
+            Err(error) => Rows::Failed(error),
         }
     })
 }
@@ -112,16 +112,16 @@ pub(super) fn other_kernels() -> Error {
 pub(super) fn blend_view<B: HostBackend>(
     values: FloatTensor<B>,
     view: ProjectedView,
-) -> TensorPair<B> {
+) -> BlendedView<B> {
     let device = device_of::<B>(&values);
     let channels = values.shape()[1];
     real_kernel!(values, E => {
         let Some(projected) = view.get::<Projected<E>>() else {
-            return TensorPair::Failed(other_kernels());
+            return BlendedView::Failed(other_kernels());
         };
         let [w, h] = projected.size();
         let Blended { image, transmittance } = projected.blend(&B::values::<E>(values), channels);
-        TensorPair::Done(
+        BlendedView::Done(
             B::tensor::<E>(image, &[h, w, channels], &device),
             B::tensor::<E>(transmittance, &[h, w], &device),
         )
@@ -131,20 +131,15 @@ pub(super) fn blend_view<B: HostBackend>(
 pub(super) fn blend_view_adjoint<B: HostBackend>(
     image: FloatTensor<B>,
     view: ProjectedView,
-) -> TensorPair<B> {
+) -> Rows<B> {
     let device = device_of::<B>(&image);
     let channels = image.shape()[2];
     real_kernel!(image, E => {
         let Some(projected) = view.get::<Projected<E>>() else {
-            return TensorPair::Failed(other_kernels());
+            return Rows::Failed(other_kernels());
         };
         let sums = projected.blend_adjoint(&B::values::<E>(image), channels);
-        let counts: Vec<E> = projected.counts().into_iter().map(|count| E::of(f64::from(count))).collect();
-        let n = counts.len();
-        TensorPair::Done(
-            B::tensor::<E>(sums, &[n, channels], &device),
-            B::tensor::<E>(counts, &[n], &device),
-        )
+        Rows::Done(B::tensor::<E>(sums, &[projected.len(), channels], &device))
     })
 }
 

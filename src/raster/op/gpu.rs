@@ -2,8 +2,8 @@
 
 use super::cpu;
 use super::tensors::{
-    Colours, PixelTensors, ProjectedView, RasterCall, RasterPass, RasterTensors, SavedForward,
-    TensorPair, ViewCall,
+    BlendedView, PixelTensors, ProjectedView, RasterCall, RasterPass, RasterTensors, Rows,
+    SavedForward, ViewCall,
 };
 use crate::backend::HostBackend;
 use crate::error::{Error, Result};
@@ -122,25 +122,29 @@ pub(super) fn view_colours(
     degree: usize,
     view: ProjectedView,
     call: Arc<ViewCall>,
-) -> Colours<CubeBackend> {
+) -> Rows<CubeBackend> {
     let Some(lists) = view.get::<Lists>() else {
         return cpu::view_colours(means, sh, degree, view, call);
     };
-    Colours::Done(lists.colours(into_contiguous(means), into_contiguous(sh), degree))
+    Rows::Done(lists.colours(into_contiguous(means), into_contiguous(sh), degree))
 }
 
-pub(super) fn blend_view(values: CubeTensor, view: ProjectedView) -> TensorPair<CubeBackend> {
+pub(super) fn blend_view(values: CubeTensor, view: ProjectedView) -> BlendedView<CubeBackend> {
     let Some(lists) = view.get::<Lists>() else {
         return cpu::blend_view(values, view);
     };
     if values.dtype != DType::F32 {
-        return TensorPair::Failed(cpu::other_kernels());
+        return BlendedView::Failed(cpu::other_kernels());
     }
     let channels = values.meta.shape()[1];
-    if channels == 0 {
-        return no_channels(&values, lists).into();
+    let blended = match channels {
+        0 => no_channels(&values, lists),
+        _ => lists.blend(into_contiguous(values), channels),
+    };
+    match blended {
+        Ok((image, transmittance)) => BlendedView::Done(image, transmittance),
+        Err(error) => BlendedView::Failed(error),
     }
-    lists.blend(into_contiguous(values), channels).into()
 }
 
 /// The transmittance beside an image without channels: no kernel binds an empty buffer.
@@ -153,22 +157,20 @@ fn no_channels(values: &CubeTensor, lists: &Lists) -> Result<(CubeTensor, CubeTe
     Ok((image, transmittance))
 }
 
-pub(super) fn blend_view_adjoint(
-    image: CubeTensor,
-    view: ProjectedView,
-) -> TensorPair<CubeBackend> {
+pub(super) fn blend_view_adjoint(image: CubeTensor, view: ProjectedView) -> Rows<CubeBackend> {
     let Some(lists) = view.get::<Lists>() else {
         return cpu::blend_view_adjoint(image, view);
     };
     if image.dtype != DType::F32 {
-        return TensorPair::Failed(cpu::other_kernels());
+        return Rows::Failed(cpu::other_kernels());
     }
     let channels = image.meta.shape()[2];
     if channels == 0 {
-        let counts = lists.counts();
-        let rows = counts.meta.num_elements();
-        let sums = CubeBackend::tensor::<f32>(Vec::new(), &[rows, 0], &image.device);
-        return TensorPair::Done(sums, counts);
+        let none = CubeBackend::tensor::<f32>(Vec::new(), &[lists.len(), 0], &image.device);
+        return Rows::Done(none);
     }
-    lists.lift(&into_contiguous(image), channels).into()
+    match lists.lift(&into_contiguous(image), channels) {
+        Ok(sums) => Rows::Done(sums),
+        Err(error) => Rows::Failed(error),
+    }
 }

@@ -20,4 +20,4 @@ pub use self::input::{RasterInput, RasterOutput};
 pub(crate) use self::labels::{GaussianLabels, Largest};
 pub use self::rasterize::rasterize;
 pub use self::splats::SplatTensors;
-pub use self::view::{Lifted, SplatView};
+pub use self::view::SplatView;

@@ -6,6 +6,7 @@
 
 use super::input::{RasterInput, RasterOutput};
 use super::splats::SplatTensors;
+use crate::backend::device::read_wide;
 use crate::error::Result;
 use crate::ops::SparseMatrix;
 use crate::raster::settings::Settings;
@@ -129,13 +130,19 @@ impl ReferenceView {
         )
     }
 
-    /// `W^T y` of an image `[H, W, C]`, `[N, C]`, and the disc pixels `[N]`.
-    pub fn blend_adjoint(&self, image: Tensor<3>) -> (Tensor<2>, Tensor<1>) {
+    /// `W^T y` of an image `[H, W, C]`, `[N, C]`.
+    pub fn blend_adjoint(&self, image: Tensor<3>) -> Tensor<2> {
         let [height, width, channels] = image.dims();
         let image = image.reshape([height * width, channels]);
         let rank = index(&self.rank, &image);
         let sums = self.weights.clone().transpose().matmul(image);
-        (sums.select(0, rank), self.counts.clone())
+        sums.select(0, rank)
+    }
+
+    /// Pixels within the radius of each Gaussian.
+    pub fn disc_pixels(self) -> Result<Vec<u32>> {
+        let counts = read_wide("disc pixels", self.counts)?;
+        Ok(counts.into_iter().map(|count| count as u32).collect())
     }
 
     /// The rows `pixels` of `W`.

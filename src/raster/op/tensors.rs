@@ -1,6 +1,6 @@
 //! The typed values that pass through the rasterizer's backend trait.
 
-use crate::error::{Error, Result};
+use crate::error::Error;
 use crate::raster::Projected;
 use crate::raster::settings::Settings;
 use crate::splat::camera::Camera;
@@ -125,31 +125,22 @@ pub(crate) enum RasterPass<B: Backend> {
     Failed(Error),
 }
 
-/// Colours, or why there are none.
+/// A row for each Gaussian, or why there are none.
 #[derive(Debug, ExtensionType)]
-pub(crate) enum Colours<B: Backend> {
-    /// `[N, 3]`.
+pub(crate) enum Rows<B: Backend> {
+    /// `[N, C]`.
     Done(FloatTensor<B>),
-    /// The coefficients are not finite.
+    /// An input is not finite, the device failed, or it cannot hold the output.
     Failed(Error),
 }
 
-/// Two tensors, or why there are none.
+/// Image `[H, W, C]` and transmittance `[H, W]` of a view, or why there are none.
 #[derive(Debug, ExtensionType)]
-pub(crate) enum TensorPair<B: Backend> {
+pub(crate) enum BlendedView<B: Backend> {
     /// The outputs.
     Done(FloatTensor<B>, FloatTensor<B>),
     /// The device failed, or cannot hold the output.
     Failed(Error),
-}
-
-impl<B: Backend> From<Result<(FloatTensor<B>, FloatTensor<B>)>> for TensorPair<B> {
-    fn from(found: Result<(FloatTensor<B>, FloatTensor<B>)>) -> Self {
-        match found {
-            Ok((first, second)) => Self::Done(first, second),
-            Err(error) => Self::Failed(error),
-        }
-    }
 }
 
 /// What kernels left for kernels of the same device and precision, which know its type.

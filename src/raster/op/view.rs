@@ -3,7 +3,7 @@
 use super::backend::RasterBackend;
 use super::reference::{ReferenceView, colours};
 use super::splats::SplatTensors;
-use super::tensors::{Colours, ProjectedView, TensorPair, ViewCall};
+use super::tensors::{BlendedView, ProjectedView, Rows, ViewCall};
 use crate::backend::device::largest_allocation;
 use crate::error::{Error, Result, ensure};
 use crate::ops::{CustomOp, SparseMatrix, sparse_apply};
@@ -27,15 +27,6 @@ const DEVICE_BLOCK_SHARE: usize = 4;
 const DEVICE_STEP: usize = 32;
 /// Channels that are always blended together, however large the image: each pass evaluates all pairs anew.
 const MIN_CHANNELS: usize = 12;
-
-/// What [`SplatView::blend_adjoint`] returns.
-#[derive(Clone, Debug)]
-pub struct Lifted {
-    /// `W^T y`, `[N, C]`.
-    pub sums: Tensor<2>,
-    /// Disc pixels: pixels whose centre lies within the projected radius, `[N]`, as floats.
-    pub counts: Tensor<1>,
-}
 
 /// Frozen Gaussians and a camera: projected and sorted once for all that is blended and lifted.
 #[derive(Clone, Debug)]
@@ -132,11 +123,11 @@ impl SplatView {
             return Ok(self.reference().blend(values));
         }
         match Dispatch::blend_view(values.into_dispatch(), self.projected()?) {
-            TensorPair::Done(image, transmittance) => Ok((
+            BlendedView::Done(image, transmittance) => Ok((
                 Tensor::from_dispatch(image),
                 Tensor::from_dispatch(transmittance),
             )),
-            TensorPair::Failed(error) => Err(error),
+            BlendedView::Failed(error) => Err(error),
         }
     }
 
@@ -167,11 +158,11 @@ impl SplatView {
         ))
     }
 
-    /// `W^T y` of an image `y`, `[H, W, C]`: the adjoint of [`SplatView::blend`], without autodiff.
+    /// `W^T y`, `[N, C]`, of an image `y`, `[H, W, C]`: the adjoint of [`SplatView::blend`], without autodiff.
     ///
     /// # Errors
     /// [`crate::Error::Argument`] for an image of another size than the camera has; as [`SplatView::blend`].
-    pub fn blend_adjoint(&self, image: Tensor<3>) -> Result<Lifted> {
+    pub fn blend_adjoint(&self, image: Tensor<3>) -> Result<Tensor<2>> {
         let camera = self.camera();
         let [height, width, _] = image.dims();
         ensure!([height, width] == [camera.height, camera.width],
@@ -179,16 +170,31 @@ impl SplatView {
             help "pass an image of the camera's size");
         self.splats.check(image.dtype())?;
         if CustomOp::Raster.is_replaced() {
-            let (sums, counts) = self.reference().blend_adjoint(image.inner());
-            return Ok(Lifted { sums, counts });
+            return Ok(self.reference().blend_adjoint(image.inner()));
         }
         match Dispatch::blend_view_adjoint(image.into_dispatch(), self.projected()?) {
-            TensorPair::Done(sums, counts) => Ok(Lifted {
-                sums: Tensor::from_dispatch(sums),
-                counts: Tensor::from_dispatch(counts),
-            }),
-            TensorPair::Failed(error) => Err(error),
+            Rows::Done(sums) => Ok(Tensor::from_dispatch(sums)),
+            Rows::Failed(error) => Err(error),
         }
+    }
+
+    /// Disc pixels: how many pixel centres lie within the projected radius of each Gaussian.
+    ///
+    /// # Errors
+    /// As [`SplatView::blend`].
+    pub fn disc_pixels(&self) -> Result<Vec<u32>> {
+        self.splats.check(self.splats.means.dtype())?;
+        if CustomOp::Raster.is_replaced() {
+            return self.reference().disc_pixels();
+        }
+        let view = self.projected()?;
+        #[cfg(feature = "cube")]
+        if let Some(lists) = view.get::<Lists>() {
+            return lists.disc_pixels();
+        }
+        let of_f32 = view.get::<Projected<f32>>().map(Projected::counts);
+        let of_f64 = || view.get::<Projected<f64>>().map(Projected::counts);
+        Ok(of_f32.or_else(of_f64).unwrap_or_default())
     }
 
     /// The rows `pixels` (row-major) of `W`, entries front to back, rounded to `f32`.
@@ -228,8 +234,8 @@ impl SplatView {
         let means = self.splats.means.clone().into_dispatch();
         let call = self.call.clone();
         match Dispatch::view_colours(means, sh.into_dispatch(), degree, self.projected()?, call) {
-            Colours::Done(colours) => Ok(Tensor::from_dispatch(colours)),
-            Colours::Failed(error) => Err(error),
+            Rows::Done(colours) => Ok(Tensor::from_dispatch(colours)),
+            Rows::Failed(error) => Err(error),
         }
     }
 

@@ -7,7 +7,7 @@ use crate::data::mask::Mask;
 use crate::error::Result;
 use crate::features::{FeatureMap, Lattice};
 use crate::ops::{SparseMatrix, sparse_apply};
-use crate::raster::{Lifted, Projected, Settings, SplatTensors, SplatView, Splats};
+use crate::raster::{Projected, Settings, SplatTensors, SplatView, Splats};
 use crate::splat::camera::Camera;
 use burn::tensor::{Device, Tensor};
 use std::sync::Arc;
@@ -110,21 +110,17 @@ impl TensorSums {
         });
         let all = used.clone();
         let all = all.unwrap_or_else(|| Tensor::ones([pixels, 1], &device));
-        let Lifted { sums, counts } =
-            view.blend_adjoint(all.reshape([camera.height, camera.width, 1]))?;
+        let weights = view.blend_adjoint(all.reshape([camera.height, camera.width, 1]))?;
         // The GPU counts all pixels. With a mask the CPU counts, and projects the view once more.
-        let counts: Vec<u64> = if mask.is_some() {
-            let counts = Projected::new(splats, camera, settings)?.used_counts(mask);
-            counts.into_iter().map(u64::from).collect()
-        } else {
-            let counts = read("counts", counts)?.into_iter();
-            counts.map(|count| count as u64).collect()
+        let counts = match mask {
+            Some(_) => Projected::new(splats, camera, settings)?.used_counts(mask),
+            None => view.disc_pixels()?,
         };
         Ok(ProjectedPixels {
             view,
             used,
-            weights: sums,
-            counts,
+            weights,
+            counts: counts.into_iter().map(u64::from).collect(),
             pixels: mask.map_or(pixels, Mask::kept) as u64,
         })
     }
@@ -201,9 +197,7 @@ fn lifted(
             Some(used) => image * used.clone(),
             None => image,
         };
-        Ok(view
-            .blend_adjoint(image.reshape([height, width, channels]))?
-            .sums)
+        view.blend_adjoint(image.reshape([height, width, channels]))
     });
     Ok(Tensor::cat(blocks.collect::<Result<Vec<_>>>()?, 1))
 }
