@@ -5,11 +5,12 @@ use crate::config::Config;
 use crate::data::LabelMap;
 use crate::error::{Result, ensure};
 use crate::raster::{GaussianLabels, Settings, SplatTensors, SplatView};
-use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
+use crate::splat::{Gaussians, rotation};
 use burn::tensor::{Device, Tensor};
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use smart_default::SmartDefault;
+use std::sync::OnceLock;
 
 /// What a view shows. Rows are row-major, from the top left.
 #[derive(Clone, Debug, PartialEq)]
@@ -72,6 +73,8 @@ pub struct Renderer {
     sh: Tensor<3>,
     sh_degree: usize,
     labels: Option<GaussianLabels>,
+    /// Made at first use.
+    shortest_axes: OnceLock<Tensor<2>>,
 }
 
 impl Renderer {
@@ -95,6 +98,7 @@ impl Renderer {
             sh: upload(gaussians.sh, shape, &splats.device()),
             splats,
             labels: labels.map(GaussianLabels::new),
+            shortest_axes: OnceLock::new(),
         })
     }
 
@@ -189,7 +193,7 @@ impl Renderer {
         let view = self.view(camera);
         let center = camera.center.to_array().map(|v| v as f32).to_vec();
         let center = upload(center, [1, 3], &self.splats.device());
-        let axes = self.splats.shortest_axes();
+        let axes = self.shortest_axes()?;
         let side = ((center - self.splats.means.clone()) * axes.clone()).sum_dim(1);
         let (mut normals, transmittance) = blended(&view, axes * side.sign())?;
         for (normal, t) in normals.chunks_exact_mut(3).zip(transmittance) {
@@ -199,6 +203,23 @@ impl Renderer {
             normal.copy_from_slice(&direction.to_array());
         }
         Ok(normals)
+    }
+
+    /// The axis along which each Gaussian is shortest, `[N, 3]`, of length 1; either end of it.
+    fn shortest_axes(&self) -> Result<Tensor<2>> {
+        if let Some(axes) = self.shortest_axes.get() {
+            return Ok(axes.clone());
+        }
+        let rotations = read("rotations", self.splats.rotations.clone())?;
+        let log_scales = read("log_scales", self.splats.log_scales.clone())?;
+        let axis = |(q, scales): (&[f32; 4], &[f32; 3])| {
+            let axis = DVec3::AXES[Vec3::from(*scales).min_position()];
+            (rotation(q) * axis).as_vec3().to_array()
+        };
+        let rows = rotations.as_chunks().0.iter().zip(log_scales.as_chunks().0);
+        let axes: Vec<f32> = rows.flat_map(axis).collect();
+        let axes = upload(axes, [self.splats.len(), 3], &self.splats.device());
+        Ok(self.shortest_axes.get_or_init(|| axes).clone())
     }
 
     /// The Gaussians as `camera` sees them.

@@ -21,37 +21,6 @@ pub struct SplatTensors {
 }
 
 impl SplatTensors {
-    /// The axis along which each Gaussian is shortest, `[N, 3]`, of length 1; either end of it.
-    pub fn shortest_axes(&self) -> Tensor<2> {
-        let q = self.rotations.clone();
-        let q = q.clone() / q.square().sum_dim(1).sqrt();
-        let part = |k: usize| q.clone().narrow(1, k, 1);
-        let product = |a: usize, b: usize| part(a) * part(b) * 2.0;
-        let [w, x, y, z] = [0, 1, 2, 3];
-        let shortest = self.log_scales.clone().argmin(1);
-        // Column k of the rotation where the axis k is the shortest.
-        let chosen = |k: i64, column: [Tensor<2>; 3]| {
-            let is_shortest: Tensor<2> = shortest.clone().equal_elem(k).float();
-            Tensor::cat(column.to_vec(), 1) * is_shortest
-        };
-        let first = [
-            (product(y, y) + product(z, z)).neg() + 1.0,
-            product(x, y) + product(w, z),
-            product(x, z) - product(w, y),
-        ];
-        let second = [
-            product(x, y) - product(w, z),
-            (product(x, x) + product(z, z)).neg() + 1.0,
-            product(y, z) + product(w, x),
-        ];
-        let third = [
-            product(x, z) + product(w, y),
-            product(y, z) - product(w, x),
-            (product(x, x) + product(y, y)).neg() + 1.0,
-        ];
-        chosen(0, first) + chosen(1, second) + chosen(2, third)
-    }
-
     /// Those of `gaussians` on `device`, in f32 and without autodiff.
     pub fn new(gaussians: &Gaussians, device: &Device) -> Self {
         let device = device.clone().inner();
