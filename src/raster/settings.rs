@@ -10,7 +10,7 @@ use crate::splat::Gaussians;
 pub struct Settings {
     /// Cap of alpha', in (0, 1]; its gradient is masked there.
     pub alpha_max: f64,
-    /// Pairs with alpha' below this are skipped.
+    /// Pairs with alpha' below this are skipped; above 0, so that every Gaussian ends somewhere.
     pub alpha_min: f64,
     /// A splat that would bring the transmittance to this or below is not added, and the pixel ends.
     pub t_min: f64,
@@ -44,7 +44,6 @@ impl From<&RasterConfig> for Settings {
 impl Settings {
     /// [`Error::Config`] for a value outside its range.
     pub(super) fn check(&self) -> Result<()> {
-        let share = 0.0..1.0;
         let not_negative = 0.0..f64::INFINITY;
         let cap = self.alpha_max > 0.0 && self.alpha_max <= 1.0;
         let near = self.near > 0.0 && self.near.is_finite();
@@ -53,13 +52,13 @@ impl Settings {
             (
                 "alpha_min",
                 self.alpha_min,
-                share.contains(&self.alpha_min),
-                "a number in [0, 1)",
+                self.alpha_min > 0.0 && self.alpha_min < 1.0,
+                "a number in (0, 1)",
             ),
             (
                 "t_min",
                 self.t_min,
-                share.contains(&self.t_min),
+                (0.0..1.0).contains(&self.t_min),
                 "a number in [0, 1)",
             ),
             ("near", self.near, near, "a positive number"),

@@ -73,7 +73,7 @@ pub(in crate::raster) struct Splat2 {
     pub du: f64,
     /// `v` per pixel along y, `1 / sqrt(2 Y)`.
     pub dv: f64,
-    /// Largest `sqrt(u^2 + v^2)` that contributes, with a margin for rounding; infinite when alpha_min is 0.
+    /// Largest `sqrt(u^2 + v^2)` that contributes, with a margin for rounding.
     pub reach: f64,
     /// Natural logarithm of the opacity.
     pub log_opacity: f64,

@@ -94,7 +94,7 @@ fn tile_row(rows: &Range<usize>, k: usize) -> [f64; 2] {
 struct Outlines {
     center: [Column; 2],
     slope: Column,
-    /// Half axes of the row section and of the bounding box; infinite where every pixel is reached.
+    /// Half axes of the row section and of the bounding box.
     half: [Column; 2],
     /// `1 / half[1]`.
     per_half: Column,
@@ -127,15 +127,10 @@ impl Outlines {
         for l in 0..BLOCK {
             let (sx, sy) = (1.0 / du[l], 1.0 / dv[l]);
             let wide = (sx * sx + slope[l] * slope[l] * sy * sy).sqrt();
-            let right_at = reach[l] * slope[l] * sy * sy / wide;
             out.half[0][l] = reach[l] * sx;
             out.half[1][l] = reach[l] * sy;
             out.per_half[l] = 1.0 / out.half[1][l];
-            out.right_at[l] = if reach[l] < f64::INFINITY {
-                right_at
-            } else {
-                0.0
-            };
+            out.right_at[l] = reach[l] * slope[l] * sy * sy / wide;
         }
         out
     }
@@ -214,8 +209,9 @@ mod tests {
                 slope: 2.0 * wave(0.7),
                 du: (2.0 * wave(1.1) - 3.0).exp2(),
                 dv: (2.0 * wave(1.9) - 3.0).exp2(),
+                // Some reach every pixel.
                 reach: if i.is_multiple_of(97) {
-                    f64::INFINITY
+                    1e6
                 } else {
                     1.0 + i as f64 % 7.0 / 3.0
                 },

@@ -32,7 +32,7 @@ struct View {
     point: Viewpoint,
     near: f64,
     low_pass: f64,
-    /// `ln alpha_min`, minus infinity for 0.
+    /// `ln alpha_min`.
     ln_alpha_min: f64,
 }
 
@@ -153,7 +153,7 @@ struct Block {
     du: Column,
     dv: Column,
     log_opacity: Column,
-    /// `u^2 + v^2` at which alpha' reaches alpha_min; infinite when alpha_min is 0.
+    /// `u^2 + v^2` at which alpha' reaches alpha_min.
     tau: Column,
     /// Half the bounding box of the alpha_min ellipse, pixels.
     reach: [Column; 2],

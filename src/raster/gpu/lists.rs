@@ -20,7 +20,6 @@ fn count_tiles(
     gaussians: u32,
     width: u32,
     height: u32,
-    #[comptime] everywhere: bool,
 ) {
     let rank = ABSOLUTE_POS;
     if rank > gaussians as usize {
@@ -31,10 +30,10 @@ fn count_tiles(
         let id = ids[rank] as usize;
         if radii[id] > 0u32 {
             let o = outline(splats, id);
-            let pixels = pixel_rows(&o, height, everywhere);
+            let pixels = pixel_rows(&o, height);
             let rows = tile_rows(&pixels);
             for row in rows.first..rows.end {
-                let columns = tile_columns(&o, &pixels, row, width, everywhere);
+                let columns = tile_columns(&o, &pixels, row, width);
                 sum += columns.end - columns.first;
             }
         }
@@ -62,7 +61,6 @@ fn emit_entries(
     gaussians: u32,
     width: u32,
     height: u32,
-    #[comptime] everywhere: bool,
 ) {
     let rank = ABSOLUTE_POS;
     if rank >= gaussians as usize {
@@ -75,10 +73,10 @@ fn emit_entries(
         let tiles_down = (height + (TILE - 1) as u32) / TILE as u32;
         let id = ids[rank];
         let o = outline(splats, id as usize);
-        let pixels = pixel_rows(&o, height, everywhere);
+        let pixels = pixel_rows(&o, height);
         let rows = tile_rows(&pixels);
         for row in rows.first..rows.end {
-            let columns = tile_columns(&o, &pixels, row, width, everywhere);
+            let columns = tile_columns(&o, &pixels, row, width);
             for column in columns.first..columns.end {
                 // Two kernels may round differently. Never write more entries than were counted,
                 if at < end {
@@ -150,13 +148,12 @@ pub(super) fn depth_order(
     scene: &ProjectedScene,
     len: usize,
     size: [usize; 2],
-    everywhere: bool,
     report: &CubeTensor,
 ) -> Order {
     let (_, ids) = sort_positions(gpu, scene.depths.clone(), len, 32);
     let counts = gpu.words(len + 1);
     launch!(gpu, count_tiles, gpu.cubes_for(len + 1);
-        &scene.splats, &scene.radii, &ids, &counts; len as u32, size[0] as u32, size[1] as u32, everywhere);
+        &scene.splats, &scene.radii, &ids, &counts; len as u32, size[0] as u32, size[1] as u32);
     let offsets = exclusive_sums(gpu, &counts, len + 1);
     launch!(gpu, report_total, gpu.cubes_for(1);
         &offsets, report; len as u32);
@@ -189,7 +186,6 @@ pub(super) fn tile_entries(
     order: &Order,
     len: usize,
     size: [usize; 2],
-    everywhere: bool,
 ) -> TileEntries {
     let tile_count: usize = tile_counts(size).iter().product();
     let ranges = gpu.filled(2 * tile_count, 0);
@@ -208,7 +204,7 @@ pub(super) fn tile_entries(
     let tiles = gpu.words(len);
     launch!(gpu, emit_entries, gpu.cubes_for(order.len);
         &scene.splats, &order.ids, &order.offsets, &tiles, &gaussian_of, &ends;
-        order.len as u32, size[0] as u32, size[1] as u32, everywhere);
+        order.len as u32, size[0] as u32, size[1] as u32);
     // One number more than there are tiles, for entries without a tile.
     let bits = usize::BITS - tile_count.leading_zeros();
     let (tiles, entries) = sort_positions(gpu, tiles, len, bits);
@@ -234,7 +230,7 @@ mod tests {
         for settings in [
             Settings::default(),
             Settings {
-                alpha_min: 0.0,
+                alpha_min: 1e-14,
                 ..Settings::default()
             },
         ] {

@@ -73,44 +73,24 @@ pub(super) fn tile_rows(pixels: &Span) -> Span {
 
 /// Pixel rows whose centres the ellipse covers.
 #[cube]
-pub(super) fn pixel_rows(o: &Outline, height: u32, #[comptime] everywhere: bool) -> Span {
-    if comptime![everywhere] {
-        Span {
-            first: 0u32.runtime(),
-            end: height,
-        }
-    } else {
-        between(o.center_y - o.half_y, o.center_y + o.half_y, height)
-    }
+pub(super) fn pixel_rows(o: &Outline, height: u32) -> Span {
+    between(o.center_y - o.half_y, o.center_y + o.half_y, height)
 }
 
 /// Columns of tiles that hold a pixel centre near the ellipse in the tile row `row`; `pixels` are all its pixel rows.
 #[cube]
-pub(super) fn tile_columns(
-    o: &Outline,
-    pixels: &Span,
-    row: u32,
-    width: u32,
-    #[comptime] everywhere: bool,
-) -> Span {
-    if comptime![everywhere] {
-        Span {
-            first: 0u32.runtime(),
-            end: (width + (TILE - 1) as u32) / TILE as u32,
-        }
-    } else {
-        let first = max(pixels.first, row * TILE as u32);
-        let end = min(pixels.end, (row + 1u32) * TILE as u32);
-        let low = max(f32::cast_from(first) + 0.5f32 - o.center_y, -o.half_y);
-        let high = min(f32::cast_from(end) - 0.5f32 - o.center_y, o.half_y);
-        // The right edge is concave in dy with its top at `right_at`; the left edge is its mirror image.
-        let right = min(max(o.right_at, low), high);
-        let left = min(max(-o.right_at, low), high);
-        let right_edge = o.center_x + o.slope * right + half_width(o, right);
-        let left_edge = o.center_x + o.slope * left - half_width(o, left);
-        let columns = between(left_edge, right_edge, width);
-        tile_rows(&columns)
-    }
+pub(super) fn tile_columns(o: &Outline, pixels: &Span, row: u32, width: u32) -> Span {
+    let first = max(pixels.first, row * TILE as u32);
+    let end = min(pixels.end, (row + 1u32) * TILE as u32);
+    let low = max(f32::cast_from(first) + 0.5f32 - o.center_y, -o.half_y);
+    let high = min(f32::cast_from(end) - 0.5f32 - o.center_y, o.half_y);
+    // The right edge is concave in dy with its top at `right_at`; the left edge is its mirror image.
+    let right = min(max(o.right_at, low), high);
+    let left = min(max(-o.right_at, low), high);
+    let right_edge = o.center_x + o.slope * right + half_width(o, right);
+    let left_edge = o.center_x + o.slope * left - half_width(o, left);
+    let columns = between(left_edge, right_edge, width);
+    tile_rows(&columns)
 }
 
 /// Half the length of the row section at the offset `dy` from the centre.

@@ -227,7 +227,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(9);
         let count = 20_000_usize;
         let size = [96_u32, 64];
-        for (alpha_min, least) in [(1.0 / 255.0, 0.5), (0.0, 0.0)] {
+        for (alpha_min, least) in [(1.0 / 255.0, 0.5), (1e-14, 0.0)] {
             let settings = Settings {
                 alpha_min,
                 ..Settings::default()

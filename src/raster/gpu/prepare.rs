@@ -66,12 +66,11 @@ pub(super) fn prepare(
     );
     // Non-finite rows, and entries of the tile lists.
     let report = gpu.upload(&[0_u32, 0], DType::U32);
-    let everywhere = settings.alpha_min == 0.0;
     for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
         add_non_finite(gpu, tensor, tensor.meta.num_elements(), &report);
     }
-    let projected = project::project(gpu, inputs, &view, &report, everywhere);
-    let order = lists::depth_order(gpu, &projected, len, size, everywhere, &report);
+    let projected = project::project(gpu, inputs, &view, &report);
+    let order = lists::depth_order(gpu, &projected, len, size, &report);
     let [non_finite, count] = read_report(gpu, &report)?;
     if non_finite > 0 {
         return Ok(None);
@@ -79,7 +78,7 @@ pub(super) fn prepare(
     let what = "entries of the tile lists of one view";
     check_size(gpu, what, count as usize, size_of::<u32>())?;
     let count = count as usize;
-    let entries = lists::tile_entries(gpu, &projected, &order, count, size, everywhere);
+    let entries = lists::tile_entries(gpu, &projected, &order, count, size);
     Ok(Some(Prepared {
         view,
         projected,

@@ -36,7 +36,6 @@ fn project_kernel(
     radii: &mut [u32],
     report: &[Atomic<u32>],
     count: u32,
-    #[comptime] everywhere: bool,
 ) {
     let i = ABSOLUTE_POS;
     if i >= count as usize {
@@ -86,14 +85,12 @@ fn project_kernel(
     if tau < 0.0f32 {
         terminate!();
     }
-    if comptime![!everywhere] {
-        let reach_x = (2.0f32 * tau).sqrt() * xx.sqrt();
-        let reach_y = (2.0f32 * tau).sqrt() * yy.sqrt();
-        let out_x = x + reach_x < 0.0f32 || x - reach_x > view[SIZE];
-        let out_y = y + reach_y < 0.0f32 || y - reach_y > view[SIZE + 1];
-        if out_x || out_y {
-            terminate!();
-        }
+    let reach_x = (2.0f32 * tau).sqrt() * xx.sqrt();
+    let reach_y = (2.0f32 * tau).sqrt() * yy.sqrt();
+    let out_x = x + reach_x < 0.0f32 || x - reach_x > view[SIZE];
+    let out_y = y + reach_y < 0.0f32 || y - reach_y > view[SIZE + 1];
+    if out_x || out_y {
+        terminate!();
     }
     let covariance = slope * yy;
     let difference = 0.5f32 * (xx - yy);
@@ -126,7 +123,6 @@ pub(super) fn project(
     inputs: &Inputs,
     view: &CubeTensor,
     report: &CubeTensor,
-    everywhere: bool,
 ) -> ProjectedScene {
     let out = ProjectedScene {
         splats: gpu.floats([inputs.len(), SPLAT]),
@@ -137,7 +133,7 @@ pub(super) fn project(
         launch!(gpu, project_kernel, gpu.cubes_for(inputs.len());
             &inputs.means, &inputs.log_scales, &inputs.rotations, &inputs.logits, view, &out.splats,
             &out.depths, &out.radii, report;
-            inputs.len() as u32, everywhere);
+            inputs.len() as u32);
     }
     out
 }

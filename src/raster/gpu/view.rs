@@ -19,7 +19,7 @@ pub(super) const SIZE: usize = 23;
 pub(super) const NEAR: usize = 25;
 pub(super) const LOW_PASS: usize = 26;
 pub(super) const ALPHA_MIN: usize = 27;
-/// Natural logarithm of alpha_min; far below every exponent when alpha_min is 0.
+/// Natural logarithm of alpha_min.
 pub(super) const LN_ALPHA_MIN: usize = 28;
 pub(super) const ALPHA_MAX: usize = 29;
 pub(super) const T_MIN: usize = 30;
@@ -50,7 +50,7 @@ pub(super) fn constants(
     put(NEAR, &[settings.near]);
     put(LOW_PASS, &[settings.low_pass]);
     put(ALPHA_MIN, &[settings.alpha_min]);
-    put(LN_ALPHA_MIN, &[settings.alpha_min.ln().max(-1e4)]);
+    put(LN_ALPHA_MIN, &[settings.alpha_min.ln()]);
     put(ALPHA_MAX, &[settings.alpha_max]);
     put(T_MIN, &[settings.t_min]);
     put(BACKGROUND, &background);

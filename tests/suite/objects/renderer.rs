@@ -125,7 +125,7 @@ fn equal_weights_go_to_the_lower_label() {
     let mut pair = colored_gaussians(&camera, 0.3).select(&[3, 3]);
     pair.opacity_logits.fill(-20.0);
     let settings = Settings {
-        alpha_min: 0.0,
+        alpha_min: 1e-14,
         ..Settings::default()
     };
     let projected = Projected::new(&pair.splats(), &camera, &settings).unwrap();

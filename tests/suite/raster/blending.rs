@@ -50,7 +50,7 @@ fn blending_equals_the_plain_reference() {
             },
             Settings {
                 alpha_max: 1.0,
-                alpha_min: 0.0,
+                alpha_min: 1e-14,
                 t_min: 0.0,
                 ..Settings::default()
             },

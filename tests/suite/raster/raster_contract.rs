@@ -157,7 +157,7 @@ fn every_fate(camera: &Camera) -> Cloud {
 fn each_gaussian_meets_the_fate_it_meets_alone() {
     let camera = camera(97, 61);
     let all = every_fate(&camera);
-    for alpha_min in [Settings::default().alpha_min, 0.0] {
+    for alpha_min in [Settings::default().alpha_min, 1e-14] {
         let settings = Settings {
             alpha_min,
             ..Settings::default()
@@ -186,8 +186,23 @@ fn each_gaussian_meets_the_fate_it_meets_alone() {
         let visible = wide.radii().iter().filter(|radius| **radius > 0).count();
         // Behind the camera, or beyond what numbers hold, are 150 each.
         assert!(visible > 1_200 && visible <= all.len() - 300, "{visible}");
-        // Without alpha_min every ellipse is the whole plane.
-        assert_eq!(visible < all.len() - 600, alpha_min > 0.0, "{visible}");
+        // Far aside are 300 more. The faint ones are seen at the low alpha_min alone.
+        assert_eq!(visible < all.len() - 600, alpha_min > 1e-4, "{visible}");
+    }
+}
+
+#[test]
+fn gaussians_without_an_end_are_refused() {
+    for alpha_min in [0.0, -1.0, 1.0, f64::NAN] {
+        let settings = Settings {
+            alpha_min,
+            ..Settings::default()
+        };
+        let none = Default::default();
+        let error = Projected::<f32>::new(&splats(&none), &camera(15, 17), &settings)
+            .err()
+            .expect("out of range");
+        crate::support::assert_names(&error, &["raster.alpha_min", "(0, 1)"]);
     }
 }
 

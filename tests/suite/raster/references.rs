@@ -7,7 +7,7 @@ use coseg::raster::{RasterInput, Settings, SplatTensors, rasterize};
 
 const SMOOTH: Settings = Settings {
     alpha_max: 1.0,
-    alpha_min: 0.0,
+    alpha_min: 1e-14,
     t_min: 0.0,
     near: 0.01,
     low_pass: 0.3,

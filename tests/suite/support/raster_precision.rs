@@ -260,10 +260,10 @@ pub const RGB: Channels = Channels {
     sh: Some((3, 3)),
     features: 0,
 };
-/// Without any cut-off.
+/// Without a cut-off that matters.
 pub const SMOOTH: Settings = Settings {
     alpha_max: 1.0,
-    alpha_min: 0.0,
+    alpha_min: 1e-14,
     t_min: 0.0,
     near: 0.01,
     low_pass: 0.3,
