@@ -3,7 +3,7 @@
 use super::{FeatureMap, SCALES};
 use crate::data::bilinear::{among, beside};
 use crate::error::Result;
-use crate::segmenter::contract::{Alignment, Layout};
+use crate::segmenter::contract::Alignment;
 use crate::segmenter::{Contract, Network};
 use image::RgbImage;
 use sha2::{Digest, Sha256};
@@ -61,15 +61,7 @@ impl Tap {
         let contract = &self.network.contract;
         let (input, area) = contract.prepare(photo);
         let values = self.network.output(&input)?;
-        let shape = self.network.shape();
-        let [down, across, channels] = match contract.output.layout {
-            Layout::Nchw => [shape[2], shape[3], shape[1]],
-            Layout::Nhwc => [shape[1], shape[2], shape[3]],
-        };
-        let value = |x: usize, y: usize, channel: usize| match contract.output.layout {
-            Layout::Nchw => values[(channel * down + y) * across + x],
-            Layout::Nhwc => values[(y * across + x) * channels + channel],
-        };
+        let [down, across, channels] = self.network.map_shape();
         let axis = |a: usize, cells: usize| -> Vec<(usize, usize, f64)> {
             let side = contract.input.size[a] as f64;
             let at = area.at[a] as f64;
@@ -94,7 +86,8 @@ impl Tap {
             for &(left, right, fx) in &columns {
                 let corners = [(left, top), (right, top), (left, bottom), (right, bottom)];
                 for channel in 0..channels {
-                    let values = corners.map(|(x, y)| value(x, y, channel));
+                    let value = |(x, y)| values[(y * across + x) * channels + channel];
+                    let values = corners.map(value);
                     data.push(among(values, fx as f32, fy as f32));
                 }
             }

@@ -1,8 +1,9 @@
 //! The network: an ONNX file that fits its contract.
 
-use super::contract::Contract;
+use super::contract::{Contract, Layout};
 use super::graph::{self, UNFIT_HELP, one_line};
 use crate::error::{Error, Result, ensure, invalid};
+use ndarray::Ix4;
 use sha2::{Digest, Sha256};
 use std::cell::Cell;
 use std::fmt;
@@ -75,7 +76,7 @@ impl Network {
         })
     }
 
-    /// The output for an input of the contract's shape, row-major.
+    /// The output for an input of the contract's shape: [`Network::map_shape`], row-major.
     ///
     /// # Errors
     /// [`Error::Input`] where the network fails, and for an output of another shape than the contract says;
@@ -86,8 +87,13 @@ impl Network {
             let input = Tensor::from_shape(&shape, input)?;
             let outputs = self.plan.run(tvec!(input.into()))?;
             let values = outputs[0].to_plain_array_view::<f32>()?;
-            let flat: Vec<f32> = values.iter().copied().collect();
-            Ok((values.shape().to_vec(), flat))
+            let values = values.into_dimensionality::<Ix4>()?;
+            let shape = values.shape().to_vec();
+            let map = match self.contract.output.layout {
+                Layout::Nchw => values.permuted_axes([0, 2, 3, 1]),
+                Layout::Nhwc => values,
+            };
+            Ok((shape, map.iter().copied().collect::<Vec<f32>>()))
         })?;
         ensure!(shape == self.shape, &self.file, "tensor {}", self.output; found "{shape:?}";
             expected "{:?}", self.shape; help "{UNFIT_HELP}");
@@ -98,9 +104,13 @@ impl Network {
         }
     }
 
-    /// Shape of the output.
-    pub(crate) fn shape(&self) -> [usize; 4] {
-        self.shape
+    /// Rows, columns and channels of the output.
+    pub(crate) fn map_shape(&self) -> [usize; 3] {
+        let [_, a, b, c] = self.shape;
+        match self.contract.output.layout {
+            Layout::Nchw => [b, c, a],
+            Layout::Nhwc => [a, b, c],
+        }
     }
 
     /// Bytes of memory that a photo takes while the network runs, about: the largest layer with its inputs, twice.

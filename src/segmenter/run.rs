@@ -1,6 +1,6 @@
 //! What a network says about a photo: a label map of its size, and the scores of the best classes.
 
-use super::contract::{Layout, Values};
+use super::contract::Values;
 use super::mapping::Mapping;
 use super::model::Network;
 use crate::data::bilinear::beside;
@@ -46,8 +46,7 @@ impl Network {
         let (input, area) = self.contract.prepare(photo);
         let values = self.output(&input)?;
         let mut grid = self.contract.grid(&area);
-        let [across, down] = self.contract.cells();
-        let classes = self.contract.classes.names.len();
+        let [down, across, classes] = self.map_shape();
         let needed = |a: usize, cells: usize| {
             let cell = |pixel: f64| grid.scale[a] * pixel + grid.offset[a];
             let first = (cell(0.5).max(0.0) as usize).min(cells - 1);
@@ -58,15 +57,8 @@ impl Network {
         let (columns, rows) = (needed(0, across), needed(1, down));
         let mut cut = Vec::with_capacity(rows.len() * columns.len() * classes);
         for row in rows.clone() {
-            for column in columns.clone() {
-                let cell = row * across + column;
-                match self.contract.output.layout {
-                    Layout::Nhwc => cut.extend_from_slice(&values[cell * classes..][..classes]),
-                    Layout::Nchw => {
-                        cut.extend((0..classes).map(|class| values[class * across * down + cell]))
-                    }
-                }
-            }
+            let first = (row * across + columns.start) * classes;
+            cut.extend_from_slice(&values[first..][..columns.len() * classes]);
         }
         grid.offset[0] -= columns.start as f64;
         grid.offset[1] -= rows.start as f64;
