@@ -12,11 +12,10 @@ use crate::data::labels::scores;
 use crate::data::{LoadOptions, MapGeometry, check_outputs};
 use crate::error::Result;
 use crate::progress::{Progress, Viewing};
+use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::mpsc;
 
 /// Bytes of memory that photos in work take at most, the network's weights aside.
 const MAX_PHOTO_BYTES: usize = 700 << 20;
@@ -140,38 +139,15 @@ impl Work<'_> {
     fn run(&self, progress: &mut dyn Progress) -> Result<usize> {
         let frames = &self.listing.frames;
         let mut viewing = Viewing::begin(progress, "labels", frames.len());
-        let next = AtomicUsize::new(0);
-        let stop = AtomicBool::new(false);
-        let (sender, done) = mpsc::channel();
         let mut cached = 0;
-        let mut result = Ok(());
-        std::thread::scope(|scope| {
-            for _ in 0..self.workers() {
-                let sender = sender.clone();
-                let next = &next;
-                let stop = &stop;
-                scope.spawn(move || {
-                    while let Some(frame) = frames.get(next.fetch_add(1, Ordering::Relaxed)) {
-                        if stop.load(Ordering::Relaxed) || sender.send(self.label(frame)).is_err() {
-                            return;
-                        }
-                    }
-                });
+        for batch in frames.chunks(self.workers()) {
+            let each = batch.par_iter().with_max_len(1);
+            let labelled: Vec<Result<bool>> = each.map(|frame| self.label(frame)).collect();
+            for was_cached in labelled {
+                cached += usize::from(was_cached?);
+                viewing.advance(1)?;
             }
-            drop(sender);
-            for labelled in &done {
-                // Photos that were in progress still come after the first error.
-                if result.is_err() {
-                    continue;
-                }
-                result = labelled.and_then(|was_cached| {
-                    cached += usize::from(was_cached);
-                    viewing.advance(1)
-                });
-                stop.store(result.is_err(), Ordering::Relaxed);
-            }
-        });
-        result?;
+        }
         viewing.end();
         Ok(cached)
     }
