@@ -144,9 +144,10 @@ pub(crate) fn gpu_of_tests() -> Option<Device> {
     let name = BackendName::Wgpu;
     let opened = open(Some(name)).map_err(|error| error.to_string());
     let suited = opened.and_then(|device| {
-        let reason = match hardware {
-            true => unsuited(name, &device),
-            false => missing_capability(&device),
+        let reason = if hardware {
+            unsuited(name, &device)
+        } else {
+            missing_capability(&device)
         };
         reason.map_or(Ok(device), Err)
     });

@@ -4,7 +4,7 @@
 use crate::support::device_tensors::{
     assert_close, host, leaf, on_device, value_and_gradients, waves,
 };
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Device;
 use coseg::ops::{AdamStep, AdamTensors, adam_step, sum_all};
 use coseg::segmentation::loss::{NeighbourPairs, neighbour_divergence};
 use std::sync::Arc;

@@ -53,7 +53,7 @@ fn scenes_with_transforms() {
     survives(&at("transforms.json"), |file| read_cameras(file, None));
     survives(&at("classes.json"), Classes::read);
     survives(&at("images/v1.png"), |_| data::check(dir.path(), &options));
-    survives(&at("labels/v1.png"), |file| LabelMap::read(file));
+    survives(&at("labels/v1.png"), LabelMap::read);
     survives(&at("points.ply"), |file| Points::read(file, DVec3::ZERO));
     let photo = at("images/v1.jpg");
     picture(16, 12, 1).save(&photo).expect("JPEG");
@@ -137,7 +137,7 @@ fn gaussians_and_files_of_a_run() {
         Some(&labels[..8]),
     )
     .expect("write");
-    survives(&at("scene.ply"), |file| ply::read(file));
+    survives(&at("scene.ply"), ply::read);
     let identities = Identities {
         scores: vec![0.5; 24],
         classes: 3,
@@ -244,5 +244,5 @@ fn networks_and_what_they_write() {
         probabilities: vec![200, 255, 128, 130, 100, 99, 55, 0, 127, 0, 80, 0],
     };
     scores.write(&at("a.scores")).expect("write");
-    survives(&at("a.scores"), |file| ScoreMap::read(file));
+    survives(&at("a.scores"), ScoreMap::read);
 }

@@ -200,8 +200,7 @@ fn gaussians_without_an_end_are_refused() {
         };
         let none = Default::default();
         let error = Projected::<f32>::new(&splats(&none), &camera(15, 17), &settings)
-            .err()
-            .expect("out of range");
+            .expect_err("out of range");
         crate::support::assert_names(&error, &["raster.alpha_min", "(0, 1)"]);
     }
 }
