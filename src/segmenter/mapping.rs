@@ -52,6 +52,16 @@ pub struct Mapping {
 }
 
 impl Mapping {
+    /// The network's class of each channel of mapped scores; `None` for channels of several classes.
+    pub(super) fn only_classes(&self) -> Vec<Option<usize>> {
+        let only = |channel| {
+            let mut classes =
+                (0..self.channels.len()).filter(|class| self.channels[*class] == Some(channel));
+            classes.next().filter(|_| classes.next().is_none())
+        };
+        (0..self.ids.len()).map(only).collect()
+    }
+
     /// Every class of the network is a label. Ids count from 1; the class by which the network names
     /// none of the others is 0.
     pub fn all(contract: &Contract) -> Self {

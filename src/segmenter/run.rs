@@ -3,6 +3,7 @@
 use super::contract::Values;
 use super::mapping::Mapping;
 use super::model::Network;
+use crate::backend::elementary::exp;
 use crate::data::bilinear::beside;
 use crate::data::{LabelMap, ScoreGrid, ScoreMap};
 use crate::error::Result;
@@ -32,6 +33,9 @@ pub struct Logits {
 struct Mapped<'a> {
     /// Its values are logits or probabilities, `[height, width, channels]`.
     logits: Logits,
+    /// Probabilities of the classes that are not dropped, `[height, width, channels]`. They add up to 1, or are all 0 where those
+    /// of the listed classes are nil.
+    probabilities: Vec<f32>,
     /// Probability of all classes that are not dropped, `[height, width]`.
     listed: Vec<f32>,
     mapping: &'a Mapping,
@@ -85,15 +89,13 @@ impl Logits {
         let channels = mapping.ids.len();
         let cells = self.width * self.height;
         let mut values = Vec::with_capacity(cells * channels);
+        let mut probabilities = Vec::with_capacity(cells * channels);
         let mut listed = Vec::with_capacity(cells);
-        let keeps_all = mapping
-            .channels
-            .iter()
-            .enumerate()
-            .all(|(class, channel)| *channel == Some(class));
+        let only_classes = mapping.only_classes();
         let mut sums = vec![0.0_f32; channels];
         for cell in self.values.chunks_exact(classes) {
-            let weights = weights(cell, self.kind);
+            let most = cell.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+            let weights = weights(cell, most, self.kind);
             let all: f32 = weights.iter().sum();
             sums.fill(0.0);
             for (weight, channel) in weights.iter().zip(&mapping.channels) {
@@ -101,24 +103,26 @@ impl Logits {
                     sums[*channel] += weight;
                 }
             }
-            listed.push(if all > 0.0 {
-                sums.iter().sum::<f32>() / all
-            } else {
-                0.0
-            });
+            let kept: f32 = sums.iter().sum();
+            let share = if all > 0.0 { kept / all } else { 0.0 };
+            listed.push(share);
             match self.kind {
-                // A class of its own keeps its logit.
-                Values::Logits if keeps_all => values.extend_from_slice(cell),
                 Values::Logits => {
-                    let most = largest(cell);
-                    let logit = |sum: &f32| most + sum.max(f32::MIN_POSITIVE).ln();
-                    values.extend(sums.iter().map(logit));
+                    let logit = |(only, sum): (&Option<usize>, &f32)| match only {
+                        Some(class) => cell[*class],
+                        None => most + sum.max(f32::MIN_POSITIVE).ln(),
+                    };
+                    values.extend(only_classes.iter().zip(&sums).map(logit));
                 }
                 Values::Probabilities => values.extend_from_slice(&sums),
             }
+            let is_known = share >= MIN_PROBABILITY;
+            let scale = if is_known { kept.recip() } else { 0.0 };
+            probabilities.extend(sums.iter().map(|sum| scale * sum));
         }
         Mapped {
             logits: Logits { values, ..*self },
+            probabilities,
             listed,
             mapping,
         }
@@ -252,48 +256,33 @@ impl Mapped<'_> {
         }
     }
 
-    /// The probabilities of the channels, mean over a block of cells. All 0 where those of the listed classes are nil.
+    /// The probabilities of the channels, mean over a block of cells.
     fn mean_probabilities(&self, [column, row]: [usize; 2], block: usize, sums: &mut [f32]) {
-        let Logits {
-            width,
-            height,
-            values,
-            kind,
-            ..
-        } = &self.logits;
+        let &Logits { width, height, .. } = &self.logits;
         sums.fill(0.0);
         let mut cells = 0.0;
-        for y in row * block..((row + 1) * block).min(*height) {
-            for x in column * block..((column + 1) * block).min(*width) {
+        for y in row * block..((row + 1) * block).min(height) {
+            for x in column * block..((column + 1) * block).min(width) {
                 cells += 1.0;
-                let cell = y * width + x;
-                if self.listed[cell] < MIN_PROBABILITY {
-                    continue;
-                }
-                let values = &values[cell * sums.len()..][..sums.len()];
-                let weights = weights(values, *kind);
-                let all: f32 = weights.iter().sum();
+                let first = (y * width + x) * sums.len();
+                let probabilities = &self.probabilities[first..];
                 sums.iter_mut()
-                    .zip(weights)
-                    .for_each(|(sum, weight)| *sum += weight / all);
+                    .zip(probabilities)
+                    .for_each(|(sum, probability)| *sum += probability);
             }
         }
         sums.iter_mut().for_each(|sum| *sum /= cells);
     }
 }
 
-/// Probabilities up to a common factor.
-fn weights(values: &[f32], kind: Values) -> Vec<f32> {
-    let most = largest(values);
+/// Probabilities up to a common factor; `most` is the largest of the values.
+fn weights(values: &[f32], most: f32, kind: Values) -> Vec<f32> {
     let weight = |value: &f32| match kind {
-        Values::Logits => (value - most).exp(),
+        // In line: a call for each value took longer than the network's convolutions.
+        Values::Logits => exp(f64::from(value - most)) as f32,
         Values::Probabilities => value.max(0.0),
     };
     values.iter().map(weight).collect()
-}
-
-fn largest(values: &[f32]) -> f32 {
-    values.iter().copied().fold(f32::NEG_INFINITY, f32::max)
 }
 
 /// The channels that can be the highest somewhere between two cells: those that reach the best lower end.
