@@ -25,11 +25,11 @@ pub(super) fn divided<'a>(
             continue;
         };
         let category = Category::from(&view.segments[segment]);
-        if groups.category(seen.set) == category
-            && seen.total > MIN_VISIBLE * extents[seen.set as usize]
+        if groups.category(seen.group) == category
+            && seen.total > MIN_VISIBLE * extents[seen.group as usize]
         {
             let covered = covered.entry(segment).or_default();
-            covered.push((seen.set, pixels));
+            covered.push((seen.group, pixels));
         }
     }
     let mut pieces = Vec::with_capacity(view.segments.len());

@@ -9,10 +9,10 @@ use std::collections::BTreeMap;
 /// their border.
 const MIN_SHARED: f64 = 0.02;
 /// Views that count against a merge or a split beforehand, so that no view decides alone.
-pub(super) const PRIOR_VIEWS: f64 = 1.0;
+const PRIOR_VIEWS: f64 = 1.0;
 /// Groups are merged when more than this share of the views that show both put them into one segment. A group is split when more
 /// than the rest of its views show two segments of it. [`PRIOR_VIEWS`] views count against each change.
-pub(super) const MIN_AGREEMENT: f64 = 0.5;
+const MIN_AGREEMENT: f64 = 0.5;
 /// A group with a lower purity is a stray: others have most of its Gaussians.
 const MIN_PURITY: f64 = 0.15;
 

@@ -8,8 +8,8 @@
 //! tests are ours).
 //!
 //! The first sweep takes the views in an order of overlap and opens groups. Later sweeps remove each view from the groups and
-//! assign it again, so that no view confirms itself. Then groups that most views take for two objects are split, and groups that
-//! most views take for one are merged. Strays are dropped last. Where a segment covers most of what its view shows of several
+//! assign it again, so that no view confirms itself. Then groups that most views take for one object are merged. Strays are dropped
+//! last. Where a segment covers most of what its view shows of several
 //! groups, the segmenter took two objects for one. The other views keep these groups apart, so the segment is divided among them,
 //! Gaussian by Gaussian and then pixel by pixel. (MaskClustering, arXiv 2401.07745, also counts the views that agree, and leaves
 //! such segments out.)
@@ -22,10 +22,8 @@ mod groups;
 mod merge;
 mod order;
 mod ownership;
-mod part_evidence;
 mod relabel;
 mod segments;
-mod split;
 mod sums;
 mod sweeps;
 

@@ -7,7 +7,6 @@ use super::merge;
 use super::order::view_order;
 use super::ownership::{extents, sightings_in_views};
 use super::segments::ViewSegments;
-use super::split::split;
 use crate::error::Result;
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -45,9 +44,6 @@ pub(super) fn form_groups<'a>(
             progress(1)?;
         }
         groups.rebuild(&assigned);
-        if split(groups, views, &mut assigned, &order, progress)? {
-            groups.rebuild(&assigned);
-        }
         group_extents = merge_groups(groups, views, &mut assigned, progress)?;
     }
     drop_negligible(groups, &mut assigned)?;
