@@ -1,7 +1,7 @@
 //! The operations by the CPU's kernels: slices from tensors, tensors from slices.
 
 use super::tensors::{
-    BlendedView, Forward, INPUTS, PixelTensors, ProjectedView, RasterCall, RasterPass,
+    BlendedView, Forward, INPUTS, OfHost, PixelTensors, ProjectedView, RasterCall, RasterPass,
     RasterTensors, Rows, SavedForward, ViewCall,
 };
 use crate::backend::{HostBackend, HostValues, Real, check_finite, device_of, real_kernel};
@@ -30,7 +30,7 @@ pub(super) fn raster_forward<B: HostBackend>(
             image: B::tensor::<E>(image, &[h, w, channels], &device),
             transmittance: B::tensor::<E>(forward.transmittance.clone(), &[h, w], &device),
             radii: B::tensor::<E>(radii, &[forward.projected.len()], &device),
-            saved: SavedForward::new(forward),
+            saved: forward.into(),
         }
     })
 }
@@ -48,7 +48,7 @@ pub(super) fn raster_backward<B: HostBackend>(
         let inputs = Inputs::<E>::read::<B>(RasterTensors::from_array(tensors));
         let [image, d_image, d_transmittance] =
             [pixels.image, pixels.d_image, pixels.d_transmittance].map(B::values::<E>);
-        let Some(forward) = saved.get::<Forward<E>>() else {
+        let Some(forward) = OfHost::<Forward<E>>::of_host(&saved) else {
             unreachable!("another precision or device saved the forward pass");
         };
         let pixels = PixelGradients {
@@ -74,8 +74,7 @@ pub(super) fn project_view<B: HostBackend>(
 ) -> Result<ProjectedView> {
     real_kernel!(tensors.means, E => {
         let inputs = Inputs::<E>::read::<B>(tensors);
-        let projected = Projected::new(&inputs.splats(), &call.camera, &call.settings)?;
-        Ok(ProjectedView::new(projected))
+        Ok(Projected::new(&inputs.splats(), &call.camera, &call.settings)?.into())
     })
 }
 
@@ -89,7 +88,7 @@ pub(super) fn view_colours<B: HostBackend>(
     let device = device_of::<B>(&means);
     let shape = means.shape();
     real_kernel!(means, E => {
-        let Some(projected) = view.get::<Projected<E>>() else {
+        let Some(projected) = OfHost::<Projected<E>>::of_host(&view) else {
             return Rows::Failed(other_kernels());
         };
         let stored = sh.shape()[1].isqrt() - 1;
@@ -116,7 +115,7 @@ pub(super) fn blend_view<B: HostBackend>(
     let device = device_of::<B>(&values);
     let channels = values.shape()[1];
     real_kernel!(values, E => {
-        let Some(projected) = view.get::<Projected<E>>() else {
+        let Some(projected) = OfHost::<Projected<E>>::of_host(&view) else {
             return BlendedView::Failed(other_kernels());
         };
         let [w, h] = projected.size();
@@ -135,7 +134,7 @@ pub(super) fn blend_view_adjoint<B: HostBackend>(
     let device = device_of::<B>(&image);
     let channels = image.shape()[2];
     real_kernel!(image, E => {
-        let Some(projected) = view.get::<Projected<E>>() else {
+        let Some(projected) = OfHost::<Projected<E>>::of_host(&view) else {
             return Rows::Failed(other_kernels());
         };
         let sums = projected.blend_adjoint(&B::values::<E>(image), channels);

@@ -7,7 +7,7 @@ use super::tensors::{
 };
 use crate::backend::HostBackend;
 use crate::error::{Error, Result};
-use crate::raster::gpu::{self, Forward, Inputs, Lists, Scenery};
+use crate::raster::gpu::{self, Inputs, Lists, Scenery};
 use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::kernel::{cast, into_contiguous};
@@ -53,7 +53,7 @@ pub(super) fn raster_forward(
             image,
             transmittance: forward.transmittance.clone(),
             radii: cast(forward.radii(), DType::F32),
-            saved: SavedForward::new(forward),
+            saved: SavedForward::Gpu(Arc::new(forward)),
         },
         // The CPU's own check names tensor and row.
         Ok(None) => match cpu::Inputs::<f32>::read::<CubeBackend>(tensors).forward(&call) {
@@ -70,7 +70,7 @@ pub(super) fn raster_backward(
     saved: SavedForward,
     call: Arc<RasterCall>,
 ) -> RasterTensors<CubeBackend> {
-    let Some(forward) = saved.get::<Forward>() else {
+    let SavedForward::Gpu(forward) = &saved else {
         return cpu::raster_backward(tensors, pixels, saved, call);
     };
     let gradients = forward.backward(
@@ -110,7 +110,7 @@ pub(super) fn project_view(
         background: [0.0; 3],
     };
     match Lists::new(&inputs(&tensors, None), scenery)? {
-        Some(lists) => Ok(ProjectedView::new(lists)),
+        Some(lists) => Ok(ProjectedView::Gpu(Arc::new(lists))),
         // The CPU's own check names tensor and row.
         None => cpu::project_view(tensors, call),
     }
@@ -123,14 +123,16 @@ pub(super) fn view_colours(
     view: ProjectedView,
     call: Arc<ViewCall>,
 ) -> Rows<CubeBackend> {
-    let Some(lists) = view.get::<Lists>() else {
-        return cpu::view_colours(means, sh, degree, view, call);
-    };
-    Rows::Done(lists.colours(into_contiguous(means), into_contiguous(sh), degree))
+    match &view {
+        ProjectedView::Gpu(lists) => {
+            Rows::Done(lists.colours(into_contiguous(means), into_contiguous(sh), degree))
+        }
+        _ => cpu::view_colours(means, sh, degree, view, call),
+    }
 }
 
 pub(super) fn blend_view(values: CubeTensor, view: ProjectedView) -> BlendedView<CubeBackend> {
-    let Some(lists) = view.get::<Lists>() else {
+    let ProjectedView::Gpu(lists) = &view else {
         return cpu::blend_view(values, view);
     };
     if values.dtype != DType::F32 {
@@ -158,7 +160,7 @@ fn no_channels(values: &CubeTensor, lists: &Lists) -> Result<(CubeTensor, CubeTe
 }
 
 pub(super) fn blend_view_adjoint(image: CubeTensor, view: ProjectedView) -> Rows<CubeBackend> {
-    let Some(lists) = view.get::<Lists>() else {
+    let ProjectedView::Gpu(lists) = &view else {
         return cpu::blend_view_adjoint(image, view);
     };
     if image.dtype != DType::F32 {

@@ -2,11 +2,11 @@
 //!
 //! The CPU's kernel sums the weights of the labels that a tile shows. A GPU blends one channel for each label, in blocks.
 
+use super::tensors::ProjectedView;
 use super::view::SplatView;
 use crate::backend::device::{read, upload};
 use crate::error::Result;
 use crate::ops::CustomOp;
-use crate::raster::Projected;
 use burn::tensor::{Device, Tensor};
 use std::ops::Range;
 use std::sync::OnceLock;
@@ -95,7 +95,7 @@ impl SplatView {
         let n = self.splats().len();
         assert_eq!(labels.labels.len(), n, "one label for each Gaussian");
         if !CustomOp::Raster.is_replaced()
-            && let Some(projected) = self.projected()?.get::<Projected<f32>>()
+            && let ProjectedView::F32(projected) = self.projected()?
         {
             let blended = match colours {
                 Some(colours) => projected.blend(&read("colours", colours)?, 3),

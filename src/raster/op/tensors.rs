@@ -5,7 +5,7 @@ use crate::raster::Projected;
 use crate::raster::settings::Settings;
 use crate::splat::camera::Camera;
 use burn::backend::{Backend, ExtensionType, tensor::FloatTensor};
-use std::any::Any;
+use std::fmt::{Debug, Formatter};
 use std::sync::Arc;
 
 /// The tensors of one call; absent ones are empty.
@@ -143,26 +143,68 @@ pub(crate) enum BlendedView<B: Backend> {
     Failed(Error),
 }
 
-/// What kernels left for kernels of the same device and precision, which know its type.
-#[derive(Clone, Debug)]
-pub(crate) struct OfKernels(Arc<dyn Any + Send + Sync>);
+/// Declares an enum of a value of the CPU's kernels in either precision, and one of the GPU's kernels.
+macro_rules! by_kernels {
+    ($(#[$meta:meta])* $name:ident, $host:ident, $device:ident) => {
+        $(#[$meta])*
+        #[derive(Clone)]
+        pub(crate) enum $name {
+            /// The CPU's kernels in f32 made it.
+            F32(Arc<$host<f32>>),
+            /// The CPU's kernels in f64 made it.
+            F64(Arc<$host<f64>>),
+            /// The GPU's kernels made it.
+            #[cfg(feature = "cube")]
+            Gpu(Arc<crate::raster::gpu::$device>),
+        }
 
-impl OfKernels {
-    pub(super) fn new<T: Any + Send + Sync>(value: T) -> Self {
-        Self(Arc::new(value))
-    }
+        impl From<$host<f32>> for $name {
+            fn from(value: $host<f32>) -> Self {
+                Self::F32(Arc::new(value))
+            }
+        }
 
-    /// `None` where another precision or device made the value.
-    pub(super) fn get<T: Any>(&self) -> Option<&T> {
-        self.0.downcast_ref()
-    }
+        impl From<$host<f64>> for $name {
+            fn from(value: $host<f64>) -> Self {
+                Self::F64(Arc::new(value))
+            }
+        }
+
+        impl OfHost<$host<f32>> for $name {
+            fn of_host(&self) -> Option<&$host<f32>> {
+                if let Self::F32(value) = self { Some(value) } else { None }
+            }
+        }
+
+        impl OfHost<$host<f64>> for $name {
+            fn of_host(&self) -> Option<&$host<f64>> {
+                if let Self::F64(value) = self { Some(value) } else { None }
+            }
+        }
+
+        impl Debug for $name {
+            fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
+                f.write_str(stringify!($name))
+            }
+        }
+    };
 }
 
-/// What a forward pass leaves for its backward pass: [`Forward`] of the CPU or of the GPU.
-pub(crate) type SavedForward = OfKernels;
+/// Access to the value of the CPU's kernels in the precision of `T`.
+pub(super) trait OfHost<T> {
+    /// `None` where another precision or a GPU made the value.
+    fn of_host(&self) -> Option<&T>;
+}
 
-/// Projection and tile lists of a view: [`Projected`](crate::raster::Projected) of the CPU, `Lists` of the GPU.
-pub(crate) type ProjectedView = OfKernels;
+by_kernels! {
+    /// What a forward pass leaves for its backward pass.
+    SavedForward, Forward, Forward
+}
+
+by_kernels! {
+    /// Projection and tile lists of a view.
+    ProjectedView, Projected, Lists
+}
 
 /// What the CPU's forward pass computes.
 pub(crate) struct Forward<E> {

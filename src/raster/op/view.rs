@@ -5,11 +5,8 @@ use super::reference::{ReferenceView, colours};
 use super::splats::SplatTensors;
 use super::tensors::{BlendedView, ProjectedView, Rows, ViewCall};
 use crate::backend::device::largest_allocation;
-use crate::error::{Error, Result, ensure};
+use crate::error::{Result, ensure};
 use crate::ops::{CustomOp, SparseMatrix, sparse_apply};
-use crate::raster::Projected;
-#[cfg(feature = "cube")]
-use crate::raster::gpu::Lists;
 use crate::raster::settings::Settings;
 use crate::splat::camera::Camera;
 use burn::backend::Dispatch;
@@ -77,14 +74,12 @@ impl SplatView {
     /// # Errors
     /// As [`SplatView::blend`].
     pub(crate) fn bytes(&self) -> Result<usize> {
-        let view = self.projected()?;
-        #[cfg(feature = "cube")]
-        if let Some(lists) = view.get::<Lists>() {
-            return Ok(lists.bytes());
-        }
-        let of_f32 = view.get::<Projected<f32>>().map(Projected::bytes);
-        let of_f64 = view.get::<Projected<f64>>().map(Projected::bytes);
-        Ok(of_f32.or(of_f64).unwrap_or(0))
+        Ok(match self.projected()? {
+            ProjectedView::F32(projected) => projected.bytes(),
+            ProjectedView::F64(projected) => projected.bytes(),
+            #[cfg(feature = "cube")]
+            ProjectedView::Gpu(lists) => lists.bytes(),
+        })
     }
 
     /// Where it is seen from.
@@ -187,14 +182,12 @@ impl SplatView {
         if CustomOp::Raster.is_replaced() {
             return self.reference().disc_pixels();
         }
-        let view = self.projected()?;
-        #[cfg(feature = "cube")]
-        if let Some(lists) = view.get::<Lists>() {
-            return lists.disc_pixels();
+        match self.projected()? {
+            ProjectedView::F32(projected) => Ok(projected.counts()),
+            ProjectedView::F64(projected) => Ok(projected.counts()),
+            #[cfg(feature = "cube")]
+            ProjectedView::Gpu(lists) => lists.disc_pixels(),
         }
-        let of_f32 = view.get::<Projected<f32>>().map(Projected::counts);
-        let of_f64 = || view.get::<Projected<f64>>().map(Projected::counts);
-        Ok(of_f32.or_else(of_f64).unwrap_or_default())
     }
 
     /// The rows `pixels` (row-major) of `W`, entries front to back, rounded to `f32`.
@@ -208,18 +201,16 @@ impl SplatView {
         if CustomOp::Raster.is_replaced() {
             return Ok(self.reference().weights(pixels));
         }
-        let view = self.projected()?;
-        if let Some(projected) = view.get::<Projected<f32>>() {
-            return Ok(projected.weights(pixels));
+        match self.projected()? {
+            ProjectedView::F32(projected) => Ok(projected.weights(pixels)),
+            ProjectedView::F64(projected) => Ok(projected.weights(pixels)),
+            #[cfg(feature = "cube")]
+            ProjectedView::Gpu(_) => Err(crate::error::Error::Device {
+                device: "the GPU of this view".into(),
+                reason: "views on a GPU store no blending weights".into(),
+                help: "use `blend`".into(),
+            }),
         }
-        if let Some(projected) = view.get::<Projected<f64>>() {
-            return Ok(projected.weights(pixels));
-        }
-        Err(Error::Device {
-            device: "the GPU of this view".into(),
-            reason: "views on a GPU store no blending weights".into(),
-            help: "use `blend`".into(),
-        })
     }
 
     /// Colours `max(0, SH + 0.5)` of all Gaussians, `[N, 3]`, from coefficients `[N, K, 3]` of degree `degree`, without autodiff.
