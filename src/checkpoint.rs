@@ -1,7 +1,7 @@
 //! Checkpoints: named tensors and settings in one safetensors file. A crash while it is written leaves the old file whole.
 //!
-//! A checksum covers every byte: a damaged file is refused. Settings are one JSON object under the key `coseg` of `__metadata__`. Their finite numbers come back bit for bit. JSON has
-//! no NaN and no infinity: numbers that may be one belong in tensors.
+//! A checksum covers every byte: a damaged file is refused. Settings are one JSON object under the key `coseg` of `__metadata__`.
+//! Their finite numbers come back bit for bit. JSON has no NaN and no infinity: numbers that may be one belong in tensors.
 
 use crate::error::{Error, Result, ensure, invalid};
 use crate::files::{self, atomic};
@@ -14,7 +14,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
 /// Version of the layout; files of another one are refused.
-const VERSION: u64 = 4;
+const VERSION: u64 = 5;
 /// Key of the JSON object within `__metadata__`.
 const KEY: &str = "coseg";
 

@@ -117,8 +117,8 @@ impl Logits {
                 Values::Probabilities => values.extend_from_slice(&sums),
             }
             let is_known = share >= MIN_PROBABILITY;
-            let scale = if is_known { kept.recip() } else { 0.0 };
-            probabilities.extend(sums.iter().map(|sum| scale * sum));
+            let probability = |sum: &f32| if is_known { sum / kept } else { 0.0 };
+            probabilities.extend(sums.iter().map(probability));
         }
         Mapped {
             logits: Logits { values, ..*self },
@@ -278,7 +278,7 @@ impl Mapped<'_> {
 /// Probabilities up to a common factor; `most` is the largest of the values.
 fn weights(values: &[f32], most: f32, kind: Values) -> Vec<f32> {
     let weight = |value: &f32| match kind {
-        // In line: a call for each value took longer than the network's convolutions.
+        // In line: calls of the library for each value took as long as the network.
         Values::Logits => exp(f64::from(value - most)) as f32,
         Values::Probabilities => value.max(0.0),
     };
