@@ -1,6 +1,6 @@
 //! Plots of a table, as SVG files.
 
-use crate::report::chart::{FONT, PALETTE, TEXT, TICKS, around, styled, tick};
+use crate::report::chart::{FONT, TEXT, TICKS, around, row_color, styled, tick};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -14,9 +14,8 @@ const LINE: i32 = 26;
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 
-/// The colours of rows, in turn.
 fn color(row: usize) -> RGBColor {
-    let [r, g, b] = PALETTE[row % PALETTE.len()];
+    let [r, g, b] = row_color(row);
     RGBColor(r, g, b)
 }
 

@@ -26,7 +26,8 @@ impl SharedGaussians {
     /// Those of `scene`, trained first or taken from the file that `options` name, unless that is done.
     ///
     /// # Errors
-    /// [`crate::Error::Config`] and [`crate::Error::Input`] for Gaussians of other settings or photos, or from another file; those of [`pipeline::run`].
+    /// [`crate::Error::Config`] and [`crate::Error::Input`] for Gaussians of other settings or photos, or from another file; those
+    /// of [`pipeline::run`].
     pub fn of(
         scene: &SceneFolder,
         plan: &Plan,

@@ -33,8 +33,12 @@ type Mesh<'a, 'b, 's> = MeshStyle<'a, 'b, RangedCoordf64, RangedCoordf64, SVGBac
 /// The page shows charts at about half this size: plotters places points on whole units.
 const SIZE: (u32, u32) = (960, 520);
 pub(crate) const TEXT: RGBColor = RGBColor(118, 121, 130);
-/// Colours of rows, in the order of [`Variant`](crate::config::Variant), readable on light and on dark pages.
-pub(crate) const PALETTE: [[u8; 3]; 13] = [
+const GRID: RGBColor = RGBColor(226, 226, 221);
+pub(crate) const FONT: &str = "sans-serif";
+/// Ticks of an axis, about.
+pub(crate) const TICKS: usize = 6;
+/// Colours of the rows of a table, readable on light and on dark pages.
+const PALETTE: [[u8; 3]; 13] = [
     [128, 131, 138],
     [194, 118, 26],
     [180, 148, 24],
@@ -49,16 +53,17 @@ pub(crate) const PALETTE: [[u8; 3]; 13] = [
     [156, 106, 56],
     [207, 76, 63],
 ];
-const GRID: RGBColor = RGBColor(226, 226, 221);
-pub(crate) const FONT: &str = "sans-serif";
-/// Ticks of an axis, about.
-pub(crate) const TICKS: usize = 6;
 /// A logarithmic axis spans this ratio or more.
 const MIN_RATIO: f64 = 3.0;
 /// Lines with more points than this are averaged in groups.
 const MAX_POINTS: usize = 160;
 /// Lines with at most this many points have markers.
 const MARKED_POINTS: usize = 40;
+
+/// The colour of a row by its number; in a label table that of its [`Variant`](crate::config::Variant).
+pub(crate) const fn row_color(number: usize) -> [u8; 3] {
+    PALETTE[number % PALETTE.len()]
+}
 
 /// `samples` averaged in equal groups, so that at most [`MAX_POINTS`] remain; also the group size. Non-finite values are
 /// left out.

@@ -1,17 +1,17 @@
 //! The charts of a run.
 
-use super::chart::{Chart, Line, PALETTE, thinned};
+use super::chart::{Chart, Line, row_color, thinned};
 use super::{Report, Sample};
 use crate::config::Variant;
 use maud::Markup;
 
 /// Colours of charts with a single line.
-const BLUE: [u8; 3] = PALETTE[Variant::Ours as usize];
-const ORANGE: [u8; 3] = PALETTE[Variant::Vote as usize];
+const BLUE: [u8; 3] = row_color(Variant::Ours as usize);
+const ORANGE: [u8; 3] = row_color(Variant::Vote as usize);
 
 /// The colour of a row.
 pub(super) fn color(row: Variant) -> [u8; 3] {
-    PALETTE[row as usize]
+    row_color(row as usize)
 }
 
 /// A chart of one line.

@@ -12,10 +12,15 @@ use crate::data::{LoadOptions, MapGeometry, Scene, Split};
 use crate::error::Result;
 use glam::DVec3;
 use std::collections::HashMap;
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 /// Cameras that are nearer to each other than this, in world units, count as being at one place.
 const MIN_CAMERA_DISTANCE: f64 = 1e-6;
+/// Range of the fields of view, in degrees, of lenses without fisheye projection.
+const USUAL_FIELDS_OF_VIEW: RangeInclusive<f64> = 5.0..=170.0;
+/// A principal point further from the middle, in sides of the photo, is outside.
+const MAX_CENTER_OFFSET: f64 = 0.5;
 
 /// Lists the frames of a folder, with notices on poses, intrinsics, labels and masks.
 pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
@@ -141,12 +146,15 @@ fn equal_poses(posed: &[&Frame]) -> Option<String> {
 
 /// Frames whose principal point is outside the photo, or whose field of view only a fisheye lens has.
 fn unusual_intrinsics(posed: &[&Frame]) -> Option<String> {
-    let odd = |frame: &Frame| odd_intrinsics(&frame.camera, &(5.0..=170.0), 0.5);
+    let odd =
+        |frame: &Frame| odd_intrinsics(&frame.camera, &USUAL_FIELDS_OF_VIEW, MAX_CENTER_OFFSET);
     let found = posed.iter().find_map(|frame| odd(frame))?;
     let (_, names) = listed(posed.iter().copied().filter(|frame| odd(frame).is_some()))?;
     Some(format!(
-        "intrinsics of {names}: found {found}, expected a field of view from 5 to 170 degrees and a principal point on the photo; \
-         give them in pixels of these photos, not in millimetres or for another size"
+        "intrinsics of {names}: found {found}, expected a field of view from {} to {} degrees and a principal point on the photo; \
+         give them in pixels of these photos, not in millimetres or for another size",
+        USUAL_FIELDS_OF_VIEW.start(),
+        USUAL_FIELDS_OF_VIEW.end()
     ))
 }
 

@@ -3,7 +3,7 @@
 use crate::data::LabelMap;
 
 /// A label map as runs of equal ids, `[H, W]` row-major. Neighbouring pixels mostly agree, and runs decode much faster than an
-/// image file. Maps of rooms take less than 0.15 bytes a pixel; a map in which no neighbours agree would take 4.
+/// image file. Where no neighbours agree, runs take twice the memory of the ids.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LabelRuns {
     width: usize,

@@ -8,10 +8,10 @@ use std::collections::BTreeMap;
 /// Two groups can be one object when they share more than this part of the lighter one's weight. Neighbours share the Gaussians of
 /// their border.
 const MIN_SHARED: f64 = 0.02;
-/// Views that count against a merge or a split beforehand, so that no view decides alone.
+/// Views that count against a merge beforehand, so that no view decides alone.
 const PRIOR_VIEWS: f64 = 1.0;
-/// Groups are merged when more than this share of the views that show both put them into one segment. A group is split when more
-/// than the rest of its views show two segments of it. [`PRIOR_VIEWS`] views count against each change.
+/// Groups are merged when more than this share of the views that show both put them into one segment. [`PRIOR_VIEWS`] views more
+/// count against it.
 const MIN_AGREEMENT: f64 = 0.5;
 /// A group with a lower purity is a stray: others have most of its Gaussians.
 const MIN_PURITY: f64 = 0.15;

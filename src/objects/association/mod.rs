@@ -9,10 +9,9 @@
 //!
 //! The first sweep takes the views in an order of overlap and opens groups. Later sweeps remove each view from the groups and
 //! assign it again, so that no view confirms itself. Then groups that most views take for one object are merged. Strays are dropped
-//! last. Where a segment covers most of what its view shows of several
-//! groups, the segmenter took two objects for one. The other views keep these groups apart, so the segment is divided among them,
-//! Gaussian by Gaussian and then pixel by pixel. (MaskClustering, arXiv 2401.07745, also counts the views that agree, and leaves
-//! such segments out.)
+//! last. Where a segment covers most of what its view shows of several groups, the segmenter took two objects for one. The other
+//! views keep these groups apart, so the segment is divided among them, Gaussian by Gaussian and then pixel by pixel.
+//! (MaskClustering, arXiv 2401.07745, also counts the views that agree, and leaves such segments out.)
 //!
 //! Memory grows with the pairs of segments and Gaussians, 8 bytes each, and as much again while the order of the views is found.
 //! It does not grow with their product.
