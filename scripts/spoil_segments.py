@@ -1,6 +1,7 @@
+#!/usr/bin/env python3
 """Makes a scene folder whose raw labels are segments of single views, to measure `coseg associate` on.
 
-python3 scripts/spoil_segments.py ROOM OUT KIND
+    scripts/spoil_segments.py ROOM OUT KIND
 
 ROOM has images/, instances_gt/ and transforms.json, as the rooms of the shared test data. OUT gets links to its photos and points, the
 segments, and a transforms.json that names the true instances. Ids are drawn anew in each view. KIND:
