@@ -18,7 +18,7 @@ _Objects = Union[_Object, Sequence[_Object]]
 _Value = Union[str, int, float, bool, _Path, Sequence[Union[str, int, float]]]
 _Backend = Literal["wgpu", "flex", "ndarray", "cuda"]
 
-__all__ = ["Camera", "Error", "Event", "Scene", "View", "__version__", "load", "train", "vote"]
+__all__ = ["Camera", "Error", "Event", "Scene", "View", "__version__", "lift", "load", "train", "vote"]
 
 __version__: str
 
@@ -103,8 +103,12 @@ class Scene:
         weights of a vote. None where none are beside the file."""
     @property
     def feature_colors(self) -> Optional[NDArray[np.float32]]:
-        """``[N, 3]``, the first three principal components of the lifted image features, 0 to 1. A run keeps these and not the
-        features themselves. None where none are beside the file."""
+        """``[N, 3]``, the first three principal components of the lifted image features, 0 to 1. A run keeps these; ``lift``
+        gives the features themselves. None where none are beside the file."""
+    @property
+    def features(self) -> Optional[list[NDArray[np.float32]]]:
+        """Image features of four scales, each ``[N, D]``, of a scene that ``lift`` made; else None. Rows are zero for Gaussians that
+        hardly any pixel shows."""
     @property
     def classes(self) -> dict[int, str]:
         """Names of the labels by id."""
@@ -173,7 +177,7 @@ class Event:
         """The row of the label table that was scored."""
 
 def load(path: _Path) -> Scene:
-    """Loads a run folder, a model folder of graphdeco's 3DGS, a PLY, ``.spz`` or ``.splat`` file."""
+    """Loads a run folder, a model folder of graphdeco's 3DGS, a PLY, ``.spz``, ``.sog`` or ``.splat`` file."""
 
 def vote(
     scene: _Path,
@@ -186,6 +190,17 @@ def vote(
 ) -> Scene:
     """Labels the Gaussians of ``scene`` by a vote of the raw labels in the scene folder ``data``, as ``coseg vote`` does. Writes
     nothing."""
+
+def lift(
+    scene: _Path,
+    data: _Path,
+    *,
+    config: Optional[_Path] = None,
+    set: Optional[Mapping[str, _Value]] = None,
+    backend: Optional[_Backend] = None,
+) -> Scene:
+    """The Gaussians of ``scene`` with ``features``: image features of the training photos in the scene folder ``data``, by the settings
+    ``features`` and ``unprojection`` (Eq. 5). Those of a run: ``config="RUN/config.toml"``. Writes nothing."""
 
 @overload
 def train(

@@ -4,6 +4,7 @@ mod arguments;
 mod arrays;
 mod camera;
 mod objects;
+mod photos;
 mod progress;
 mod scene;
 mod training;
@@ -33,9 +34,11 @@ mod _coseg {
     #[pymodule_export]
     use super::camera::Camera;
     #[pymodule_export]
+    use super::photos::{lift, vote};
+    #[pymodule_export]
     use super::progress::Event;
     #[pymodule_export]
-    use super::scene::{Scene, load, vote};
+    use super::scene::{Scene, load};
     #[pymodule_export]
     use super::training::train;
     #[pymodule_export]

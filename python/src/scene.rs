@@ -1,16 +1,14 @@
 //! Scenes: Gaussians with labels, as files have them.
 
-use crate::arguments::{backend, sets};
 use crate::arrays::view;
 use crate::camera::{Camera, CameraArgument};
 use crate::objects::{Objects, moves, turns};
 use crate::raised;
 use crate::view::View;
 use coseg::backend::device::{self, BackendName};
-use coseg::config::Config;
 use coseg::data::formats::transforms;
 use coseg::data::{Classes, NamedCamera, read_cameras};
-use coseg::error::{Error, Result, ensure, invalid};
+use coseg::error::{Result, ensure, invalid};
 use coseg::features::FeatureColors;
 use coseg::files::own;
 use coseg::objects::{Edited, Editing, Edits, Identities, RenderOptions, Renderer};
@@ -34,12 +32,20 @@ pub struct Scene {
     /// The Gaussians, their origin and labels.
     ply: PlyScene,
     classes: Classes,
-    identities: Option<Identities>,
+    pub identities: Option<Identities>,
     feature_colors: Option<FeatureColors>,
+    pub features: Option<Features>,
     /// Read when they are needed, unless they came with the scene.
-    cameras: OnceLock<Vec<NamedCamera>>,
+    pub cameras: OnceLock<Vec<NamedCamera>>,
     /// What rendered the last view.
     renderer: Mutex<Option<(Look, Renderer)>>,
+}
+
+/// Lifted image features.
+pub struct Features {
+    /// Of each scale, `[N, dimensions]`.
+    pub scales: Vec<Vec<f32>>,
+    pub dimensions: usize,
 }
 
 /// How a view is rendered, where not as the run was.
@@ -71,7 +77,7 @@ impl Scene {
     }
 
     /// A scene made from that in the file `source`.
-    fn made(source: PathBuf, ply: PlyScene, classes: Classes) -> Self {
+    pub fn made(source: PathBuf, ply: PlyScene, classes: Classes) -> Self {
         Self {
             source,
             is_file: false,
@@ -79,6 +85,7 @@ impl Scene {
             classes,
             identities: None,
             feature_colors: None,
+            features: None,
             cameras: OnceLock::new(),
             renderer: Mutex::new(None),
         }
@@ -191,6 +198,19 @@ impl Scene {
     }
 }
 
+/// `[N, width]` view of `values`, row-major, that `this` owns.
+fn table<'py>(
+    this: &Bound<'py, Scene>,
+    values: &[f32],
+    width: usize,
+) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    let shape = (this.get().ply.gaussians.len(), width);
+    let values = aview1(values).into_shape_with_order(shape);
+    let values: ArrayView2<'_, f32> = values.map_err(|e| PyValueError::new_err(e.to_string()))?;
+    // SAFETY: `this` is frozen and owns the values.
+    Ok(unsafe { view(this, values) })
+}
+
 /// `[N, width]` view of values that `this` owns.
 fn rows<'py, const W: usize>(
     this: &Bound<'py, Scene>,
@@ -253,15 +273,19 @@ impl Scene {
 
     #[getter]
     fn identities<'py>(this: &Bound<'py, Self>) -> PyResult<Option<Bound<'py, PyArray2<f32>>>> {
-        let Some(identities) = &this.get().identities else {
-            return Ok(None);
-        };
-        let shape = (this.get().ply.gaussians.len(), identities.classes);
-        let values = aview1(&identities.scores).into_shape_with_order(shape);
-        let values: ArrayView2<'_, f32> =
-            values.map_err(|e| PyValueError::new_err(e.to_string()))?;
-        // SAFETY: `this` is frozen and owns the values.
-        Ok(Some(unsafe { view(this, values) }))
+        let identities = this.get().identities.as_ref();
+        let view = identities.map(|found| table(this, &found.scores, found.classes));
+        view.transpose()
+    }
+
+    #[getter]
+    fn features<'py>(this: &Bound<'py, Self>) -> PyResult<Option<Vec<Bound<'py, PyArray2<f32>>>>> {
+        let features = this.get().features.as_ref();
+        let scales = features.map(|features| {
+            let scales = features.scales.iter();
+            scales.map(|values| table(this, values, features.dimensions))
+        });
+        scales.map(Iterator::collect).transpose()
     }
 
     #[getter]
@@ -376,34 +400,4 @@ impl Scene {
 #[pyfunction]
 pub fn load(py: Python<'_>, path: PathBuf) -> PyResult<Scene> {
     py.detach(|| Scene::read(&path)).map_err(raised)
-}
-
-/// Votes as `coseg vote` does.
-#[pyfunction]
-#[pyo3(signature = (scene, data, *, pooled=false, config=None, set=None, backend=None))]
-pub fn vote(
-    py: Python<'_>,
-    scene: PathBuf,
-    data: PathBuf,
-    pooled: bool,
-    config: Option<PathBuf>,
-    set: Option<&Bound<'_, PyDict>>,
-    backend: Option<&str>,
-) -> PyResult<Scene> {
-    let sets = sets(set)?;
-    let backend = self::backend(backend)?;
-    let voted = || -> Result<Scene, Error> {
-        let config = Config::load_for(Some(&data), config.as_deref(), &sets)?;
-        runs::check_vote(&config)?;
-        let device = device::open(backend)?;
-        let (photos, mut ply) = runs::load_both(&data, &scene, &config, &device)?;
-        let identities = runs::vote(&photos, &ply.gaussians, pooled, &config, &device)?;
-        ply.labels = Some(identities.ids(&photos.classes));
-        Ok(Scene {
-            identities: Some(identities),
-            cameras: photos.cameras().into(),
-            ..Scene::made(runs::scene_path(&scene)?, ply, photos.classes)
-        })
-    };
-    py.detach(voted).map_err(raised)
 }

@@ -28,6 +28,7 @@ SHORT = {
 # A CPU, where equal runs have equal bits.
 train = functools.partial(coseg.train, backend="flex")
 vote = functools.partial(coseg.vote, backend="flex")
+lift = functools.partial(coseg.lift, backend="flex")
 # Warnings of such short runs are expected.
 logging.getLogger("coseg").addHandler(logging.NullHandler())
 
@@ -239,6 +240,20 @@ class Voting(WithScene):
         voted.save(self.folder / "saved_vote")
         again = coseg.load(self.folder / "saved_vote")
         np.testing.assert_array_equal(again.render("v2").rgb, voted.render("v2").rgb)
+
+    def test_features_are_lifted_onto_the_gaussians(self):
+        lifted = lift(self.run_folder, self.data, set={"features.dimensions": 8})
+        self.assertEqual([scale.shape for scale in lifted.features], [(len(lifted), 8)] * 4)
+        for scale in lifted.features:
+            self.assertTrue(np.isfinite(scale).all())
+            self.assertGreater(np.any(scale != 0, axis=1).mean(), 0.9)
+            self.assertFalse(scale.flags.writeable)
+        # Quarters have one colour each, so their features tell them apart.
+        finest, labels = lifted.features[0], self.run_of_scene.labels
+        means = np.array([finest[labels == label].mean(axis=0) for label in [1, 2, 3, 4]])
+        nearest = np.linalg.norm(finest[:, None] - means, axis=2).argmin(axis=1) + 1
+        self.assertGreater((nearest == labels)[labels > 0].mean(), 0.6)
+        self.assertIsNone(self.run_of_scene.features)
 
     @unittest.skipUnless(PROGRAM, "COSEG_PROGRAM names no program to compare with")
     def test_labels_are_those_of_the_program(self):

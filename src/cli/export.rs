@@ -22,10 +22,10 @@ With a file name the scene becomes that file; with a folder each object becomes 
   .spz             SPZ of Niantic, version 3
   .points.ply      a point cloud: the centres with colour, opacity and label
   .las .laz        the same for surveying software; labels are point source ids, and up to 191 classification = 64 + label
-  .glb .sog        through splat-transform, where it is on the PATH; .glb with labels, .sog without
+  .glb .sog        through splat-transform, where it is on the PATH
 
-A .spz or .compressed.ply gets its labels in a file beside it, NAME.labels.json. --scene of all commands reads both formats
-with these labels, and .splat. classes.json and cameras.json are copied beside the new files. docs/export.md says how exact
+A .spz, .sog or .compressed.ply gets its labels in a file beside it, NAME.labels.json. --scene of all commands reads these
+formats with their labels, and .splat. classes.json and cameras.json are copied beside the new files. docs/export.md says how exact
 each format is.
 
 Examples:

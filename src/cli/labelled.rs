@@ -14,7 +14,7 @@ use std::path::PathBuf;
 /// Arguments that name both, and where to write.
 #[derive(Args, Debug)]
 pub struct LabelledArgs {
-    /// Scene, a PLY, .spz or .splat file, or its folder
+    /// Scene, a PLY, .spz, .sog or .splat file, or its folder
     #[arg(long, value_name = "FILE|DIR")]
     pub scene: PathBuf,
     /// Scene folder: photos, cameras, raw labels

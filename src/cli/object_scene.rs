@@ -12,7 +12,7 @@ use std::path::PathBuf;
 /// Arguments that name the scene and its classes.
 #[derive(Args, Debug)]
 pub struct ObjectSceneArgs {
-    /// Scene with labels: a PLY, .spz or .splat file, or a run folder
+    /// Scene with labels: a PLY, .spz, .sog or .splat file, or a run folder
     #[arg(long, value_name = "FILE|RUN")]
     pub scene: PathBuf,
     /// Names of the labels [default: classes.json beside the scene, if it is there]

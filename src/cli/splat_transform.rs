@@ -4,7 +4,7 @@ use super::program;
 use coseg::data::Classes;
 use coseg::error::{Error, Result};
 use coseg::files::atomic;
-use coseg::splat::formats::glb;
+use coseg::splat::formats::{self, glb, sog};
 use coseg::splat::{Gaussians, ply};
 use glam::DVec3;
 use serde_json::{Map, Value};
@@ -26,7 +26,8 @@ pub struct SplatTransform {
 }
 
 impl SplatTransform {
-    /// Writes `gaussians` to `path`, whose name ends in `suffix`. A .glb gets the `labels`, with their names in `classes`.
+    /// Writes `gaussians` to `path`, whose name ends in `suffix`. A .glb gets the `labels`, with their names in `classes`; a .sog
+    /// gets them in a file beside it.
     pub fn write(
         &mut self,
         path: &Path,
@@ -42,21 +43,21 @@ impl SplatTransform {
         ply::write(&from, gaussians, origin, None)?;
         self.convert(&from, &to, suffix)?;
         let mut bytes = std::fs::read(&to).map_err(failed)?;
+        let scene = (gaussians, origin);
+        let mut beside = None;
         if let Some(labels) = labels {
-            if suffix == ".glb" {
+            let found = if suffix == ".glb" {
                 let names = names(labels, classes);
-                match glb::with_labels(path, &bytes, (gaussians, origin), labels, names) {
-                    Ok(labelled) => bytes = labelled,
-                    Err(error) => self.warn(&format!("labels are not in the file: {error}")),
-                }
+                glb::with_labels(path, &bytes, scene, labels, names).map(|found| bytes = found)
             } else {
-                self.warn(&format!(
-                    "labels are not in {}: {PROGRAM} orders the rows anew; a .glb file keeps them, and a .spz file with the one beside it",
-                    path.display()
-                ));
+                sog::labels_of(&to, scene, labels).map(|found| beside = Some(found))
+            };
+            if let Err(error) = found {
+                self.warn(&format!("{} has no labels: {error}", path.display()));
             }
         }
-        atomic::write_bytes(path, &bytes)
+        atomic::write_bytes(path, &bytes)?;
+        formats::write_labels_beside(path, beside)
     }
 
     /// Calls the program, without a GPU where it finds none.

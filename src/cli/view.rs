@@ -41,7 +41,7 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_help = HELP)]
 pub struct ViewArgs {
-    /// Scene, a PLY, .spz or .splat file, or its folder
+    /// Scene, a PLY, .spz, .sog or .splat file, or its folder
     #[arg(long, value_name = "FILE|DIR")]
     scene: PathBuf,
     /// Page to write [default: viewer.html beside the scene, or in the folder]

@@ -84,6 +84,16 @@ impl LiftedFeatures {
         })
     }
 
+    /// Features of all of `gaussians` Gaussians, `[gaussians, D]`: those of one scale, `kept`, and zeros for Gaussians that are not kept.
+    pub fn rows_of_all(&self, kept: &[f32], gaussians: usize) -> Vec<f32> {
+        let width = self.dimensions;
+        let mut all = vec![0.0; gaussians * width];
+        for (&row, values) in self.kept.iter().zip(kept.chunks_exact(width)) {
+            all[row as usize * width..][..width].copy_from_slice(values);
+        }
+        all
+    }
+
     /// Colours of the kept Gaussians by their features.
     ///
     /// # Errors
@@ -220,7 +230,22 @@ pub(super) fn reads_features(config: &Config) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::keep_rows;
+    use super::{LiftedFeatures, keep_rows};
+    use crate::features::SCALES;
+
+    #[test]
+    fn rows_that_were_not_kept_are_zero() {
+        let lifted = LiftedFeatures {
+            kept: vec![1, 3],
+            lifted: [const { Vec::new() }; SCALES],
+            dimensions: 2,
+            name: String::new(),
+            content: String::new(),
+            seconds: [0.0; 2],
+        };
+        let all = lifted.rows_of_all(&[1.0, 2.0, 3.0, 4.0], 5);
+        assert_eq!(all, [0.0, 0.0, 1.0, 2.0, 0.0, 0.0, 3.0, 4.0, 0.0, 0.0]);
+    }
 
     #[test]
     fn kept_rows_stay_in_order() {

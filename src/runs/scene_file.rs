@@ -31,7 +31,7 @@ const GRAPHDECO: &str = "point_cloud.ply";
 /// # Errors
 /// [`Error::Missing`] where nothing is there; [`Error::Input`] for a folder without a scene.
 pub fn scene_path(given: &Path) -> Result<PathBuf> {
-    const HELP: &str = "give a .ply, .spz or .splat file, or the folder that `coseg train` or graphdeco's 3DGS wrote";
+    const HELP: &str = "give a .ply, .spz, .sog or .splat file, or the folder that `coseg train` or graphdeco's 3DGS wrote";
     let exists = given.try_exists();
     if !exists.map_err(|e| Error::io(given, "look at", e))? {
         return Err(Error::missing("file", given, HELP));

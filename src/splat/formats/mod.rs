@@ -7,6 +7,7 @@ mod antimatter15;
 pub(super) mod compressed_ply;
 pub mod glb;
 mod point_cloud;
+pub mod sog;
 mod spz;
 
 use super::ply::{self, PlyScene};
@@ -21,7 +22,7 @@ use std::path::{Path, PathBuf};
 const OPACITY_MARGIN: f64 = 1e-6;
 
 /// Formats that `coseg export` writes and nothing here reads.
-const WRITTEN_ONLY: [&str; 4] = ["glb", "sog", "las", "laz"];
+const WRITTEN_ONLY: [&str; 3] = ["glb", "las", "laz"];
 
 /// Mean distance that rounding to float may move positions, in mean standard deviations.
 const POSITION_LOSS: f64 = 0.01;
@@ -57,17 +58,18 @@ pub fn label_path(path: &Path) -> PathBuf {
     name.into()
 }
 
-/// Reads 3DGS PLY, compressed PLY, SPZ (`.spz`, versions 2 to 4) and the files of antimatter15's viewer (`.splat`), with the
-/// labels of the file or those beside it.
+/// Reads 3DGS PLY, compressed PLY, SPZ (`.spz`, versions 2 to 4), SOG (`.sog`, version 2) and the files of antimatter15's viewer
+/// (`.splat`), with the labels of the file or those beside it.
 ///
 /// # Errors
 /// As [`ply::read`]; [`crate::Error::Input`] for labels beside it that belong to another file, and for formats that are not read.
 pub fn read(path: &Path) -> Result<PlyScene> {
     let format = extension(path);
     ensure!(!WRITTEN_ONLY.contains(&&*format), path, "format"; found ".{format}, which is written but not read";
-        expected "a .ply, .spz or .splat file"; help "give the scene that it was made from");
+        expected "a .ply, .spz, .sog or .splat file"; help "give the scene that it was made from");
     let mut scene = match &*format {
         "spz" => spz::read(path)?,
+        "sog" => sog::read(path)?,
         "splat" => antimatter15::read(path)?,
         _ => ply::read(path)?,
     };
@@ -80,7 +82,7 @@ pub fn read(path: &Path) -> Result<PlyScene> {
 /// Whether the scene `path` has its labels, if any, in the file [`label_path`].
 pub fn has_labels_beside(path: &Path) -> bool {
     let name = path.to_string_lossy().to_lowercase();
-    [".spz", ".splat", ".compressed.ply"]
+    [".spz", ".sog", ".splat", ".compressed.ply"]
         .iter()
         .any(|end| name.ends_with(end))
 }
@@ -112,14 +114,21 @@ pub fn write(
     let positions = gaussians.positions(origin);
     check_positions(&gaussians, &positions)?;
     write(path, &gaussians, &positions)?;
+    let label = |labels: &[u16]| order.iter().map(|&row| labels[row as usize]).collect();
+    write_labels_beside(path, labels.map(label))
+}
+
+/// Writes the file [`label_path`] of the scene `path`, which has one of the `labels` for each row; without any, an earlier one goes.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn write_labels_beside(path: &Path, labels: Option<Vec<u16>>) -> Result<()> {
     let beside = label_path(path);
     let Some(labels) = labels else {
         return atomic::remove(beside);
     };
-    let file = LabelFile {
-        sha256: sha256(path)?,
-        labels: order.iter().map(|&row| labels[row as usize]).collect(),
-    };
+    let sha256 = sha256(path)?;
+    let file = LabelFile { sha256, labels };
     atomic::write(beside, |out| Ok(serde_json::to_writer(out, &file)?))
 }
 

@@ -2,7 +2,7 @@
 
 use crate::support::program::{listed, text, utf8};
 use crate::support::programs::Place;
-use crate::support::shared_dir;
+use crate::support::{shared_dir, skip_without_program};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -87,6 +87,9 @@ fn colmap_and_pycolmap_find_the_poses_of_real_photos() {
         "pycolmap",
     );
     let colmap = is_there(Command::new("colmap").arg("help"), "colmap");
+    if !pycolmap && !colmap {
+        skip_without_program("neither pycolmap nor colmap is there");
+    }
     for (arguments, _) in [(&["--python", &*python][..], pycolmap), (&[], colmap)]
         .iter()
         .filter(|(_, there)| *there)

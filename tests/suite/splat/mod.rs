@@ -10,4 +10,5 @@ pub mod ply;
 pub mod ply_refused;
 pub mod point_clouds;
 pub mod properties;
+pub mod sog;
 pub mod splat_transform;

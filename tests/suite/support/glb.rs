@@ -89,6 +89,18 @@ pub fn parsed(bytes: &[u8]) -> Glb {
 }
 
 impl Glb {
+    /// The floats of the vertex attribute `name`, one vertex after the other.
+    pub fn floats(&self, name: &str) -> Vec<f32> {
+        let number = |value: &Value| value.as_u64().unwrap() as usize;
+        let attributes = &self.json["meshes"][0]["primitives"][0]["attributes"];
+        let accessor = &self.json["accessors"][number(&attributes[name])];
+        assert_eq!(accessor["componentType"], 5126, "{name}");
+        let view = &self.json["bufferViews"][number(&accessor["bufferView"])];
+        let bytes = &self.binary[number(&view["byteOffset"])..][..number(&view["byteLength"])];
+        let words = bytes.as_chunks::<4>().0.iter();
+        words.copied().map(f32::from_le_bytes).collect()
+    }
+
     /// The values of `_LABEL`, which must lie as the format wants vertex attributes to lie: each at a multiple of four bytes.
     pub fn labels(&self) -> Vec<u16> {
         let number = |value: &Value| value.as_u64().unwrap() as usize;

@@ -55,6 +55,7 @@ pub mod served_plates;
 pub mod settings_file;
 pub mod short_runs;
 pub mod small_scene;
+pub mod sog;
 pub mod spoilt_masks;
 pub mod spz;
 pub mod torch_file;
@@ -110,6 +111,14 @@ pub fn gpu() -> Option<Device> {
     suited
         .inspect_err(|reason| eprintln!("SKIPPED: {reason}"))
         .ok()
+}
+
+/// Prints that a test skips because `reason`. With `COSEG_REQUIRE_PROGRAMS=1` in the environment the test fails.
+#[track_caller]
+pub fn skip_without_program(reason: &str) {
+    let required = std::env::var_os("COSEG_REQUIRE_PROGRAMS").is_some_and(|value| value != "0");
+    assert!(!required, "COSEG_REQUIRE_PROGRAMS is set, but {reason}");
+    eprintln!("SKIPPED: {reason}");
 }
 
 /// An encoding joined with `image`, f_d of each scale for the whole cloud.
