@@ -150,7 +150,8 @@ impl Capture<'_> {
         for file in files.iter().chain(files.iter().filter_map(of_photo)) {
             let failed = |e| Error::io(file, "look at", e);
             let there = fs::metadata(file).map_err(failed)?;
-            let (size, time) = (there.len(), there.modified().map_err(failed)?);
+            let size = there.len();
+            let time = there.modified().map_err(failed)?;
             digest.update(format!("{:?} {size} {time:?}\n", file.file_name()));
         }
         digest.update(format!("{frames}"));

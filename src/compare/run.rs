@@ -142,7 +142,8 @@ impl<'a> Comparison<'a> {
                 if rows.is_empty() {
                     continue;
                 }
-                let (options, device) = (self.options, self.device);
+                let options = self.options;
+                let device = self.device;
                 let made = match shared.take() {
                     Some(made) => made,
                     None => SharedGaussians::of(scene, plan, options, device, self.progress)?,

@@ -136,7 +136,8 @@ impl Flux {
     /// ln theta. Rows are shrunk towards a matrix where all classes are labelled right equally often and errors name each class as
     /// often as it is named elsewhere.
     fn log_confusion(&self) -> Vec<f64> {
-        let (classes, won) = (self.classes, self.won());
+        let classes = self.classes;
+        let won = self.won();
         let total: f64 = won.iter().sum();
         let right: f64 = (0..classes).map(|c| self.at(c, c)).sum();
         let right = right / total.max(MIN_SHARE);

@@ -38,7 +38,8 @@ impl PooledVotes {
     /// # Panics
     /// If the votes are of another number of Gaussians.
     pub fn new(votes: &Votes, superpoints: &Superpoints) -> Self {
-        let (classes, count) = (votes.classes, superpoints.count);
+        let classes = votes.classes;
+        let count = superpoints.count;
         assert_eq!(
             votes.table.len(),
             superpoints.of.len() * classes,

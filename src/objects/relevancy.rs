@@ -98,7 +98,8 @@ pub fn largest(relevancies: &[f32]) -> f32 {
 pub fn selections(relevancies: &[Vec<f32>], threshold: f32) -> Vec<Vec<u32>> {
     let mut selections = vec![Vec::new(); relevancies.len()];
     for row in 0..relevancies.iter().map(Vec::len).min().unwrap_or(0) {
-        let (mut best, mut most) = (None, threshold);
+        let mut best = None;
+        let mut most = threshold;
         for (text, relevancy) in relevancies.iter().enumerate() {
             if relevancy[row] > most {
                 (best, most) = (Some(text), relevancy[row]);

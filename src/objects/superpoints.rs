@@ -143,7 +143,8 @@ impl Components {
 
     fn numbered(mut self) -> Superpoints {
         let points = self.size.len();
-        let (mut number, mut count) = (vec![u32::MAX; points], 0);
+        let mut number = vec![u32::MAX; points];
+        let mut count = 0;
         let mut of = Vec::with_capacity(points);
         for point in 0..points {
             let number = &mut number[self.sets.find(point)];
@@ -214,7 +215,9 @@ mod tests {
     }
 
     fn scene(parts: &[(Vec<[f32; 3]>, [f32; 3])]) -> (Gaussians, Vec<usize>) {
-        let (mut means, mut sh, mut part) = (Vec::new(), Vec::new(), Vec::new());
+        let mut means = Vec::new();
+        let mut sh = Vec::new();
+        let mut part = Vec::new();
         for (number, (points, color)) in parts.iter().enumerate() {
             for point in points {
                 means.push(*point);

@@ -79,7 +79,9 @@ impl<'a> LabelEvidence<'a> {
 /// # Errors
 /// Those of [`vote`].
 pub(crate) fn votes(inputs: &SegmentationInputs) -> Result<Votes> {
-    let (scene, gaussians, settings) = (inputs.scene, inputs.gaussians, &inputs.settings);
+    let scene = inputs.scene;
+    let gaussians = inputs.gaussians;
+    let settings = &inputs.settings;
     let train = scene.split(Split::Train);
     vote(gaussians, train, &scene.classes, settings, inputs.device)
 }
@@ -89,7 +91,9 @@ pub(crate) fn votes(inputs: &SegmentationInputs) -> Result<Votes> {
 /// # Errors
 /// Those of [`refined_vote`] and [`pooled_vote`].
 pub(crate) fn pooled(inputs: &SegmentationInputs, votes: &Votes) -> Result<PooledVote> {
-    let (scene, gaussians, settings) = (inputs.scene, inputs.gaussians, &inputs.settings);
+    let scene = inputs.scene;
+    let gaussians = inputs.gaussians;
+    let settings = &inputs.settings;
     let train = scene.split(Split::Train);
     let mut refined = refined_vote(gaussians, train, &scene.classes, settings, inputs.device)?;
     // Corrected Gaussians vote for their labels, and so have a say in their superpoints.

@@ -147,7 +147,8 @@ impl LiftedMaps<'_> {
             for path in import::found(self.folder, &view.name) {
                 let file = path.metadata();
                 let file = file.map_err(|e| Error::io(&path, "look at", e))?;
-                let (size, time) = (file.len(), file.modified().ok());
+                let size = file.len();
+                let time = file.modified().ok();
                 hash.update(format!("{:?} {size} {time:?}\n", path.file_name()));
             }
             digest_mask(view, &mut hash);

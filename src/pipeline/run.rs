@@ -215,7 +215,8 @@ impl Outcome {
         let Some(corrections) = &self.corrections else {
             return Ok(());
         };
-        let (scene, gaussians) = (&mut self.scene, &self.gaussians);
+        let scene = &mut self.scene;
+        let gaussians = &self.gaussians;
         corrections.check(gaussians, &scene.classes, &files.corrections())?;
         corrections::apply(
             corrections,

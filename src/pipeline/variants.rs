@@ -177,7 +177,8 @@ impl<'a> StageTwo<'a> {
 
     /// Feature 3DGS: distillation, then a linear head on the raw labels.
     fn distilled(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
-        let (inputs, variant) = (self.inputs, Variant::Distilled);
+        let inputs = self.inputs;
+        let variant = Variant::Distilled;
         let distilled = distil(inputs, &self.device, progress)?;
         let model = LinearHead::new(&distilled.field);
         let head = LinearHead::random(inputs, &self.device);

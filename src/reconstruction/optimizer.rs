@@ -162,7 +162,8 @@ impl Parameters {
     pub fn values(&self, active_sh_degree: usize) -> RasterInput {
         let [means, log_scales, rotations, opacity_logits, sh] =
             self.state.each_ref().map(|state| state.param.clone());
-        let (n, terms) = (self.len(), (self.sh_degree + 1).pow(2));
+        let n = self.len();
+        let terms = (self.sh_degree + 1).pow(2);
         RasterInput {
             means,
             log_scales,

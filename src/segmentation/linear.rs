@@ -44,7 +44,8 @@ pub fn fill_blocks(rows: &mut Vec<u32>) {
 
 /// `x W`, `[N, M]`, of `x` `[N, K]` and `weight` `[K, M]`. In blocks if N is a multiple of [`BLOCK`] and larger.
 pub fn product(x: Tensor<2>, weight: Tensor<2>) -> Tensor<2> {
-    let ([rows, inputs], outputs) = (x.dims(), weight.dims()[1]);
+    let [rows, inputs] = x.dims();
+    let outputs = weight.dims()[1];
     if !is_in_blocks(rows) {
         return x.matmul(weight);
     }

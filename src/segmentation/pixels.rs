@@ -168,7 +168,8 @@ impl FrozenGaussians {
         wanted: Vec<u32>,
         min_coverage: f32,
     ) -> Result<(Vec<u32>, Vec<u32>, PixelWeights)> {
-        let (splats, camera) = (view.splats(), view.camera());
+        let splats = view.splats();
+        let camera = view.camera();
         // One channel of zeros: only the transmittance is used.
         let nothing = Tensor::<2>::zeros([splats.len(), 1], &splats.device());
         let transmittance = read("transmittance", view.blend(nothing)?.1)?;

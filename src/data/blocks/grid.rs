@@ -43,7 +43,8 @@ impl Grid {
         ensure!(counts.iter().all(|count| (1..=MAX_SIDE).contains(count)),
             argument "--blocks"; found "{columns}x{rows}"; expected "1 to {MAX_SIDE} columns and rows";
             help "3x2 makes six blocks");
-        let (blocks, count) = (columns * rows, cameras.len());
+        let blocks = columns * rows;
+        let count = cameras.len();
         ensure!(count >= MIN_CAMERAS * blocks,
             argument "--blocks"; found "{blocks} blocks of {count} training cameras";
             expected "at least {MIN_CAMERAS} cameras for each block"; help "ask for fewer blocks");

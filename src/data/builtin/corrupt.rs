@@ -301,7 +301,8 @@ fn corrupt_segments(
 fn warp(map: &mut LabelMap, size: f64, rng: &mut ChaCha8Rng) {
     let (w, h) = (map.width, map.height);
     let scale = w as f64 / 320.0;
-    let (cell, seeds): (f64, [u64; 2]) = (18.0 * scale, [rng.random(), rng.random()]);
+    let cell = 18.0 * scale;
+    let seeds: [u64; 2] = [rng.random(), rng.random()];
     let old = map.ids.clone();
     for (i, id) in map.ids.iter_mut().enumerate() {
         let (x, y) = ((i % w) as f64, (i / w) as f64);
@@ -320,7 +321,8 @@ fn void_borders(map: &mut LabelMap, params: &Corruption, rng: &mut ChaCha8Rng) {
     }
     let (w, h) = (map.width, map.height);
     let reach = ((w as f64 / 320.0).round() as usize).max(1);
-    let (cell, seed): (f64, u64) = (26.0 * w as f64 / 320.0, rng.random());
+    let cell = 26.0 * w as f64 / 320.0;
+    let seed: u64 = rng.random();
     let old = map.ids.clone();
     for y in 0..h {
         for x in 0..w {

@@ -143,7 +143,7 @@ impl Material {
 }
 
 fn wood([light, dark]: [DVec3; 2], spot: &Spot, seed: u64) -> DVec3 {
-    let (p, h) = (spot.p, spot.half);
+    let Spot { p, half: h, .. } = *spot;
     // Grain runs along the longest side; the two others make the rings.
     let (along, across) = if h.x >= h.y && h.x >= h.z {
         (p.x, p.y + 0.7 * p.z)

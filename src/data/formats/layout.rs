@@ -134,7 +134,8 @@ const fn needs(layout: Layout) -> &'static str {
 
 /// The error for a folder of no layout, or not of the one that the options name.
 fn nothing(dir: &Path, options: &LoadOptions) -> Error {
-    let (named, file) = (options.layout, &options.transforms);
+    let named = options.layout;
+    let file = &options.transforms;
     let expected = format!("cameras and frames: {}; see docs/data.md", needs(named));
     if matches!(named, Layout::Auto | Layout::Transforms) {
         let others = transforms::alternatives(dir);

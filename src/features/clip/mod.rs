@@ -49,7 +49,8 @@ impl TextEncoder {
     /// [`Error::Argument`] for a text without tokens, with more than [`Self::most_tokens`] or with one outside the vocabulary;
     /// [`Error::NonFinite`] for weights under which an activation is not finite; [`Error::Device`] when the device fails.
     pub fn embedding(&self, tokens: &[u32], activation: Activation) -> Result<Vec<f32>> {
-        let (count, most) = (tokens.len(), self.most_tokens());
+        let count = tokens.len();
+        let most = self.most_tokens();
         ensure!((1..=most).contains(&count), argument "text"; found "{count} tokens"; expected "1 to {most}, its two ends included";
             help "give a shorter text");
         let vocabulary = self.vocabulary();

@@ -33,7 +33,8 @@ impl ViewVotes {
         device: &Device,
     ) -> Result<Self> {
         let scores = view.scores.as_ref().map(|scores| scores.read(classes));
-        let (scores, width) = (scores.transpose()?, view.camera.width);
+        let scores = scores.transpose()?;
+        let width = view.camera.width;
         let mut found = Vec::new();
         let cast = Self::of_pixels(view, classes, |pixel, class, votes| {
             found.clear();

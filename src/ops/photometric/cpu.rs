@@ -28,7 +28,8 @@ pub fn loss_and_gradient<B: HostBackend>(
     target: Arc<PhotometricTarget>,
     ssim_weight: f64,
 ) -> (FloatTensor<B>, FloatTensor<B>) {
-    let (device, (height, width)) = (device_of::<B>(&image), target.size());
+    let device = device_of::<B>(&image);
+    let (height, width) = target.size();
     let shape = [height, width, CHANNELS];
     if image.dtype() == DType::F64 {
         let moments = Moments::new(target.values(), height, width);

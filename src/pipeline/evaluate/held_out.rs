@@ -77,7 +77,8 @@ impl<'a> HeldOut<'a> {
         }
         let inputs = self.inputs;
         let config = &inputs.config.segmentation;
-        let (source, coverage) = (config.render, config.min_coverage as f32);
+        let source = config.render;
+        let coverage = config.min_coverage as f32;
         let maps = LabelMaps::new(identities, &inputs.scene.classes, source, coverage);
         let map = |&view: &&'a View| {
             let seen = self.splats.seen_by(&view.camera, &inputs.settings);

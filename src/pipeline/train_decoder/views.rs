@@ -260,7 +260,8 @@ impl<'a> TrainingViews<'a> {
         let Some(ReplacedLabels { scores, labels }) = &mut self.replaced else {
             return Ok((view.labels.clone(), weights));
         };
-        let (gaussians, camera) = (&self.gaussians, &self.views[index].camera);
+        let gaussians = &self.gaussians;
+        let camera = &self.views[index].camera;
         let labels = labels.get(index, || {
             let weights = match &mut weights {
                 Some(weights) => weights,

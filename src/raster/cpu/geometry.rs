@@ -219,7 +219,8 @@ impl Ewa {
     pub fn new(rotation: [f64; 4], scale: Vec3, v: &Viewpoint, p: Vec3) -> Self {
         // No `from_fn` within `from_fn`: where a closure is not inlined, loops over Gaussians do not become vectors.
         let along = |a: usize| {
-            let (ratio, [low, high]) = (p[a] / p[2], v.limits[a]);
+            let ratio = p[a] / p[2];
+            let [low, high] = v.limits[a];
             let tangent = ratio.max(low).min(high);
             let (w, z) = (v.axes[a], v.axes[2]);
             let row = [

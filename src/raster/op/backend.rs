@@ -72,7 +72,9 @@ mod autodiff {
                 RasterPass::Failed(error) => return RasterPass::Failed(error),
             };
         let zeros = |of: &FloatTensor<B>| {
-            let (shape, device, dtype) = (of.shape(), of.device(), of.dtype().into());
+            let shape = of.shape();
+            let device = of.device();
+            let dtype = of.dtype().into();
             move || B::float_zeros(shape, &device, dtype)
         };
         let zero_image = zeros(&image);
@@ -158,7 +160,8 @@ mod autodiff {
         view: ProjectedView,
         shape: Shape,
     ) -> FloatTensor<B> {
-        let (device, dtype) = (gradient.device(), gradient.dtype().into());
+        let device = gradient.device();
+        let dtype = gradient.dtype().into();
         match B::blend_view_adjoint(gradient, view) {
             Rows::Done(sums) => sums,
             Rows::Failed(error) => {

@@ -105,7 +105,8 @@ impl CoSegLoss {
                 self.of_logits((blended + MIN_PROBABILITY).log(), &pixels.labels)
             }
             Scores::Gaussians(scores) => {
-                let (pixels, classes) = (pixels.labelled(), scores.dims()[1]);
+                let pixels = pixels.labelled();
+                let classes = scores.dims()[1];
                 assert_labels(&pixels.labels, pixels.len(), classes);
                 if pixels.is_empty() {
                     return Ok((scores * 0.0).sum());

@@ -35,7 +35,8 @@ impl NeighbourPairs {
 /// # Panics
 /// If a row of `pairs` is not below N.
 pub fn neighbour_divergence(features: Tensor<2>, pairs: &NeighbourPairs) -> Tensor<1> {
-    let (count, total) = (pairs.chosen.len(), pairs.neighbours.len());
+    let count = pairs.chosen.len();
+    let total = pairs.neighbours.len();
     if total == 0 {
         return (features * 0.0).sum();
     }

@@ -87,7 +87,8 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
 /// A frame without labels, and its faults. It is left out where not even the size of its photo is known, which the file gives, or
 /// else the photo.
 fn frame(dir: &Path, source: &Source, kept: &Kept) -> (Option<Frame>, Vec<Error>) {
-    let (transforms, i) = (&source.transforms, kept.index);
+    let transforms = &source.transforms;
+    let i = kept.index;
     let file = &transforms.path;
     let mut problems = Problems::default();
     let path = image_path(dir, &transforms.frames[i].file_path);

@@ -75,7 +75,8 @@ impl CocoInstances {
             let Some(&category_id) = self.of_labels.get(&label) else {
                 continue;
             };
-            let (low, high, mut counts) = (region.low, region.high, region.counts);
+            let (low, high) = (region.low, region.high);
+            let mut counts = region.counts;
             let area = counts.iter().skip(1).step_by(2).sum();
             counts.push(width * height - region.end);
             self.annotations.push(Annotation {

@@ -160,7 +160,8 @@ fn follow(
         is_pixel && regions[y as usize * width + x as usize] == region
     };
     let start = [(first % width) as isize, (first / width) as isize];
-    let (mut at, mut direction) = (start, 0);
+    let mut at = start;
+    let mut direction = 0;
     let mut corners = Vec::new();
     loop {
         if direction == 0 {

@@ -237,7 +237,9 @@ impl<'a> Element<'a> {
             .collect();
         let runs = counts.and_then(|counts| Runs::of_rows(picture, corner, size, counts));
         runs.ok_or_else(|| {
-            let ((left, top), (width, height), (across, down)) = (corner, size, picture);
+            let (left, top) = corner;
+            let (width, height) = size;
+            let (across, down) = picture;
             let found = format!("a box of {width}x{height} at {left}, {top} with {text:?}");
             let expected = format!("run lengths that fill a box of a picture of {across}x{down}");
             self.error("rle", &found, &expected)

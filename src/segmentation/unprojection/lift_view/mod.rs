@@ -92,8 +92,8 @@ impl<E: Real> Sums<E> {
                 let mask = mask.map(|mask| mask_of_cells(mask, camera, &cells));
                 // Cells are the pixels of the scaled camera.
                 lattice.steps = None;
-                let (mask, grids) = (mask.as_ref(), [(lattice, scales)]);
-                cpu::lift_view(self, splats, &cells, maps, mask, &grids, settings)
+                let grids = [(lattice, scales)];
+                cpu::lift_view(self, splats, &cells, maps, mask.as_ref(), &grids, settings)
             }),
         }
     }
