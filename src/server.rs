@@ -190,7 +190,7 @@ mod tests {
     use std::net::{Ipv4Addr, TcpStream};
 
     #[test]
-    fn idle_connections_make_room_for_others() {
+    fn idle_connections_are_closed_for_others() {
         let silence = Duration::from_millis(300);
         let routes = |token: &str| Router::new().route(&format!("/{token}/"), get(async || "here"));
         let server = Server::with_silence(Ipv4Addr::LOCALHOST.into(), silence, routes).unwrap();

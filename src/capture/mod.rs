@@ -8,7 +8,7 @@ mod video;
 
 use self::masks::Masks;
 use self::photos::Photos;
-use self::poses::{Place, Solver};
+use self::poses::{Folders, Solver};
 use crate::data::photos::{is_heic, is_photo};
 use crate::error::{Error, Result, bail, ensure};
 use crate::files::{self, atomic, names, own};
@@ -192,13 +192,13 @@ impl Room {
 
     /// Finds the poses of its photos.
     fn solve(&self, solver: &Solver, made: &Made, progress: &mut dyn Progress) -> Result<()> {
-        let place = Place {
+        let folders = Folders {
             images: &self.images,
             masks: (made.masks > 0).then_some(&*self.masks),
             work: &self.work,
             models: &self.folder.join("sparse"),
         };
-        solver.run(&place, made.photos, progress)
+        solver.run(&folders, made.photos, progress)
     }
 }
 

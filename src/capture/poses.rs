@@ -35,7 +35,7 @@ impl fmt::Display for Solver {
 }
 
 /// Where COLMAP works.
-pub(super) struct Place<'a> {
+pub(super) struct Folders<'a> {
     pub images: &'a Path,
     /// A mask for each photo, `a.jpg.png` for `a.jpg`.
     pub masks: Option<&'a Path>,
@@ -52,13 +52,13 @@ impl Solver {
     /// # Errors
     /// [`Error::Missing`] with the line that installs one of them.
     pub fn find(python: Option<&Path>) -> Result<Self> {
-        let colmap = says(Command::new("colmap").arg("help")).filter(|_| python.is_none());
+        let colmap = output_of(Command::new("colmap").arg("help")).filter(|_| python.is_none());
         let cuda = colmap.as_ref().map(|help| !help.contains("without CUDA"));
         if cuda == Some(true) {
             return Ok(Self::Colmap { cuda: true });
         }
         let name = python.unwrap_or(Path::new("python3"));
-        if says(Command::new(name).args(["-c", "import pycolmap"])).is_some() {
+        if output_of(Command::new(name).args(["-c", "import pycolmap"])).is_some() {
             return Ok(Self::Pycolmap(name.to_owned()));
         }
         if let Some(cuda) = cuda {
@@ -75,25 +75,25 @@ impl Solver {
     }
 
     /// The command of a step.
-    fn command(&self, step: Step, place: &Place<'_>) -> Command {
-        let database = place.work.join("database.db");
-        let sparse = place.work.join("sparse");
+    fn command(&self, step: Step, folders: &Folders<'_>) -> Command {
+        let database = folders.work.join("database.db");
+        let sparse = folders.work.join("sparse");
         if let Self::Pycolmap(python) = self {
             let mut command = Command::new(python);
             command.args(["-c", include_str!("pycolmap.py"), step.name]);
-            command.args([&database, place.images, &sparse]);
-            command.args(place.masks);
+            command.args([&database, folders.images, &sparse]);
+            command.args(folders.masks);
             return command;
         }
         let mut command = Command::new("colmap");
         command.arg(step.of_colmap);
         command.arg("--database_path").arg(database);
         if step != MATCHES {
-            command.arg("--image_path").arg(place.images);
+            command.arg("--image_path").arg(folders.images);
         }
         // Without CUDA it would use OpenGL, which needs a screen.
         if *self == (Self::Colmap { cuda: false }) {
-            let help = says(Command::new("colmap").args([step.of_colmap, "-h"]));
+            let help = output_of(Command::new("colmap").args([step.of_colmap, "-h"]));
             let help = help.unwrap_or_default();
             // Its name differs between versions.
             let option = help
@@ -106,7 +106,7 @@ impl Solver {
         if step == FEATURES {
             command.args(["--ImageReader.single_camera", "1"]);
             command.args(["--ImageReader.camera_model", "OPENCV"]);
-            if let Some(masks) = place.masks {
+            if let Some(masks) = folders.masks {
                 command.arg("--ImageReader.mask_path").arg(masks);
             }
         } else if step == POSES {
@@ -119,26 +119,31 @@ impl Solver {
     ///
     /// # Errors
     /// [`Error::Program`] where COLMAP fails; [`Error::Input`] where it places no photo; [`Error::Io`]; [`Error::Stopped`].
-    pub fn run(&self, place: &Place<'_>, photos: usize, progress: &mut dyn Progress) -> Result<()> {
-        let sparse = place.work.join("sparse");
+    pub fn run(
+        &self,
+        folders: &Folders<'_>,
+        photos: usize,
+        progress: &mut dyn Progress,
+    ) -> Result<()> {
+        let sparse = folders.work.join("sparse");
         super::make_empty(&sparse)?;
         let blocks = photos.div_ceil(BLOCK).pow(2);
         for (step, length) in [(FEATURES, photos), (MATCHES, blocks), (POSES, photos)] {
             let mut viewing = Viewing::begin(progress, step.name, length);
-            let mut command = self.command(step, place);
+            let mut command = self.command(step, folders);
             program::run(&mut command, HELP, &mut viewing, |line| {
                 usize::from(line.contains(step.done))
             })?;
             viewing.end();
         }
         let models = names(&sparse, |_, path| path.is_dir());
-        ensure!(!models.is_empty(), place.images, "poses"; found "none of {photos} photos placed by {self}";
+        ensure!(!models.is_empty(), folders.images, "poses"; found "none of {photos} photos placed by {self}";
             expected "photos that show the same things";
             help "take sharp photos of which each shares two thirds with the one before, of a place with texture");
         for model in &models {
             for name in names(&sparse.join(model), |_, path| path.is_file()) {
                 let bytes = files::read(&sparse.join(model).join(&name))?;
-                atomic::write_bytes(place.models.join(model).join(&name), &bytes)?;
+                atomic::write_bytes(folders.models.join(model).join(&name), &bytes)?;
             }
         }
         Ok(())
@@ -146,7 +151,7 @@ impl Solver {
 }
 
 /// What a program prints; `None` where it is absent or fails.
-fn says(command: &mut Command) -> Option<String> {
+fn output_of(command: &mut Command) -> Option<String> {
     let output = command.stdin(Stdio::null()).output().ok()?;
     let text = [output.stdout, output.stderr].concat();
     output

@@ -72,9 +72,9 @@ impl CompareArgs {
     pub fn run(self) -> Result<ExitCode> {
         let plan = Plan::read(&self.plan, self.data_root.as_deref())?;
         let out = absolute(&self.out)?;
-        let given = self.gaussians.iter();
-        let given = given.map(|(scene, path)| Ok((scene.clone(), scene_path(path)?)));
-        let gaussians = given.collect::<Result<_>>()?;
+        let files = self.gaussians.iter();
+        let files = files.map(|(scene, path)| Ok((scene.clone(), scene_path(path)?)));
+        let gaussians = files.collect::<Result<_>>()?;
         for name in Tables::FILES {
             own::check(out.join(name))?;
         }

@@ -174,12 +174,12 @@ impl SuggestArgs {
         let dir = self.dir.or(self.data).unwrap_or_default();
         let config = self.settings.load(Some(&dir))?;
         let mut scene = data::load(&dir, &LoadOptions::from(&config))?;
-        let given = self.scene.as_deref().map(scene_path).transpose()?;
-        let given = given.map(|path| read_scene(&path)).transpose()?;
-        if let Some(ply) = &given {
+        let path = self.scene.as_deref().map(scene_path).transpose()?;
+        let ply = path.map(|path| read_scene(&path)).transpose()?;
+        if let Some(ply) = &ply {
             scene = scene.with_origin(ply.origin);
         }
-        let gaussians = given.as_ref().map(|ply| &ply.gaussians);
+        let gaussians = ply.as_ref().map(|ply| &ply.gaussians);
         terminal::note("comparing what the training photos show");
         let suggestions = suggest(&scene, gaussians, self.count, &config)?;
         if self.json {

@@ -28,7 +28,7 @@ Examples:
   coseg edit --scene runs/room/scene.ply --out lamp/scene.ply --keep lamp
   coseg edit --scene runs/room/scene.ply --out moved/scene.ply --turn chair=z,90 --move chair=0.5,0,0
   coseg edit --scene runs/room/scene.ply --out painted/scene.ply --paint
-  coseg edit --scene runs/room --edits edits.json --out mended";
+  coseg edit --scene runs/room --edits edits.json --out edited";
 
 /// Arguments of `coseg edit`.
 #[derive(Args, Debug)]

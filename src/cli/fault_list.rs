@@ -9,11 +9,11 @@ use std::path::{Path, PathBuf};
 const MAX_SHOWN: usize = 3;
 
 /// Faults of the same kind differ only in their frame, file or pixel.
-type Kind = (Discriminant<Error>, PathBuf, String, String);
+type FaultKind = (Discriminant<Error>, PathBuf, String, String);
 
 /// Prints the first few faults of each kind and how many more there are, or all of them.
 pub fn print(faults: &[Error], all: bool) {
-    let mut groups: Vec<(Kind, Vec<&Error>)> = Vec::new();
+    let mut groups: Vec<(FaultKind, Vec<&Error>)> = Vec::new();
     for fault in faults {
         let kind = kind(fault);
         match groups.iter_mut().find(|(of, _)| *of == kind) {
@@ -40,7 +40,7 @@ pub fn print(faults: &[Error], all: bool) {
     }
 }
 
-fn kind(fault: &Error) -> Kind {
+fn kind(fault: &Error) -> FaultKind {
     let (path, field, help) = match fault {
         Error::Input {
             path, field, help, ..

@@ -7,11 +7,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Exit code of a run that was stopped, the shells' code for SIGINT.
 const EXIT: u8 = 130;
 
-static ASKED: AtomicBool = AtomicBool::new(false);
+static STOP_REQUESTED: AtomicBool = AtomicBool::new(false);
 
 /// Whether Ctrl-C asked the run to stop.
-pub fn asked() -> bool {
-    ASKED.load(Ordering::Relaxed)
+pub fn stop_requested() -> bool {
+    STOP_REQUESTED.load(Ordering::Relaxed)
 }
 
 /// Says how a run that was stopped goes on, and gives its exit code.
@@ -23,7 +23,7 @@ pub fn stopped(how: &str) -> ExitCode {
 /// Takes Ctrl-C, and except on Windows SIGTERM and SIGHUP, as a request to stop. Call it once.
 pub fn watch() {
     let on_signal = || {
-        if ASKED.swap(true, Ordering::Relaxed) {
+        if STOP_REQUESTED.swap(true, Ordering::Relaxed) {
             std::process::exit(EXIT.into());
         }
         terminal::note(

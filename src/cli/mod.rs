@@ -216,11 +216,11 @@ const NAMED: usize = 3;
 
 /// Says what the command reads before it reads it, which may take long. Bars are drawn only on terminals.
 pub fn announce(matches: &ArgMatches) {
-    let mut given = matches;
-    while let Some((_, of_action)) = given.subcommand() {
-        given = of_action;
+    let mut action = matches;
+    while let Some((_, inner)) = action.subcommand() {
+        action = inner;
     }
-    let values = |name: &&str| given.try_get_raw(name).ok().flatten();
+    let values = |name: &&str| action.try_get_raw(name).ok().flatten();
     let inputs = INPUTS.iter().filter_map(values).flatten();
     let inputs: Vec<_> = inputs.map(|input| input.to_string_lossy()).collect();
     match matches.subcommand_name() {

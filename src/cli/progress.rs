@@ -71,7 +71,7 @@ impl Drop for Bars {
 
 impl Progress for Bars {
     fn stop(&mut self) -> bool {
-        interrupt::asked()
+        interrupt::stop_requested()
     }
 
     fn event(&mut self, event: &Event) {

@@ -122,14 +122,14 @@ impl QueryArgs {
             most_bytes: LIFTED_BYTES,
         };
         let bar = terminal::bar("lifting", 0);
-        let compared = lifted.compared(&phrases, &mut |done, all| {
+        let similarities = lifted.similarities(&phrases, &mut |done, all| {
             bar.set_length(all as u64);
             bar.set_position(done as u64);
         })?;
         bar.finish_and_clear();
         let relevancy = |text: usize| {
             let others = self.others(text, &phrases);
-            best_scale(&compared, text, &others)
+            best_scale(&similarities, text, &others)
         };
         let relevancies: Vec<Vec<f32>> = (0..self.texts.len()).map(relevancy).collect();
         self.write(&scene, &relevancies)?;
@@ -201,7 +201,7 @@ impl QueryArgs {
         let canonical = CANONICAL.map(str::to_owned);
         let negatives = match &self.negatives[..] {
             [] => &canonical,
-            given => given,
+            negatives => negatives,
         };
         let embedding = |text: &String| {
             let tokens = tokenizer.tokens(text);

@@ -1,6 +1,6 @@
 //! Cells of a table: the scores of one variant on one scene under one seed, each in a file of its own.
 
-use super::{Figures, LabelKind, Row, SceneFolder};
+use super::{Figures, LabelKind, SceneFolder, TableRow};
 use crate::config::Variant;
 use crate::error::{Result, bail, ensure};
 use crate::files::{self, atomic};
@@ -37,7 +37,7 @@ impl std::fmt::Display for CellId {
 
 impl CellId {
     /// The cell of a scene, labels, a row and a seed.
-    pub(super) fn new(scene: &SceneFolder, labels: &LabelKind, row: &Row, seed: u64) -> Self {
+    pub(super) fn new(scene: &SceneFolder, labels: &LabelKind, row: &TableRow, seed: u64) -> Self {
         Self {
             scene: scene.name.clone(),
             labels: labels.name.clone(),

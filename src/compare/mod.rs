@@ -16,7 +16,7 @@ mod tables;
 
 pub use self::cells::{Cell, CellId};
 pub use self::figures::Figures;
-pub use self::plan::{LabelKind, Plan, Row, SceneFolder};
+pub use self::plan::{LabelKind, Plan, SceneFolder, TableRow};
 pub use self::run::{Finished, Options, run};
 pub use self::statistics::Statistic;
 pub use self::tables::Tables;

@@ -41,7 +41,7 @@ pub struct Plan {
     /// Kinds of labels; each has a table of its own.
     pub labels: Vec<LabelKind>,
     /// Lines of each table.
-    pub rows: Vec<Row>,
+    pub rows: Vec<TableRow>,
     /// Markdown with figures of papers, shown below the tables; may be empty.
     #[serde(default)]
     pub published: String,
@@ -60,10 +60,10 @@ pub struct SceneFolder {
 }
 
 impl From<String> for SceneFolder {
-    fn from(given: String) -> Self {
+    fn from(path: String) -> Self {
         Self {
-            name: files::file_name(Path::new(&given)).unwrap_or_default(),
-            dir: (given != BUILTIN).then(|| given.into()),
+            name: files::file_name(Path::new(&path)).unwrap_or_default(),
+            dir: (path != BUILTIN).then(|| path.into()),
         }
     }
 }
@@ -83,7 +83,7 @@ pub struct LabelKind {
 /// A line of the table.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Row {
+pub struct TableRow {
     /// Its name.
     pub name: String,
     /// What is trained.
@@ -164,7 +164,7 @@ impl Plan {
         &self,
         scene: &SceneFolder,
         labels: &LabelKind,
-        row: &Row,
+        row: &TableRow,
         seed: u64,
         gaussians: PathBuf,
     ) -> Result<Config> {
@@ -254,15 +254,15 @@ impl Plan {
 
     /// `shared` are sections that only the plan's own settings may have.
     fn check_table(&self, place: &str, table: &Table, shared: &[&str]) -> Result<()> {
-        let given = |key: &str| {
+        let has = |key: &str| {
             let mut parts = key.split('.');
             let first = parts.next().and_then(|section| table.get(section));
             parts.fold(first, |value, name| value?.get(name)).is_some()
         };
-        if let Some((key, help)) = OWN_KEYS.iter().find(|(key, _)| given(key)) {
+        if let Some((key, help)) = OWN_KEYS.iter().find(|(key, _)| has(key)) {
             bail!(&self.path, "{place}, {key}"; found "a value"; expected "no such setting in a plan"; help "{help}");
         }
-        if let Some(section) = shared.iter().find(|section| given(section)) {
+        if let Some(section) = shared.iter().find(|section| has(section)) {
             bail!(&self.path, "{place}, {section}"; found "a setting of its own";
                 expected "the same {section} for all rows, so that they compare over equal Gaussians and labels";
                 help "put it into [settings] or, of data, into the settings of [[labels]]");

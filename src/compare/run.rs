@@ -1,7 +1,7 @@
 //! Runs the missing cells of a plan, one after the other.
 
 use super::cells::{read_cell, write_cell};
-use super::plan::{LabelKind, Plan, Row, SceneFolder};
+use super::plan::{LabelKind, Plan, SceneFolder, TableRow};
 use super::stage_one::SharedGaussians;
 use super::{Cell, CellId, Figures};
 use crate::config::Config;
@@ -110,7 +110,7 @@ impl Options {
 /// A cell with all that it follows from.
 struct Job<'p> {
     id: CellId,
-    row: &'p Row,
+    row: &'p TableRow,
     config: Config,
     provenance: Provenance,
 }
@@ -137,8 +137,8 @@ impl<'a> Comparison<'a> {
             let mut shared = None;
             let of_labels = |labels| (0..plan.seeds).map(move |seed| (labels, seed));
             for (labels, seed) in plan.labels.iter().flat_map(of_labels) {
-                let is_chosen = |row: &&Row| chosen(&CellId::new(scene, labels, row, seed));
-                let rows: Vec<&Row> = plan.rows.iter().filter(is_chosen).collect();
+                let is_chosen = |row: &&TableRow| chosen(&CellId::new(scene, labels, row, seed));
+                let rows: Vec<&TableRow> = plan.rows.iter().filter(is_chosen).collect();
                 if rows.is_empty() {
                     continue;
                 }
@@ -150,7 +150,8 @@ impl<'a> Comparison<'a> {
                 };
                 let gaussians = &*shared.insert(made);
                 let loaded = self.load(scene, labels, seed)?;
-                let job = |row: &'a Row| self.job((scene, labels, row, seed), &loaded, gaussians);
+                let job =
+                    |row: &'a TableRow| self.job((scene, labels, row, seed), &loaded, gaussians);
                 let jobs = rows.into_iter().map(job).collect::<Result<_>>()?;
                 work(self, jobs, &loaded)?;
             }
@@ -184,7 +185,7 @@ impl<'a> Comparison<'a> {
     /// A cell on the scene that was `loaded` for it.
     fn job(
         &self,
-        (scene, labels, row, seed): (&SceneFolder, &LabelKind, &'a Row, u64),
+        (scene, labels, row, seed): (&SceneFolder, &LabelKind, &'a TableRow, u64),
         loaded: &Scene,
         gaussians: &SharedGaussians,
     ) -> Result<Job<'a>> {

@@ -65,11 +65,11 @@ impl SharedGaussians {
     }
 }
 
-/// Settings of stage one of `scene`, on the Gaussians of the file `given` if there is one.
-fn settings(plan: &Plan, scene: &SceneFolder, given: Option<&Path>) -> Result<Config> {
+/// Settings of stage one of `scene`, on the Gaussians of `file` if there is one.
+fn settings(plan: &Plan, scene: &SceneFolder, file: Option<&Path>) -> Result<Config> {
     let mut config = plan.stage_one(scene)?;
-    if let Some(given) = given {
-        config.building = BuildingConfig::taking(given.to_owned());
+    if let Some(file) = file {
+        config.building = BuildingConfig::taking(file.to_owned());
     }
     Ok(config)
 }

@@ -2,7 +2,7 @@
 
 use super::columns::{COLUMNS, Column, FIELD_COLUMNS, FRAMES, MIOU, SECONDS};
 use super::plots::{ClassRow, Point, bars, points};
-use super::{Cell, CellId, Plan, Row, Statistic};
+use super::{Cell, CellId, Plan, Statistic, TableRow};
 use crate::error::Result;
 use crate::files::atomic;
 use crate::metrics::mean;
@@ -274,7 +274,7 @@ impl<'a> Tables<'a> {
     fn points(&self, labels: &str, cost: &Column) -> Vec<Point> {
         let scenes = self.scenes();
         let all = scenes.len() * self.plan.seeds as usize;
-        let point = |row: &Row| {
+        let point = |row: &TableRow| {
             let name = &row.name;
             let finished = self.finished(labels, name, &scenes);
             if finished < all {
@@ -293,7 +293,7 @@ impl<'a> Tables<'a> {
 
     /// The IoU of each class of a scene in each row, in the mean over seeds.
     fn class_iou(&self, labels: &str, scene: &str) -> Vec<ClassRow<'_>> {
-        let of_row = |row: &Row| {
+        let of_row = |row: &TableRow| {
             let mut by_class: BTreeMap<_, Vec<f64>> = BTreeMap::new();
             let cells = (0..self.plan.seeds)
                 .filter_map(|seed| self.cells.get(&(scene, labels, &*row.name, seed)));

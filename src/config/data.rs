@@ -76,9 +76,9 @@ impl DataConfig {
     /// Checks ranges, and refuses a folder of masks that holds photos or label maps.
     pub(super) fn check(&self) -> Result<()> {
         checked!(self, "data": { stride: Positive });
-        let given = !self.masks.is_empty() && self.masks != NO_MASKS;
+        let names_folder = !self.masks.is_empty() && self.masks != NO_MASKS;
         let other = [&self.images, &self.raw_labels];
-        if given && other.iter().any(|folder| same_folder(folder, &self.masks)) {
+        if names_folder && other.iter().any(|folder| same_folder(folder, &self.masks)) {
             bail!(setting "data.masks"; found "{}", self.masks;
                 expected "a folder other than data.images and data.raw_labels";
                 help "name the folder of masks, or leave the key out");

@@ -27,8 +27,8 @@ impl Config {
     /// # Errors
     /// As [`Config::load`].
     pub fn load_for(data: Option<&Path>, file: Option<&Path>, sets: &[String]) -> Result<Self> {
-        let mut config = Self::load_over(file, sets, |preset, given| {
-            if data.is_some() || names_folder(given) {
+        let mut config = Self::load_over(file, sets, |preset, values| {
+            if data.is_some() || names_folder(values) {
                 Self::preset(preset)
             } else {
                 Self::builtin_preset(preset)
@@ -45,11 +45,11 @@ impl Config {
         base: impl FnOnce(Preset, &[Assignment<'_>]) -> Self,
     ) -> Result<Self> {
         let text = file.map_or(Ok(String::new()), files::text)?;
-        let mut given = file.map_or(Ok(Vec::new()), |path| assignments(path, &text))?;
+        let mut values = file.map_or(Ok(Vec::new()), |path| assignments(path, &text))?;
         for set in sets {
-            given.push(parse_set(set)?);
+            values.push(parse_set(set)?);
         }
-        base(chosen_preset(&given)?, &given).with(&given)
+        base(chosen_preset(&values)?, &values).with(&values)
     }
 
     /// The settings of a run of a scene folder: the preset first, then the values of each of `tables`.
@@ -58,8 +58,8 @@ impl Config {
     /// [`Error::Config`] for an unknown key, a wrong type or a value out of range.
     pub(crate) fn of_tables(tables: &[&Table]) -> Result<Self> {
         let tables = tables.iter().map(|table| (*table).clone());
-        let given: Vec<_> = tables.flat_map(|table| assigned(table, None)).collect();
-        Self::preset(chosen_preset(&given)?).with(&given)
+        let values: Vec<_> = tables.flat_map(|table| assigned(table, None)).collect();
+        Self::preset(chosen_preset(&values)?).with(&values)
     }
 
     /// The settings that a run whose settings file is at `path` rendered with: its section `[raster]` and its
@@ -70,24 +70,24 @@ impl Config {
     /// As [`Config::load`].
     pub fn rendering_of(path: &Path) -> Result<Self> {
         let text = files::text(path)?;
-        let mut given = assignments(path, &text)?;
+        let mut values = assignments(path, &text)?;
         let is_raster = |key: &str| key.starts_with("raster.");
-        if !given.iter().any(|one| is_raster(&one.key)) {
+        if !values.iter().any(|one| is_raster(&one.key)) {
             return Ok(Self::default());
         }
-        given.retain(|one| {
+        values.retain(|one| {
             is_raster(&one.key) || ["preset", "segmentation.min_coverage"].contains(&&*one.key)
         });
-        Self::preset(chosen_preset(&given)?).with(&given)
+        Self::preset(chosen_preset(&values)?).with(&values)
     }
 
-    /// This config with each value of `given`, checked.
-    fn with(mut self, given: &[Assignment<'_>]) -> Result<Self> {
+    /// This config with each value of `values`, checked.
+    fn with(mut self, values: &[Assignment<'_>]) -> Result<Self> {
         // One at a time, so that an error belongs to one key.
-        for one in given {
+        for one in values {
             self = one.apply(&self)?;
         }
-        self.validate().map_err(|error| in_file(error, given))?;
+        self.validate().map_err(|error| in_file(error, values))?;
         Ok(self)
     }
 
@@ -115,21 +115,21 @@ impl Config {
 }
 
 /// Whether a scene folder is named. The last value counts; an empty one removes the folder.
-fn names_folder(given: &[Assignment<'_>]) -> bool {
-    let last = given.iter().rfind(|one| one.key == "data.dir");
+fn names_folder(values: &[Assignment<'_>]) -> bool {
+    let last = values.iter().rfind(|one| one.key == "data.dir");
     last.is_some_and(|one| one.readings[0].as_str() != Some(""))
 }
 
 /// The preset that applies: the last one given.
-fn chosen_preset(given: &[Assignment<'_>]) -> Result<Preset> {
-    match given.iter().rfind(|one| one.key == "preset") {
+fn chosen_preset(values: &[Assignment<'_>]) -> Result<Preset> {
+    match values.iter().rfind(|one| one.key == "preset") {
         Some(last) => Ok(last.apply(&Config::default())?.preset),
         None => Ok(Preset::Default),
     }
 }
 
 /// A range error as the file's fault, when the value came from the file.
-fn in_file(error: Error, given: &[Assignment<'_>]) -> Error {
+fn in_file(error: Error, values: &[Assignment<'_>]) -> Error {
     match error {
         Error::Config {
             key,
@@ -137,7 +137,7 @@ fn in_file(error: Error, given: &[Assignment<'_>]) -> Error {
             expected,
             help,
         } => {
-            let file = given.iter().rfind(|one| one.key == key);
+            let file = values.iter().rfind(|one| one.key == key);
             fault(file.and_then(|one| one.file), &key, found, expected, help)
         }
         other => other,

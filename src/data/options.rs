@@ -72,19 +72,19 @@ impl From<&Config> for LoadOptions {
 }
 
 impl LoadOptions {
-    /// Which frames are read, as (index, split), ascending. `given` are the splits that the folder defines. Without any, every 8th
+    /// Which frames are read, as (index, split), ascending. `splits` are those that the folder defines. Without any, every 8th
     /// frame that is read is a test frame, from the first on.
-    pub(crate) fn pick(&self, given: &[Option<Split>]) -> Vec<(usize, Split)> {
+    pub(crate) fn pick(&self, splits: &[Option<Split>]) -> Vec<(usize, Split)> {
         let wanted = if self.max_frames == 0 {
-            given.len()
+            splits.len()
         } else {
             self.max_frames
         };
-        let mut stride = self.stride.max(given.len().div_ceil(wanted.max(1))).max(1);
+        let mut stride = self.stride.max(splits.len().div_ceil(wanted.max(1))).max(1);
         loop {
-            let picked = every(given, stride);
+            let picked = every(splits, stride);
             // Each split is rounded up by itself.
-            if picked.len() <= wanted || stride >= given.len() {
+            if picked.len() <= wanted || stride >= splits.len() {
                 return picked;
             }
             stride += 1;
@@ -98,8 +98,8 @@ pub(crate) fn evenly(n: usize, most: usize) -> Vec<usize> {
     (0..taken).map(|i| i * n / taken).collect()
 }
 
-fn every(given: &[Option<Split>], stride: usize) -> Vec<(usize, Split)> {
-    if given.iter().all(Option::is_none) {
+fn every(splits: &[Option<Split>], stride: usize) -> Vec<(usize, Split)> {
+    if splits.iter().all(Option::is_none) {
         let split = |i: usize| {
             if i.is_multiple_of(8) {
                 Split::Test
@@ -107,7 +107,7 @@ fn every(given: &[Option<Split>], stride: usize) -> Vec<(usize, Split)> {
                 Split::Train
             }
         };
-        return (0..given.len())
+        return (0..splits.len())
             .step_by(stride)
             .enumerate()
             .map(|(place, i)| (i, split(place)))
@@ -115,7 +115,7 @@ fn every(given: &[Option<Split>], stride: usize) -> Vec<(usize, Split)> {
     }
     let mut seen = [0_usize; 2];
     let mut picked = Vec::new();
-    for (i, split) in given.iter().enumerate() {
+    for (i, split) in splits.iter().enumerate() {
         let split = split.unwrap_or(Split::Train);
         let count = &mut seen[usize::from(split == Split::Test)];
         if count.is_multiple_of(stride) {
@@ -164,7 +164,7 @@ mod tests {
             1
         );
         assert_eq!(options(1, 7).pick(&none).len(), 7);
-        let given: Vec<_> = (0..40)
+        let splits: Vec<_> = (0..40)
             .map(|i| {
                 Some(if i % 4 == 3 {
                     Split::Test
@@ -173,10 +173,10 @@ mod tests {
                 })
             })
             .collect();
-        let picked = options(5, 0).pick(&given);
+        let picked = options(5, 0).pick(&splits);
         assert_eq!(picked.iter().filter(|p| p.1 == Split::Test).count(), 2);
         assert_eq!(picked.len(), 8);
-        assert!(options(1, 9).pick(&given).len() <= 9);
+        assert!(options(1, 9).pick(&splits).len() <= 9);
         assert!(options(1, 0).pick(&[]).is_empty());
         assert_eq!(options(0, 0).pick(&none).len(), 40);
     }

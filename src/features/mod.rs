@@ -76,7 +76,7 @@ impl Extractor {
         };
         let source = match &config.source {
             FeatureSource::Auto if config.weights.is_none() => &FeatureSource::Descriptor,
-            given => given,
+            source => source,
         };
         let (name, cache_key, source) = match source {
             FeatureSource::Descriptor => {

@@ -71,13 +71,13 @@ impl Regions {
     }
 
     fn propose(&self, seeds: &[u32]) -> f32 {
-        let chains: Vec<BTreeSet<u32>> = seeds
+        let ancestors: Vec<BTreeSet<u32>> = seeds
             .iter()
             .map(|&seed| self.around(seed).collect())
             .collect();
-        let shared = chains[0].iter().copied();
+        let shared = ancestors[0].iter().copied();
         let shared: Vec<u32> = shared
-            .filter(|region| chains.iter().all(|chain| chain.contains(region)))
+            .filter(|region| ancestors.iter().all(|regions| regions.contains(region)))
             .collect();
         let prominences = shared
             .iter()

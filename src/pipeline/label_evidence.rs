@@ -30,12 +30,12 @@ impl<'a> LabelEvidence<'a> {
     /// Whether raw labels fine-tune what decoders learn. Those that name frequent classes too often would bring back these errors, and
     /// few labels made by hand say nothing of most Gaussians.
     pub fn wants_fine_tuning(&self) -> Result<bool> {
-        let asked = self.inputs.config.segmentation.fine_tune;
+        let configured = self.inputs.config.segmentation.fine_tune;
         Ok(match self.prior_kind() {
             Prior::None => false,
-            Prior::Votes => asked == Some(true),
-            Prior::Pooled => match asked {
-                Some(asked) => asked,
+            Prior::Votes => configured == Some(true),
+            Prior::Pooled => match configured {
+                Some(configured) => configured,
                 None => self.pooled()?.exponent == 0.0,
             },
         })

@@ -44,7 +44,7 @@ impl LiftedMaps<'_> {
     /// # Errors
     /// [`Error::Argument`] for a scene without training views; [`Error::Input`] and [`Error::NonFinite`] for maps that cannot be used,
     /// or have other channels than the phrases; those of [`LiftedViews::add`]. A cache that cannot be written only gives a warning.
-    pub fn compared(
+    pub fn similarities(
         &self,
         phrases: &[Vec<f32>],
         advance: &mut dyn FnMut(usize, usize),
@@ -61,7 +61,7 @@ impl LiftedMaps<'_> {
         let part = (self.most_bytes / row).clamp(1, channels.max(1));
         let starts: Vec<usize> = (0..channels).step_by(part).collect();
         let all = starts.len() * views.len();
-        let mut compared = vec![Similarities::new(self.gaussians.len(), phrases.len()); scales];
+        let mut similarities = vec![Similarities::new(self.gaussians.len(), phrases.len()); scales];
         for (turn, &start) in starts.iter().enumerate() {
             let range = start..(start + part).min(channels);
             let file = self.cache.join(format!("{key}_{start:04}.safetensors"));
@@ -80,15 +80,15 @@ impl LiftedMaps<'_> {
                 }
             };
             let phrases: Vec<&[f32]> = phrases.iter().map(|p| &p[range.clone()]).collect();
-            for (compared, features) in compared.iter_mut().zip(&lifted) {
-                compared.add(features, &phrases)?;
+            for (similarities, features) in similarities.iter_mut().zip(&lifted) {
+                similarities.add(features, &phrases)?;
             }
             if is_new && let Err(error) = self.write(&file, lifted, range.len()) {
                 tracing::warn!("lifted features are not kept: {error}");
             }
             advance((turn + 1) * views.len(), all);
         }
-        Ok(compared)
+        Ok(similarities)
     }
 
     /// The channels `range` of each scale, `[N, range]`.

@@ -251,12 +251,12 @@ impl Parameters {
                 *moment = moment.clone().mask_fill(is_new.clone().expand(shape), 0.0);
             }
         }
-        let given = [
+        let replaced = [
             (MEANS, densification.means.into_flattened()),
             (LOG_SCALES, densification.log_scales.into_flattened()),
             (OPACITY, densification.opacity_logits),
         ];
-        for (k, values) in given {
+        for (k, values) in replaced {
             let param = &mut self.state[k].param;
             *param = upload(values, param.dims(), &device);
         }

@@ -25,7 +25,7 @@ pub fn correct(run: &RunFolder, edits: &Path, config: &Config) -> Result<usize> 
     let gaussians = &scene.ply.gaussians;
     let mut editing = Editing::new(gaussians.clone(), scene.labels, scene.classes.clone());
     file.apply(&mut editing, &sha256(&path)?, scene.ply.origin)?;
-    ensure!(editing.given().next().is_some(), edits, "operations"; found "none that gives a Gaussian a label";
+    ensure!(editing.relabelled().next().is_some(), edits, "operations"; found "none that gives a Gaussian a label";
         expected "an assignment or a merge"; help "names and colours alone need no training: apply them with `coseg edit --edits`");
     let moves_or_deletes = |operation: &Operation| {
         use Operation::{DeleteGaussians, DeleteObjects, Move};

@@ -30,27 +30,27 @@ const GRAPHDECO: &str = "point_cloud.ply";
 ///
 /// # Errors
 /// [`Error::Missing`] where nothing is there; [`Error::Input`] for a folder without a scene.
-pub fn scene_path(given: &Path) -> Result<PathBuf> {
+pub fn scene_path(path: &Path) -> Result<PathBuf> {
     const HELP: &str = "give a .ply, .spz, .sog or .splat file, or the folder that `coseg train` or graphdeco's 3DGS wrote";
-    let exists = given.try_exists();
-    if !exists.map_err(|e| Error::io(given, "look at", e))? {
-        return Err(Error::missing("file", given, HELP));
+    let exists = path.try_exists();
+    if !exists.map_err(|e| Error::io(path, "look at", e))? {
+        return Err(Error::missing("file", path, HELP));
     }
-    if !given.is_dir() {
-        return Ok(given.to_owned());
+    if !path.is_dir() {
+        return Ok(path.to_owned());
     }
-    let inside = given.join(SCENE);
+    let inside = path.join(SCENE);
     if inside.is_file() {
         return Ok(inside);
     }
-    if let Some(newest) = of_graphdeco(given) {
+    if let Some(newest) = of_graphdeco(path) {
         return Ok(newest);
     }
-    let plys = files::names(given, |_, path| extension(path) == "ply");
+    let plys = files::names(path, |_, path| extension(path) == "ply");
     let help = plys.first().map_or(HELP.to_owned(), |other| {
-        format!("give {}", given.join(other).display())
+        format!("give {}", path.join(other).display())
     });
-    Err(invalid!(given, "{SCENE}"; found "no such file"; expected "a run folder"; help "{help}"))
+    Err(invalid!(path, "{SCENE}"; found "no such file"; expected "a run folder"; help "{help}"))
 }
 
 /// The Gaussians of the last iteration in a model folder of graphdeco's 3DGS: point_cloud/iteration_N/point_cloud.ply.
@@ -66,13 +66,13 @@ fn of_graphdeco(folder: &Path) -> Option<PathBuf> {
     Some(newest.1)
 }
 
-/// The class table `given`, or the one beside the scene `scene`; empty where there is none.
+/// The class table in the file `table`, or the one beside the scene `scene`; empty where there is none.
 ///
 /// # Errors
 /// As [`Classes::read`].
-pub fn classes_beside(scene: &Path, given: Option<&Path>) -> Result<Classes> {
+pub fn classes_beside(scene: &Path, table: Option<&Path>) -> Result<Classes> {
     let beside = scene.with_file_name(CLASSES);
-    match given {
+    match table {
         Some(path) => Classes::read(path),
         None if beside.is_file() => Classes::read(&beside),
         None => Ok(Classes::default()),
@@ -110,8 +110,8 @@ pub fn read_scene(path: &Path) -> Result<PlyScene> {
 ///
 /// # Errors
 /// [`Error::Argument`] where there are none.
-pub fn cameras_path(given: Option<&Path>, scene: &Path) -> Result<PathBuf> {
-    if let Some(path) = given {
+pub fn cameras_path(cameras: Option<&Path>, scene: &Path) -> Result<PathBuf> {
+    if let Some(path) = cameras {
         return Ok(path.to_owned());
     }
     let beside = scene.with_file_name(CAMERAS);

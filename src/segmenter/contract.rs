@@ -156,19 +156,19 @@ pub struct PhotoArea {
 }
 
 impl Contract {
-    /// The contract for the network in `model`. `given` names a file or a shipped contract. Without it, the file beside the model
+    /// The contract for the network in `model`. `name` is that of a file or of a shipped contract. Without it, the file beside the model
     /// with its name and the extension `toml` is read, or else the shipped contract of the model's name.
     ///
     /// # Errors
     /// [`Error::Argument`] that lists the shipped contracts where none is found; as [`Contract::parse`].
-    pub fn find(model: &Path, given: Option<&str>) -> Result<Self> {
-        if let Some(given) = given {
-            return Self::shipped(given).unwrap_or_else(|| {
-                let file = Path::new(given);
+    pub fn find(model: &Path, name: Option<&str>) -> Result<Self> {
+        if let Some(name) = name {
+            return Self::shipped(name).unwrap_or_else(|| {
+                let file = Path::new(name);
                 if file.is_file() {
                     Self::read(file)
                 } else {
-                    Err(unknown(given))
+                    Err(unknown(name))
                 }
             });
         }

@@ -149,8 +149,8 @@ fn choose_output(file: &Path, graph: &mut GraphProto, name: Option<&str>) -> Res
     };
     // The library takes this for granted.
     let made = graph.node.iter().flat_map(|node| &node.output);
-    let given = graph.input.iter().map(|input| &input.name);
-    ensure!(made.chain(given).any(|made| *made == name),
+    let inputs = graph.input.iter().map(|input| &input.name);
+    ensure!(made.chain(inputs).any(|made| *made == name),
         file, "tensor {name}"; found "no operator that makes it"; expected "an output of the graph"; help "{UNFIT_HELP}");
     graph.output.retain(|output| output.name == name);
     graph.output.truncate(1);

@@ -1,4 +1,4 @@
-//! A scene as one offline HTML page: walk through it in a browser with WebGL 2, show labels, and mend them: name, colour, merge,
+//! A scene as one offline HTML page: walk through it in a browser with WebGL 2, show labels, and edit them: name, colour, merge,
 //! split, delete and move objects. The page saves this as a file that `coseg edit --edits` applies ([`crate::objects::Edits`]).
 //!
 //! Pictures equal those of [`crate::raster::render`] except for the rounding of `packing.rs`, half floats in blending, and

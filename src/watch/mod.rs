@@ -81,8 +81,8 @@ impl<P: Progress> Progress for Watched<P> {
     }
 
     fn stop(&mut self) -> bool {
-        let asked = locked(&self.shared).status.stopping;
-        self.listener.stop() || asked
+        let requested = locked(&self.shared).status.stopping;
+        self.listener.stop() || requested
     }
 
     fn scene(&mut self, scene: &Scene) {

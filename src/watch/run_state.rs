@@ -22,7 +22,7 @@ pub(super) struct RunState {
     pub status: Status,
     started: Instant,
     /// When a browser asked last.
-    asked: Option<Instant>,
+    last_visit: Option<Instant>,
     /// Whether one has asked since the end.
     seen_end: bool,
     /// When the Gaussians may be copied again.
@@ -90,7 +90,7 @@ pub(super) struct Status {
     /// Curves of the stages that have one.
     curves: Vec<Curve>,
     /// Scored labels.
-    rows: Vec<Row>,
+    rows: Vec<ScoredVariant>,
     views: Vec<ViewName>,
 }
 
@@ -102,7 +102,7 @@ struct Curve {
 }
 
 #[derive(Serialize)]
-struct Row {
+struct ScoredVariant {
     variant: &'static str,
     miou: Option<f64>,
 }
@@ -132,7 +132,7 @@ impl RunState {
                 ..Status::default()
             },
             started: now,
-            asked: None,
+            last_visit: None,
             seen_end: false,
             next_copy: now,
             alpha_max,
@@ -173,7 +173,7 @@ impl RunState {
                     curve.finished = true;
                 }
             }
-            Event::Scored { variant, miou } => status.rows.push(Row {
+            Event::Scored { variant, miou } => status.rows.push(ScoredVariant {
                 variant,
                 miou: *miou,
             }),
@@ -215,7 +215,7 @@ impl RunState {
 
     /// The figures now. Counts as a visit.
     pub fn visit(&mut self) -> &Status {
-        self.asked = Some(Instant::now());
+        self.last_visit = Some(Instant::now());
         self.seen_end = self.status.ended;
         if !self.status.ended {
             self.status.seconds = self.started.elapsed().as_secs_f64();
@@ -234,7 +234,8 @@ impl RunState {
     }
 
     fn is_watched(&self) -> bool {
-        self.asked.is_some_and(|asked| asked.elapsed() < ABSENT)
+        self.last_visit
+            .is_some_and(|visit| visit.elapsed() < ABSENT)
     }
 
     /// Whether a browser is there, and the run has rested from the last copy.

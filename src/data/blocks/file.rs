@@ -92,9 +92,9 @@ impl Reading {
     }
 }
 
-/// The name that is given, or `own` where it is the usual one.
-fn named(given: &str, usual: &str, own: &str) -> String {
-    if given == usual { own } else { given }.to_owned()
+/// `name`, or `own` where it is the usual one.
+fn named(name: &str, usual: &str, own: &str) -> String {
+    if name == usual { own } else { name }.to_owned()
 }
 
 impl Block {
@@ -207,9 +207,9 @@ impl Block {
                 expected "frames of the scene"; help "{AGAIN}: it has changed"));
         }
         let splits = listing.frames.iter().map(|frame| Some(frame.split));
-        let given: Vec<_> = splits.collect();
-        let mut picked = vec![false; given.len()];
-        for (i, _) in options.pick(&given) {
+        let splits: Vec<_> = splits.collect();
+        let mut picked = vec![false; splits.len()];
+        for (i, _) in options.pick(&splits) {
             picked[i] = true;
         }
         let mut picked = picked.into_iter();

@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 
 /// What stands on the floor or on other furniture, and what hangs from the ceiling.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum Furniture {
     Sofa,
     Armchair,
     CoffeeTable,
@@ -28,7 +28,7 @@ pub(super) enum Kind {
     Pendant,
 }
 
-impl Kind {
+impl Furniture {
     /// Width, depth and height, metres.
     pub fn size(self, rng: &mut ChaCha8Rng) -> [f64; 3] {
         let mut between = |a: f64, b: f64| rng.random_range(a..b);

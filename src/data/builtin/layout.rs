@@ -1,7 +1,7 @@
 //! Draws a furnished room: walls with windows and pictures, a seating group, a dining group, cabinets and lamps.
 
 use super::build::Builder;
-use super::furniture::Kind;
+use super::furniture::Furniture;
 use super::style::Style;
 use glam::{DMat2, DMat3, DVec2, DVec3};
 use rand::Rng;
@@ -161,36 +161,36 @@ impl Decorator<'_> {
     }
 
     /// Adds a piece that stands at `at`, turned by `yaw`; `variant` picks among its looks.
-    fn put(&mut self, kind: Kind, at: DVec3, yaw: f64, size: [f64; 3], variant: usize) {
+    fn put(&mut self, kind: Furniture, at: DVec3, yaw: f64, size: [f64; 3], variant: usize) {
         let object = &mut self.builder.object(kind.class(), at, yaw);
         kind.build(object, &self.style, size, variant, self.rng);
     }
 
     fn table_lamp(&mut self, at: DVec3) {
-        let size = Kind::TableLamp.size(self.rng);
-        self.put(Kind::TableLamp, at, 0.0, size, 0);
+        let size = Furniture::TableLamp.size(self.rng);
+        self.put(Furniture::TableLamp, at, 0.0, size, 0);
     }
 
     /// Sofa at a wall, a rug, a low table before it, armchairs and a side table with a lamp.
     fn seating(&mut self, walls: [usize; 4]) -> bool {
-        let size = Kind::Sofa.size(self.rng);
+        let size = Furniture::Sofa.size(self.rng);
         let Some((k, s)) = self.plan.place_at_wall(&walls, size, self.rng) else {
             return false;
         };
         let variant = self.rng.random_range(0..12);
         let at = self.plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0);
-        self.put(Kind::Sofa, at, yaw(k), size, variant);
-        let low = Kind::CoffeeTable.size(self.rng);
+        self.put(Furniture::Sofa, at, yaw(k), size, variant);
+        let low = Furniture::CoffeeTable.size(self.rng);
         let front = size[1] + 0.42 + low[1] / 2.0;
         let middle = self.plan.on_wall(k, s, front, 0.0);
         self.rug(middle, yaw(k), [size[0] + 0.5, low[1] + 1.3]);
         if self.plan.take_floor(middle, yaw(k), low[0], low[1], 0.1) {
             let variant = self.rng.random_range(0..4);
-            self.put(Kind::CoffeeTable, middle, yaw(k), low, variant);
+            self.put(Furniture::CoffeeTable, middle, yaw(k), low, variant);
         }
         let across = self.rng.random_range(0..3);
         for side in [-1.0, 1.0] {
-            let chair = Kind::Armchair.size(self.rng);
+            let chair = Furniture::Armchair.size(self.rng);
             // Facing the low table from its side, or from across.
             let mut ds = side * (low[0] / 2.0 + 0.4 + chair[1] / 2.0);
             let mut dy = front + 0.1;
@@ -204,10 +204,10 @@ impl Decorator<'_> {
             let at = self.plan.on_wall(k, s + ds, dy, 0.0);
             let yaw = yaw(k) + turn;
             if self.plan.take_floor(at, yaw, chair[0], chair[1], 0.08) {
-                self.put(Kind::Armchair, at, yaw, chair, variant + 1);
+                self.put(Furniture::Armchair, at, yaw, chair, variant + 1);
             }
         }
-        let table = Kind::SideTable.size(self.rng);
+        let table = Furniture::SideTable.size(self.rng);
         for side in [-1.0, 1.0] {
             let s = s + side * (size[0] / 2.0 + table[0] / 2.0 + 0.1);
             let at = self.plan.on_wall(k, s, 0.3, 0.0);
@@ -215,7 +215,7 @@ impl Decorator<'_> {
             let behind = [s - 0.24, s + 0.24, 0.0, 1.15];
             if free && self.plan.take_wall(k, behind, 0.02) {
                 let variant = self.rng.random_range(0..2);
-                self.put(Kind::SideTable, at, 0.0, table, variant);
+                self.put(Furniture::SideTable, at, 0.0, table, variant);
                 self.table_lamp(at + DVec3::Z * table[2]);
             }
         }
@@ -224,7 +224,7 @@ impl Decorator<'_> {
 
     /// Table with chairs around it and a lamp above.
     fn dining_group(&mut self) -> bool {
-        let size = Kind::DiningTable.size(self.rng);
+        let size = Furniture::DiningTable.size(self.rng);
         for _ in 0..60 {
             let reach = self.plan.size.truncate() / 2.0 - 1.15;
             let x = self.rng.random_range(-1.0..1.0) * reach.x;
@@ -243,7 +243,7 @@ impl Decorator<'_> {
 
     fn set_table(&mut self, at: DVec3, turn: f64, size: [f64; 3]) {
         let look = self.rng.random_range(0..4);
-        self.put(Kind::DiningTable, at, turn, size, look);
+        self.put(Furniture::DiningTable, at, turn, size, look);
         let variant = self.rng.random_range(0..12);
         let axes = DMat3::from_rotation_z(turn);
         let w = size[0] / 2.0;
@@ -255,22 +255,22 @@ impl Decorator<'_> {
         }
         for (i, (x, y, facing)) in seats.into_iter().enumerate() {
             let jitter = self.rng.random_range(-0.2..0.2);
-            let chair = Kind::Chair.size(self.rng);
+            let chair = Furniture::Chair.size(self.rng);
             let seat = at + axes * DVec3::new(x, y, 0.0);
             let yaw = turn + facing + jitter;
-            self.put(Kind::Chair, seat, yaw, chair, variant + i % 2 * 7);
+            self.put(Furniture::Chair, seat, yaw, chair, variant + i % 2 * 7);
         }
         let ceiling = self.plan.size.z;
         // How far the shade hangs below the ceiling.
         let drop = ceiling - self.rng.random_range(1.75..1.85);
         let at = at + DVec3::Z * ceiling;
-        self.put(Kind::Pendant, at, 0.0, [0.46, 0.46, drop], 0);
+        self.put(Furniture::Pendant, at, 0.0, [0.46, 0.46, drop], 0);
     }
 
     /// Two to five cabinets along the walls.
     fn cabinets(&mut self) {
-        let mut kinds = vec![Kind::Bookcase, Kind::Sideboard];
-        let more = [Kind::Chest, Kind::Wardrobe, Kind::Bookcase];
+        let mut kinds = vec![Furniture::Bookcase, Furniture::Sideboard];
+        let more = [Furniture::Chest, Furniture::Wardrobe, Furniture::Bookcase];
         kinds.extend(more.iter().filter(|_| self.rng.random_bool(0.55)));
         for kind in kinds {
             let size = kind.size(self.rng);
@@ -282,11 +282,11 @@ impl Decorator<'_> {
             let variant = self.rng.random_range(0..12);
             self.put(kind, at, yaw(k), size, variant);
             // A lamp on a low cabinet needs free wall behind it.
-            let low = matches!(kind, Kind::Sideboard | Kind::Chest);
+            let low = matches!(kind, Furniture::Sideboard | Furniture::Chest);
             let (from, to) = (s - size[0] / 2.0, s + size[0] / 2.0);
             let above = [from, to, size[2] + 0.05, size[2] + 0.5];
             if low && self.plan.take_wall(k, above, 0.0) {
-                let x = if kind == Kind::Sideboard {
+                let x = if kind == Furniture::Sideboard {
                     size[0] * 0.34
                 } else {
                     0.0
@@ -298,7 +298,7 @@ impl Decorator<'_> {
 
     /// A desk at a wall with its chair.
     fn desk_corner(&mut self) {
-        let size = Kind::Desk.size(self.rng);
+        let size = Furniture::Desk.size(self.rng);
         let walls = self.shuffled_walls();
         // The chair's place counts, so that nothing else stands there.
         let room = [size[0], size[1] + 0.5, 1.0];
@@ -307,19 +307,19 @@ impl Decorator<'_> {
         };
         let variant = self.rng.random_range(0..12);
         let at = self.plan.on_wall(k, s, size[1] / 2.0 + 0.02, 0.0);
-        self.put(Kind::Desk, at, yaw(k), size, variant);
+        self.put(Furniture::Desk, at, yaw(k), size, variant);
         let turn = yaw(k) + PI + self.rng.random_range(-0.3..0.3);
         let at = self.plan.on_wall(k, s - 0.15, size[1] + 0.18, 0.0);
-        let chair = Kind::Chair.size(self.rng);
-        self.put(Kind::Chair, at, turn, chair, variant + 1);
+        let chair = Furniture::Chair.size(self.rng);
+        self.put(Furniture::Chair, at, turn, chair, variant + 1);
     }
 
     fn floor_lamp(&mut self) {
-        let size = Kind::FloorLamp.size(self.rng);
+        let size = Furniture::FloorLamp.size(self.rng);
         let walls = self.shuffled_walls();
         if let Some((k, s)) = self.plan.place_at_wall(&walls, size, self.rng) {
             let at = self.plan.on_wall(k, s, size[1] / 2.0 + 0.03, 0.0);
-            self.put(Kind::FloorLamp, at, 0.0, size, 0);
+            self.put(Furniture::FloorLamp, at, 0.0, size, 0);
         }
     }
 }

@@ -114,7 +114,7 @@ fn unread_transforms(dir: &Path, options: &LoadOptions, layout: Layout) -> Optio
 }
 
 /// What a folder of a layout has.
-const fn needs(layout: Layout) -> &'static str {
+const fn requirements(layout: Layout) -> &'static str {
     match layout {
         Layout::Auto => {
             "transforms.json (nerfstudio, instant-ngp), transforms_train.json with transforms_test.json (Blender), \
@@ -136,7 +136,10 @@ const fn needs(layout: Layout) -> &'static str {
 fn nothing(dir: &Path, options: &LoadOptions) -> Error {
     let named = options.layout;
     let file = &options.transforms;
-    let expected = format!("cameras and frames: {}; see docs/data.md", needs(named));
+    let expected = format!(
+        "cameras and frames: {}; see docs/data.md",
+        requirements(named)
+    );
     if matches!(named, Layout::Auto | Layout::Transforms) {
         let others = transforms::alternatives(dir);
         if let Some(first) = others.first() {

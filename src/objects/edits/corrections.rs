@@ -47,7 +47,7 @@ impl Corrections {
     pub fn add(&mut self, editing: &Editing) {
         assert_eq!(editing.len(), self.labels.len(), "edits of another scene");
         let ignore = editing.ignore();
-        for (row, id) in editing.given() {
+        for (row, id) in editing.relabelled() {
             self.labels[row as usize] = (id != ignore).then_some(id);
         }
         self.classes = editing.classes().clone();

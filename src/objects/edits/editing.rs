@@ -17,7 +17,7 @@ pub struct Editing {
     classes: Classes,
     removed: Vec<bool>,
     /// Gaussians that were given a label.
-    given: Vec<bool>,
+    relabelled: Vec<bool>,
     /// Labels of the scene as it was.
     used: BTreeSet<u16>,
     farthest: f64,
@@ -49,7 +49,7 @@ impl Editing {
         assert_eq!(labels.len(), gaussians.len(), "one label for each Gaussian");
         Self {
             removed: vec![false; labels.len()],
-            given: vec![false; labels.len()],
+            relabelled: vec![false; labels.len()],
             used: labels.iter().copied().collect(),
             farthest: farthest(&gaussians),
             gaussians,
@@ -92,9 +92,9 @@ impl Editing {
     }
 
     /// Gaussians that were given a label and are not removed, ascending, with that label.
-    pub fn given(&self) -> impl Iterator<Item = (u32, u16)> {
-        let given = self.given.iter().zip(&self.removed);
-        let rows = rows_where(given, |(given, removed)| *given && !removed);
+    pub fn relabelled(&self) -> impl Iterator<Item = (u32, u16)> {
+        let relabelled = self.relabelled.iter().zip(&self.removed);
+        let rows = rows_where(relabelled, |(relabelled, removed)| *relabelled && !removed);
         rows.into_iter().map(|row| (row, self.labels[row as usize]))
     }
 
@@ -132,7 +132,7 @@ impl Editing {
     pub fn assign(&mut self, rows: &[u32], id: u16) {
         for &row in rows {
             self.labels[row as usize] = id;
-            self.given[row as usize] = true;
+            self.relabelled[row as usize] = true;
         }
     }
 

@@ -83,19 +83,19 @@ fn parts_of_the_channels_give_what_all_of_them_give_on_every_device() {
                 most_bytes: bytes,
             };
             let mut steps = Vec::new();
-            let first = lifted.compared(&phrases, &mut |done, all| steps.push((done, all)));
+            let first = lifted.similarities(&phrases, &mut |done, all| steps.push((done, all)));
             let first = first.unwrap();
             assert_eq!(steps.last(), Some(&(4 * files, 4 * files)), "{name}");
             assert!(steps.is_sorted(), "{steps:?}");
             assert_eq!(listed(&cache).len(), files, "{name}");
             assert_eq!(
-                lifted.compared(&phrases, &mut |_, _| ()).unwrap(),
+                lifted.similarities(&phrases, &mut |_, _| ()).unwrap(),
                 first,
                 "{name}: kept"
             );
             assert_eq!(first.len(), SIZES.len());
-            for (scale, compared) in first.iter().enumerate() {
-                let found = compared.relevancy(0, &[1, 2]);
+            for (scale, similarities) in first.iter().enumerate() {
+                let found = similarities.relevancy(0, &[1, 2]);
                 for (row, found) in plain.buffers[scale].chunks_exact(CHANNELS).zip(found) {
                     let dot =
                         |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();

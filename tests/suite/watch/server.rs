@@ -86,7 +86,7 @@ fn gaussians_are_copied_for_a_browser_that_is_there() {
 }
 
 #[test]
-fn of_more_gaussians_than_the_page_has_room_for_some_are_shown() {
+fn a_page_with_too_many_gaussians_shows_some_of_them() {
     let (mut watch, client) = watch();
     let n = 1_200_001;
     let large = Gaussians {

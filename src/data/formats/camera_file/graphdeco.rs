@@ -69,14 +69,14 @@ impl Entry {
 
     /// The image's name without its extension, which newer versions keep; folders become part of the name. Empty without a name.
     fn name(&self) -> String {
-        let given = match &self.img_name {
+        let file_name = match &self.img_name {
             Value::String(name) => name.clone(),
             Value::Number(number) => number.to_string(),
             _ => String::new(),
         };
-        let stem = match given.rsplit_once('.') {
+        let stem = match file_name.rsplit_once('.') {
             Some((stem, extension)) if EXTENSIONS.contains(&&*extension.to_lowercase()) => stem,
-            _ => &given,
+            _ => &file_name,
         };
         stem.replace(['/', '\\'], "_")
     }

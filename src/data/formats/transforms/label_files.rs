@@ -37,22 +37,22 @@ impl<'a> LabelFiles<'a> {
 
     /// `frame` with the files of `fields`, which are its entry in the file.
     pub fn add(&self, frame: Frame, fields: &schema::Frame) -> Frame {
-        let given = |path: &Option<String>| path.as_ref().map(|path| self.dir.join(path));
-        let in_folder = |folder: &Path, given: &[PathBuf]| {
+        let in_scene = |path: &Option<String>| path.as_ref().map(|path| self.dir.join(path));
+        let in_folder = |folder: &Path, of_frame: &[PathBuf]| {
             let photos = self.of_photos.unique(Some(&fields.file_path));
-            let files = candidates(given, &photos, &frame.name).into_iter();
+            let files = candidates(of_frame, &photos, &frame.name).into_iter();
             files.map(|path| folder.join(path)).collect::<Vec<_>>()
         };
         let mask = match &self.masks {
             Masks::Off => None,
-            Masks::OfFrames => given(&fields.mask_path),
+            Masks::OfFrames => in_scene(&fields.mask_path),
             Masks::In(folder) => {
                 let of_frame = self.of_masks.unique(fields.mask_path.as_ref());
                 file(&in_folder(folder, &of_frame))
             }
         };
         let (raw, drawn) = match &self.raw {
-            None => (given(&fields.raw_label_path), None),
+            None => (in_scene(&fields.raw_label_path), None),
             Some(folder) => {
                 let mut of_frame = self.of_raw.unique(fields.raw_label_path.as_ref());
                 let files = in_folder(folder, &of_frame);
@@ -64,25 +64,25 @@ impl<'a> LabelFiles<'a> {
         };
         Frame {
             mask,
-            truth: given(&fields.label_path),
+            truth: in_scene(&fields.label_path),
             drawn,
             raw,
-            instances: given(&fields.instance_path),
+            instances: in_scene(&fields.instance_path),
             ..frame
         }
     }
 }
 
-/// Possible files of a frame in a folder, the likeliest first: those of the paths that are `given` for its file, then those of its
+/// Possible files of a frame in a folder, the likeliest first: those of the paths `of_frame`, which the frame gives, then those of its
 /// photo, and the view's name last. Leading folders of these paths are cut off only as long as no two frames share a file, see
 /// [`Endings::unique`].
-fn candidates(given: &[PathBuf], photos: &[PathBuf], name: &str) -> Vec<PathBuf> {
+fn candidates(of_frame: &[PathBuf], photos: &[PathBuf], name: &str) -> Vec<PathBuf> {
     let png = |path: &PathBuf| [path.with_extension("png"), with_png(path)];
-    let given = given
+    let of_frame = of_frame
         .iter()
         .flat_map(|path| [&[path.clone()][..], &png(path)].concat());
     let photos = photos.iter().flat_map(png);
-    given
+    of_frame
         .chain(photos)
         .chain([with_png(Path::new(name))])
         .collect()

@@ -111,9 +111,9 @@ impl Sources {
     /// The frames that the options keep, in the order of the files. Frames whose names are faults are left out.
     pub fn pick(&self, options: &LoadOptions, problems: &mut Problems) -> Vec<Kept> {
         let frames: Vec<_> = self.frames().collect();
-        let given: Vec<Option<Split>> = frames.iter().map(|(.., split)| *split).collect();
+        let splits: Vec<Option<Split>> = frames.iter().map(|(.., split)| *split).collect();
         let mut names = self.names(problems);
-        let picked = options.pick(&given).into_iter();
+        let picked = options.pick(&splits).into_iter();
         let kept = picked.filter_map(|(place, split)| {
             let (source, index, _) = frames[place];
             Some(Kept {

@@ -93,7 +93,7 @@ impl Transforms {
             (VALIDATION, &self.val_filenames),
             (Some(Split::Test), &self.test_filenames),
         ];
-        let given = lists.into_iter();
-        given.filter_map(|(used, files)| Some((used, files.as_ref()?)))
+        let lists = lists.into_iter();
+        lists.filter_map(|(used, files)| Some((used, files.as_ref()?)))
     }
 }

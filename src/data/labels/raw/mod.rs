@@ -142,7 +142,7 @@ fn format_of(dir: &Path, options: &LoadOptions, files: &[RawFile]) -> RawFormat 
     match (options.raw_format, first) {
         (RawFormat::Auto, None) => RawFormat::Grey,
         (RawFormat::Auto, Some(first)) => format_of_file(dir, options, first),
-        (given, _) => given,
+        (format, _) => format,
     }
 }
 
