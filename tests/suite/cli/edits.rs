@@ -20,7 +20,7 @@ fn the_command_applies_edits_to_their_scene_alone() {
     ]);
     let edits = json!({"version": 1, "scene": sha256(&path).unwrap(), "operations": operations});
     std::fs::write(&file, edits.to_string()).unwrap();
-    let out = folder.path().join("mended");
+    let out = folder.path().join("edited");
     let edit = [
         "edit",
         "--scene",
@@ -36,11 +36,11 @@ fn the_command_applies_edits_to_their_scene_alone() {
         "{said}"
     );
     let read = |name: &str| ply::read(&out.join(name)).unwrap();
-    let mended = read("scene.ply");
+    let edited = read("scene.ply");
     let mut want = [vec![2; 25], vec![3; 25], vec![4; 36]].concat();
     want[55] = 5;
     want[56] = 5;
-    assert_eq!(mended.labels.unwrap(), want);
+    assert_eq!(edited.labels.unwrap(), want);
     assert_eq!(
         Classes::read(&out.join("classes.json")).unwrap().name(5),
         "rug"

@@ -98,8 +98,8 @@ fn a_served_page_saves_edits_beside_the_scene() {
     program.wait().unwrap();
 
     let edit = ["edit", "--scene", utf8(&scene), "--edits", utf8(&saved)];
-    succeeds(&[&edit[..], &["--out", utf8(&dir.path().join("mended"))]].concat());
-    let classes = Classes::read(&dir.path().join("mended/classes.json")).unwrap();
+    succeeds(&[&edit[..], &["--out", utf8(&dir.path().join("edited"))]].concat());
+    let classes = Classes::read(&dir.path().join("edited/classes.json")).unwrap();
     assert_eq!(classes.known_name(1), Some("rug"));
 
     // Edits of another scene stay.

@@ -141,7 +141,7 @@ fn cube(path: &Path, height: f64) {
 }
 
 #[test]
-fn colmap_models_are_mended_as_colmap_has_them() {
+fn the_help_for_colmap_models_fits_colmap() {
     let folder = tempfile::tempdir().unwrap();
     let dir = folder.path();
     fs::create_dir(dir.join("images")).unwrap();
@@ -180,7 +180,7 @@ fn colmap_models_are_mended_as_colmap_has_them() {
 }
 
 #[test]
-fn mended_matrices_are_right() {
+fn matrices_that_follow_the_help_are_right() {
     // What the messages say, done to the matrices.
     let camera = crate::support::plates::camera(2);
     let flip = DMat4::from_diagonal(glam::DVec4::new(1.0, -1.0, -1.0, 1.0));

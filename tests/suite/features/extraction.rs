@@ -165,7 +165,7 @@ fn unusable_settings_are_named() {
 }
 
 #[test]
-fn cache_is_used_and_damage_is_mended() {
+fn the_cache_is_used_and_damaged_entries_are_computed_again() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let scene = pictures(4);
     let config = FeatureConfig {

@@ -1,7 +1,7 @@
 //! Tests of `coseg::segmentation`.
 
 pub mod algorithm_one;
-pub mod attendance;
+pub mod attendance_pruning;
 pub mod blended_loss;
 pub mod consistency;
 pub mod decoder;

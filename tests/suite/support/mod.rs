@@ -16,6 +16,8 @@ pub mod device_tensors;
 pub mod devtools;
 pub mod dino_reference;
 pub mod dino_weights;
+#[cfg(unix)]
+pub mod edited_plates;
 pub mod exif_photo;
 pub mod feature_maps;
 pub mod finite_differences;
@@ -27,8 +29,6 @@ pub mod lifting;
 pub mod linear_probe;
 pub mod made_up_report;
 pub mod masked_plates;
-#[cfg(unix)]
-pub mod mended_plates;
 pub mod mobilenet_weights;
 pub mod onnx;
 pub mod painted_plane;

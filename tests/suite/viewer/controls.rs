@@ -1,7 +1,7 @@
 //! Controls of the viewer's page: wheel, sliders, buttons, and the light or dark of the system.
 
 use crate::support::devtools::Tab;
-use crate::support::mended_plates::{opened, spot};
+use crate::support::edited_plates::{opened, spot};
 use serde_json::json;
 
 /// Sets a slider as a person does.

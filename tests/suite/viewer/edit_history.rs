@@ -1,7 +1,7 @@
 //! Edits in the viewer's page: undone, kept, saved, and reached by keys.
 
 use crate::support::devtools::{CTRL, SHIFT};
-use crate::support::mended_plates::{assert_applied, opened, selected, spot, state};
+use crate::support::edited_plates::{assert_applied, opened, selected, spot, state};
 use crate::support::program::utf8;
 use coseg::splat::ply;
 use serde_json::json;
@@ -60,14 +60,14 @@ fn everything_is_undone_and_done_again_bit_for_bit() {
     assert_eq!(count, 11);
     assert_applied(&mut tab, dir.path());
     // Positions too, but for the rounding of each motion.
-    let mended = ply::read(&dir.path().join("mended/scene.ply")).unwrap();
+    let edited = ply::read(&dir.path().join("edited/scene.ply")).unwrap();
     let places = tab.value(
         "Array.from(page.state.partOf).map((part, i) => [part, i]).filter(([part]) => page.state.parts[part].object !== null) \
          .map(([part, i]) => { const { rotation, shift } = page.state.parts[part].pose; \
          return [0, 1, 2].map((k) => shift[k] + [0, 1, 2].reduce((s, c) => s + rotation[3 * k + c] * page.scene.geometry[16 * i + c], 0)); })",
     );
     let places: Vec<[f64; 3]> = serde_json::from_value(places).unwrap();
-    for (place, mean) in places.iter().zip(&mended.gaussians.means) {
+    for (place, mean) in places.iter().zip(&edited.gaussians.means) {
         let near = place
             .iter()
             .zip(mean)

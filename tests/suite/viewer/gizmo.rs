@@ -1,7 +1,7 @@
 //! The arrows of the object that is moved, where its middle is not in the picture.
 
 use crate::support::devtools::Tab;
-use crate::support::mended_plates::{opened, spot};
+use crate::support::edited_plates::{opened, spot};
 use serde_json::json;
 
 /// The picture's width and height, pixels.

@@ -1,7 +1,7 @@
 //! Keys of the viewer's page: on every layout, and beside sliders.
 
 use crate::support::devtools::{ALT, CTRL, SHIFT, Tab};
-use crate::support::mended_plates::{opened, selected, spot};
+use crate::support::edited_plates::{opened, selected, spot};
 use serde_json::json;
 
 /// Drags the slider `id` to a share of its way with the pointer, as a person does.

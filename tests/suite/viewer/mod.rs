@@ -6,11 +6,11 @@ pub mod drawing;
 #[cfg(unix)]
 pub mod edit_history;
 #[cfg(unix)]
+pub mod editor;
+#[cfg(unix)]
 pub mod gizmo;
 #[cfg(unix)]
 pub mod keys;
-#[cfg(unix)]
-pub mod mends;
 pub mod page;
 #[cfg(unix)]
 pub mod panel;

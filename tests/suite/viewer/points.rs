@@ -2,7 +2,7 @@
 
 use crate::support::browser::browser;
 use crate::support::devtools::Tab;
-use crate::support::mended_plates::{assert_applied, selected, spot, state};
+use crate::support::edited_plates::{assert_applied, selected, spot, state};
 use crate::support::plates::{plates, scene as plates_scene};
 use crate::support::program::{succeeds, utf8};
 use coseg::objects::{Growth, Regions};
@@ -90,7 +90,7 @@ fn clicks_give_a_scene_its_first_labels() {
         .collect();
     assert_eq!(tab.value("Array.from(page.state.labels())"), json!(labels));
     assert_applied(&mut tab, dir.path());
-    let scene = ply::read(&dir.path().join("mended/scene.ply")).unwrap();
+    let scene = ply::read(&dir.path().join("edited/scene.ply")).unwrap();
     assert_eq!(scene.labels, Some(labels));
     tab.value("page.edits.undo(); page.edits.undo(); page.edits.undo()");
     assert_eq!(state(&mut tab), start);

@@ -2,7 +2,7 @@
 
 use crate::support::browser::browser;
 use crate::support::devtools::{CTRL, Tab};
-use crate::support::mended_plates::{assert_applied_to, selected, state};
+use crate::support::edited_plates::{assert_applied_to, selected, state};
 use coseg::data::builtin::{
     BuiltinOptions, EVALUATED_SEED, Room, Truth, classes, render_truth, scene_with,
 };

@@ -1,7 +1,7 @@
 //! Selections in the viewer's page: undone, and added to by the wand.
 
 use crate::support::devtools::{ALT, CTRL, SHIFT, Tab};
-use crate::support::mended_plates::{opened, selected, spot, state};
+use crate::support::edited_plates::{opened, selected, spot, state};
 use serde_json::json;
 
 const RED: [f64; 3] = [-0.9, 0.0, 0.1];

@@ -2,7 +2,7 @@
 
 use crate::support::browser::browser;
 use crate::support::devtools::Tab;
-use crate::support::mended_plates::spot;
+use crate::support::edited_plates::spot;
 use crate::support::served_plates::Plates;
 use coseg::objects::{Edits, Operation};
 use serde_json::json;

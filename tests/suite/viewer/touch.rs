@@ -1,7 +1,7 @@
 //! What fingers do on the viewer's page.
 
 use crate::support::devtools::Tab;
-use crate::support::mended_plates::{opened, selected, spot};
+use crate::support::edited_plates::{opened, selected, spot};
 use glam::DVec3;
 use serde_json::json;
 

@@ -1,4 +1,4 @@
-//! What loads and is seldom meant: degenerate poses, odd intrinsics, labels that say nothing; and floods of one fault.
+//! Notices on input that loads and is seldom intended: degenerate poses, odd intrinsics, labels that say nothing; and floods of one fault.
 
 use crate::support::plates::{HEIGHT, WIDTH, scene};
 use crate::support::program::{fails, succeeds, utf8};

@@ -1,8 +1,8 @@
-//! Labels mended in the viewer's page: what a selection takes, and what becomes of it.
+//! Labels edited in the viewer's page: what a selection takes, and what becomes of it.
 
 use crate::support::browser::browser;
 use crate::support::devtools::{ALT, SHIFT, Tab};
-use crate::support::mended_plates::{assert_applied, opened, page, selected, spot, state};
+use crate::support::edited_plates::{assert_applied, opened, page, selected, spot, state};
 use crate::support::program::{succeeds, utf8};
 use coseg::objects::Regions;
 use coseg::splat::ply;

@@ -67,12 +67,12 @@ pub fn assert_applied(tab: &mut Tab, dir: &Path) {
 pub fn assert_applied_to(tab: &mut Tab, scene: &Path, dir: &Path) {
     let edits = dir.join("edits.json");
     std::fs::write(&edits, tab.text("page.edits.text()")).unwrap();
-    let out = dir.join("mended");
+    let out = dir.join("edited");
     let edit = ["edit", "--scene", utf8(scene), "--edits", utf8(&edits)];
     succeeds(&[&edit[..], &["--out", utf8(&out), "--force"]].concat());
-    let mended = ply::read(&out.join("scene.ply")).unwrap();
+    let edited = ply::read(&out.join("scene.ply")).unwrap();
     let want = tab.value("Array.from(page.state.labels())");
-    assert_eq!(json!(mended.labels.unwrap()), want);
+    assert_eq!(json!(edited.labels.unwrap()), want);
     let classes = Classes::read(&out.join("classes.json")).unwrap();
     let entries: Vec<_> = classes
         .entries
