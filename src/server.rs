@@ -62,7 +62,7 @@ impl Server {
         silence: Duration,
         routes: impl FnOnce(&str) -> Router,
     ) -> Result<Self> {
-        // Other pages are told by the address that a browser asks for, so there must be one.
+        // Requests of other pages are recognised by the address that they ask for, so there must be one address.
         ensure!(!listen.is_unspecified(), argument "--listen"; found "{listen}, all interfaces";
             expected "the address of one interface of this machine"; help "`ip address` lists them; 127.0.0.1 is this machine alone");
         let failed = |action| move |e| Error::io(listen.to_string(), action, e);

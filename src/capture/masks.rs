@@ -96,8 +96,9 @@ impl Masks {
     }
 }
 
-/// The mask in `file` of a photo of the size `stored` that becomes one of the size `upright` when it is turned: 0 where the photo is
-/// left out, and whether it lies as the photo is stored. One that has the size or the proportions of the turned photo alone does not.
+/// Decodes the mask in `file` of a photo that has the size `stored` in its file, and `upright` after it was turned. The mask is 0
+/// where the photo is left out. The flag is true where the mask lies as the photo is stored, and false where it fits the turned
+/// photo alone.
 fn decode(
     file: &Path,
     stored: (usize, usize),

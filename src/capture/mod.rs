@@ -45,14 +45,14 @@ pub struct Made {
     pub input: String,
     /// Photos in `images`; 0 until all are there.
     pub photos: usize,
-    /// Photos with a mask that was given; where there are some, `masks` has a file for each photo.
+    /// Photos for which a mask was given. If there are any, `masks` has a file for each photo.
     #[serde(default)]
     pub masks: usize,
-    /// What found the poses, once they are there.
+    /// The program that found the poses; `None` until they are found.
     pub poses: Option<String>,
 }
 
-/// A scene folder that is made.
+/// A scene folder while it is made.
 struct Room {
     folder: PathBuf,
     record: PathBuf,
@@ -102,7 +102,7 @@ impl Capture<'_> {
             made.poses = Some(solver.to_string());
             atomic::write_json(&room.record, &made)?;
         }
-        // What stays does no harm.
+        // A folder that cannot be removed does no harm.
         let _ = fs::remove_dir_all(&room.work);
         Ok(made)
     }
@@ -190,7 +190,7 @@ impl Room {
         Ok(made)
     }
 
-    /// Finds the poses of its photos.
+    /// Finds the poses of the photos.
     fn solve(&self, solver: &Solver, made: &Made, progress: &mut dyn Progress) -> Result<()> {
         let folders = Folders {
             images: &self.images,

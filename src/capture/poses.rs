@@ -34,20 +34,21 @@ impl fmt::Display for Solver {
     }
 }
 
-/// Where COLMAP works.
+/// The folders that COLMAP reads and writes.
 pub(super) struct Folders<'a> {
     pub images: &'a Path,
     /// A mask for each photo, `a.jpg.png` for `a.jpg`.
     pub masks: Option<&'a Path>,
-    /// Its own files, which let it continue.
+    /// COLMAP's own files, from which it continues.
     pub work: &'a Path,
-    /// Gets the models, in folders 0, 1 and so on: one for each group of photos that it could not join to the others.
+    /// Receives the models, in folders 0, 1 and so on. COLMAP writes one for each group of photos that it could not join to the
+    /// others.
     pub models: &'a Path,
 }
 
 impl Solver {
-    /// The package of `python` if that is given. Else the program with CUDA, the package of `python3`, or the program without CUDA,
-    /// which is the slowest.
+    /// The package of `python` if that is given. Otherwise the first of these that is installed: the program with CUDA, the package
+    /// of `python3`, the program without CUDA, which is the slowest.
     ///
     /// # Errors
     /// [`Error::Missing`] with the line that installs one of them.
@@ -95,7 +96,7 @@ impl Solver {
         if *self == (Self::Colmap { cuda: false }) {
             let help = output_of(Command::new("colmap").args([step.of_colmap, "-h"]));
             let help = help.unwrap_or_default();
-            // Its name differs between versions.
+            // The name of the option differs between versions.
             let option = help
                 .split_whitespace()
                 .find(|word| word.ends_with(".use_gpu"));
@@ -150,7 +151,7 @@ impl Solver {
     }
 }
 
-/// What a program prints; `None` where it is absent or fails.
+/// The output of a program; `None` where the program is absent or fails.
 fn output_of(command: &mut Command) -> Option<String> {
     let output = command.stdin(Stdio::null()).output().ok()?;
     let text = [output.stdout, output.stderr].concat();
@@ -164,9 +165,9 @@ fn output_of(command: &mut Command) -> Option<String> {
 #[derive(Clone, Copy, PartialEq)]
 struct Step {
     name: &'static str,
-    /// Its command of the program.
+    /// The subcommand of `colmap`.
     of_colmap: &'static str,
-    /// What a line of the output has in it when another photo or block is done.
+    /// Text in an output line that reports another photo or block as done.
     done: &'static str,
 }
 

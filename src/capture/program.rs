@@ -10,11 +10,11 @@ use std::time::Duration;
 
 /// Last lines of the output that an error quotes.
 const QUOTED: usize = 5;
-/// How long a program may be silent until the run is asked whether to stop.
+/// How often the run is asked whether to stop while a program prints nothing.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// Runs `command` to its end. `done` tells how many views of `viewing` a line of its output is about. When the run is stopped, the
-/// program is ended, with all that it started.
+/// Runs `command` to its end. `done` gives the number of views of `viewing` that a line of output reports as done. When the run is
+/// stopped, the program and its child processes are killed.
 ///
 /// # Errors
 /// [`Error::Program`] with its last lines where it fails; [`Error::Missing`] where it is not installed; `help` says what to do;
@@ -27,12 +27,12 @@ pub(super) fn run(
 ) -> Result<()> {
     let program = command.get_program().to_string_lossy().into_owned();
     command.stdin(Stdio::null());
-    // One pipe for both, so that the last lines are the last ones.
+    // One pipe for output and errors, so that their lines keep their order.
     let failed = |e| Error::io(&program, "start", e);
     let (output, input) = std::io::pipe().map_err(failed)?;
     command.stdout(input.try_clone().map_err(failed)?);
     command.stderr(input);
-    // A group of its own, which can be ended as a whole.
+    // A process group of its own can be killed as a whole.
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(command, 0);
     let child = command.spawn().map_err(|e| match e.kind() {
@@ -77,7 +77,7 @@ pub(super) fn run(
     Ok(())
 }
 
-/// A program with all that it started, which end when this is dropped.
+/// A running program. Dropping this kills it and its child processes.
 struct Running(Child);
 
 impl Drop for Running {
@@ -85,7 +85,7 @@ impl Drop for Running {
         if !matches!(self.0.try_wait(), Ok(None)) {
             return;
         }
-        // SAFETY: the group is that of a child whose end nobody has waited for, so that its number is not another's.
+        // SAFETY: nobody has waited for the child yet, so its number still means its own process group.
         #[cfg(unix)]
         unsafe {
             libc::killpg(self.0.id().cast_signed(), libc::SIGKILL);

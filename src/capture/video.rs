@@ -14,8 +14,8 @@ const HELP: &str = "videos are read by ffmpeg (apt-get install ffmpeg, brew inst
 const SHARPNESS: &str = "scale=w='min(1280,iw)':h=-2,format=yuv420p,convolution=0 -1 0 -1 4 -1 0 -1 0,signalstats,\
     metadata=print:key=lavfi.signalstats.YAVG:file=-";
 
-/// Writes `count` frames of `video` into the empty folder `out`, `frame_0001.jpg` and so on: of each of `count` windows of the same
-/// length the sharpest one. All frames of a shorter video.
+/// Writes `count` frames of `video` into the empty folder `out`, `frame_0001.jpg` and so on. The video is cut into `count` windows
+/// of equal length; the sharpest frame of each is taken. A video with fewer frames gives all of them.
 ///
 /// # Errors
 /// [`crate::Error::Missing`] without ffmpeg; [`crate::Error::Program`] where it fails; [`crate::Error::Input`] for a file without frames.

@@ -30,7 +30,7 @@ pub struct Annotations<'a> {
     /// Pictures of the YOLO data set.
     images: Vec<(Split, String)>,
     frames: usize,
-    /// How many of them have no photo that their map fits.
+    /// Number of pictures whose map fits no photo.
     without_photo: usize,
     photos: BTreeMap<String, ViewPhoto>,
     classes: &'a Classes,
@@ -38,7 +38,7 @@ pub struct Annotations<'a> {
 }
 
 impl<'a> Annotations<'a> {
-    /// No frame yet, in `folder`. The `photos` of frames are known by the names of these.
+    /// Annotations without frames yet, for `folder`. `photos` are by the names of their frames.
     pub fn new(
         formats: &'a [AnnotationFormat],
         categories: &'a Categories,
@@ -117,7 +117,7 @@ impl<'a> Annotations<'a> {
         Ok(())
     }
 
-    /// Says of how many frames `path` has the photo, and of how many it has `others` instead.
+    /// Prints for how many frames `path` has the photo, and for how many it has `others` instead.
     fn say(&self, path: &Path, others: &str) {
         let photos = self.frames - self.without_photo;
         let mut said = format!("{}: {photos} photos", path.display());

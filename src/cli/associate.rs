@@ -53,7 +53,7 @@ impl AssociateArgs {
         let out = &self.input.out;
         let classes = &scene.classes;
         let folder = out.join("labels");
-        // Before the maps, so that no maps are there without it.
+        // Written before the maps: without this file, loading would have to guess their geometry.
         MapGeometry::Undistorted.write(&folder)?;
         for view in &scene.views {
             if let Some(map) = &view.raw {

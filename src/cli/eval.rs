@@ -52,11 +52,11 @@ impl EvalArgs {
         let mut semantics = None;
         let is_associated = config.data.association != Association::None;
         if is_associated {
-            // True labels have no ids of objects.
+            // True labels hold ids of classes, and the labels of this run ids of objects.
             semantics = Semantics::of(&scene);
             scene.views.iter_mut().for_each(|view| view.truth = None);
         } else if stored_corrections(run.path())?.is_none() {
-            // A person may add and rename classes.
+            // With corrections by a person, classes may be new or renamed.
             same_classes(&scene.classes, &classes)?;
         }
         scene.classes = classes;
@@ -65,7 +65,7 @@ impl EvalArgs {
             semantics: semantics.as_ref(),
             ..SegmentationInputs::new(&scene, &ply.gaussians, &config, &device)
         };
-        // Before the work.
+        // Read before the slow part, so that a fault is reported at once.
         let identities =
             identities_beside(&run.file(SCENE), ply.gaussians.len(), scene.classes.len())?;
         let views = image_scores(&inputs)?;

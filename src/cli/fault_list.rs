@@ -22,7 +22,7 @@ pub fn print(faults: &[Error], all: bool) {
         }
     }
     for (_, group) in groups {
-        // One more takes as much room as the line that counts it.
+        // A single further fault is printed: the line that counts it would be as long.
         let shown = if all || group.len() == MAX_SHOWN + 1 {
             group.len()
         } else {

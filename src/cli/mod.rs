@@ -157,7 +157,7 @@ pub enum Command {
 impl Command {
     /// Runs the command, which is called `name`. A run that was stopped is neither an error nor a success.
     pub fn run(self, name: &str) -> Result<ExitCode> {
-        // Others whose files it may write over.
+        // Commands whose files this one may overwrite.
         let others: &[&str] = match self {
             Self::Label(_) => &["train", "from-photos"],
             Self::FromPhotos(_) => &["label"],
@@ -211,10 +211,10 @@ const INPUTS: [&str; 11] = [
     "config",
 ];
 
-/// So many inputs are named.
+/// Most inputs that the message names.
 const NAMED: usize = 3;
 
-/// Says what the command reads before it reads it, which may take long. Bars are drawn only on terminals.
+/// Prints what the command is about to read: that may take long, and progress bars are drawn on terminals only.
 pub fn announce(matches: &ArgMatches) {
     let mut action = matches;
     while let Some((_, inner)) = action.subcommand() {

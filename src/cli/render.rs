@@ -287,7 +287,7 @@ impl RenderArgs {
             terminal::say(&format!("film: {}", film.display()));
         }
         let mut said = format!("{} frames in {}", times.len(), self.out.display());
-        // A GPU compiles its kernels for the first one.
+        // The first frame includes the time in which a GPU compiles its kernels.
         let others = times.get(1..).unwrap_or_default();
         if !others.is_empty() {
             let each = 1e3 * others.iter().sum::<f64>() / others.len() as f64;

@@ -199,7 +199,7 @@ impl TrainArgs {
             seed: self.seed,
         };
         let opened = options.open();
-        // The settings of a run that is resumed without any are no options.
+        // Without --set, the settings of a resumed run come from its folder, not from options.
         if self.resume.is_some() && self.settings.sets.is_empty() {
             opened
         } else {

@@ -56,7 +56,7 @@ impl CellId {
 /// A finished cell.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cell {
-    /// Its place in the table.
+    /// Its position in the table.
     #[serde(flatten)]
     pub id: CellId,
     /// What was trained.

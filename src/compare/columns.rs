@@ -83,7 +83,7 @@ pub(super) const FRAMES: Column = Column::cost("frames_per_second", "frames/s", 
 });
 pub(super) const SECONDS: Column = Column::cost("seconds", "seconds", (1.0, 0), Figures::seconds);
 
-/// Those of every table.
+/// The columns of every table.
 pub(super) static COLUMNS: [Column; 8] = [
     MIOU,
     Column::score("miou_per_view", "mIoU per view, %", |f| {
@@ -99,7 +99,7 @@ pub(super) static COLUMNS: [Column; 8] = [
     Column::cost("psnr", "PSNR, dB", (1.0, 2), |f| f.psnr),
 ];
 
-/// Those of feature fields, in tables that have some.
+/// The columns of feature fields, for tables that have some.
 pub(super) static FIELD_COLUMNS: [Column; 4] = [
     Column {
         best: Best::Highest,

@@ -21,13 +21,13 @@ pub struct Figures {
     pub frames_per_second: Option<f64>,
     /// Bytes of everything that stage two learned.
     pub learnable_bytes: u64,
-    /// Seconds of training; those of image features are beside it.
+    /// Seconds of training, without those of image features.
     pub training_seconds: Option<f64>,
     /// Seconds of extracting and lifting image features, for variants of the decoder.
     pub feature_seconds: Option<f64>,
     /// Mean PSNR of the held-out views in dB, after attendance pruning.
     pub psnr: Option<f64>,
-    /// Scores of the feature field that the variant reads. Other variants have none, nor have cells of earlier programs.
+    /// Scores of the feature field that the variant reads. `None` for other variants, and in cells that earlier versions wrote.
     #[serde(default)]
     pub field: Option<FieldScores>,
     /// Gaussians after attendance pruning.
@@ -40,7 +40,7 @@ impl Figures {
         Some(self.training_seconds? + self.feature_seconds.unwrap_or(0.0))
     }
 
-    /// Those of `row`, a variant of `outcome`.
+    /// The figures of `row`, a variant of `outcome`.
     ///
     /// # Errors
     /// As [`Renderer::frame`].

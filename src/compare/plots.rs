@@ -19,7 +19,8 @@ fn color(row: usize) -> RGBColor {
     RGBColor(r, g, b)
 }
 
-/// A row: its name in the legend, its place, absent where it has no such cost or no score, and the spread of its score.
+/// A row: its name in the legend, its position, and the spread of its score. A row without such a cost or without a score has no
+/// position.
 pub(super) type Point = (String, Option<[f64; 2]>, f64);
 
 /// mIoU of rows against the cost `x_title`, by `command`; `None` without a point.

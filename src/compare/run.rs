@@ -125,8 +125,7 @@ struct Comparison<'a> {
 }
 
 impl<'a> Comparison<'a> {
-    /// Calls `work` with the cells that `chosen` accepts, those of one scene, labels and seed together, and with the scene that they
-    /// are trained on.
+    /// Calls `work` for each scene, labels and seed, with the cells that `chosen` accepts and the scene that they are trained on.
     fn visit(
         &mut self,
         chosen: impl Fn(&CellId) -> bool,
@@ -271,7 +270,7 @@ impl<'a> Comparison<'a> {
             });
             self.cells.push(cell);
         }
-        // Its checkpoints are as large as the scene, and have served.
+        // The checkpoints are as large as the scene and are no longer needed.
         own::remove_folder(&folder)
     }
 }

@@ -23,7 +23,7 @@ pub(super) struct SharedGaussians {
 }
 
 impl SharedGaussians {
-    /// Those of `scene`, trained first or taken from the file that `options` name, unless that is done.
+    /// The Gaussians of `scene`. Trains them or takes them from the file that `options` name, unless an earlier call did.
     ///
     /// # Errors
     /// [`crate::Error::Config`] and [`crate::Error::Input`] for Gaussians of other settings or photos, or from another file; those

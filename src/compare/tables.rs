@@ -231,7 +231,7 @@ impl<'a> Tables<'a> {
         )
     }
 
-    /// What the plan gives of papers, below a line that says what that is.
+    /// The figures of papers that the plan states, below a note that they are not comparable.
     fn published(&self) -> String {
         match &*self.plan.published {
             "" => String::new(),
@@ -270,7 +270,7 @@ impl<'a> Tables<'a> {
             .collect()
     }
 
-    /// mIoU against a cost. Rows without all of their cells have no place: others are means over more scenes.
+    /// mIoU against a cost. Rows that lack cells have no point, because the others are means over more scenes.
     fn points(&self, labels: &str, cost: &Column) -> Vec<Point> {
         let scenes = self.scenes();
         let all = scenes.len() * self.plan.seeds as usize;

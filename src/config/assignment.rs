@@ -87,7 +87,7 @@ impl Assignment<'_> {
             if value.is_array() && !refusal.is_empty() && !wants_list {
                 continue;
             }
-            // A variant with a payload takes the place of another one. Only the types tell which table holds variants.
+            // A variant with a payload replaces another one. Only the types tell which table holds variants.
             for emptied in (1..keys.len().max(2)).rev() {
                 let mut table = table_of(config);
                 insert(&mut table, &keys, emptied, value);

@@ -13,7 +13,7 @@ pub enum Budget {
     /// Held-back training views decide ([`crate::reconstruction`]).
     #[default]
     Auto,
-    /// As many as densification makes.
+    /// No limit: densification decides.
     Unlimited,
     /// No more than this. Larger initial clouds are thinned to it.
     #[serde(untagged)]

@@ -147,7 +147,7 @@ pub struct Scene {
     pub origin: DVec3,
     /// World direction that points up, unit length.
     pub up: DVec3,
-    /// What a world unit is taken for.
+    /// The assumed size of a world unit.
     pub unit: WorldUnit,
 }
 

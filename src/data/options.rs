@@ -92,7 +92,7 @@ impl LoadOptions {
     }
 }
 
-/// At most `most` of `n` places, evenly chosen.
+/// At most `most` of the indices below `n`, evenly chosen.
 pub(crate) fn evenly(n: usize, most: usize) -> Vec<usize> {
     let taken = n.min(most);
     (0..taken).map(|i| i * n / taken).collect()

@@ -163,7 +163,7 @@ impl Pca {
         Ok(out)
     }
 
-    /// Calls `store` with the projection `[rank]` of each of the rows, centred, and with its place in `out` `[n, dimensions]`.
+    /// Calls `store` with the projection `[rank]` of each of the rows, centred, and with its row of `out` `[n, dimensions]`.
     fn each_projection(
         &self,
         rows: &[f32],

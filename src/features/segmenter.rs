@@ -12,7 +12,7 @@ use std::path::Path;
 /// Changes with the arithmetic: cached maps of another version are computed again.
 pub(super) const VERSION: &str = "segmenter 2";
 
-/// A network of which a tensor within is read.
+/// A network, one of whose inner tensors is read.
 #[derive(Debug)]
 pub struct Tap {
     network: Network,

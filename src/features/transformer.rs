@@ -27,11 +27,11 @@ pub enum Activation {
     QuickGelu,
 }
 
-/// What blocks of one form compute differently.
+/// Differences between the blocks of DINO and of CLIP's text encoder.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Style {
     pub activation: Activation,
-    /// Whether tokens see those before them alone.
+    /// Whether a token attends only to itself and the tokens before it.
     pub is_causal: bool,
 }
 
@@ -50,7 +50,7 @@ pub(super) struct Block {
 impl Block {
     /// Tokens `[B, N, width]`.
     pub fn forward(&self, x: Tensor<3>, style: Style) -> Tensor<3> {
-        // Queries that are attended apart from others do not know their places.
+        // The causal mask counts positions from the first query of a call, so all queries have to be in one call.
         let queries = if style.is_causal {
             x.dims()[1]
         } else {
@@ -66,7 +66,8 @@ impl Block {
         x + self.fc2.forward(hidden)
     }
 
-    /// Attention of all heads, for `queries` tokens at a time: that changes the memory, and the result by rounding only.
+    /// Attention of all heads, for `queries` tokens at a time. Their number changes the memory used, and the result only by
+    /// rounding.
     fn attend(&self, x: Tensor<3>, queries: usize, is_causal: bool) -> Tensor<3> {
         let [batch, tokens, width] = x.dims();
         let qkv = self.qkv.forward(x);

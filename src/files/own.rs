@@ -186,7 +186,7 @@ fn note_in(known: &mut Known, path: &Path, digest: &str) -> Result<()> {
 
 /// Notes when the file at `path` was written.
 pub(super) fn stamp(path: &Path) {
-    // Of a link itself, as in [`check`].
+    // Metadata of a link itself, as in [`check`].
     let written = fs::symlink_metadata(path).ok();
     if let Some(stamp) = written.as_ref().and_then(stamp_at) {
         with_known(|known| known.stamps.insert(path.to_owned(), stamp));

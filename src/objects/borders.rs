@@ -1,4 +1,4 @@
-//! Objects of neighbouring blocks that are one: their Gaussians lie in the same places where both blocks were trained.
+//! Objects of neighbouring blocks that are one: their Gaussians coincide where both blocks were trained.
 
 use crate::data::{Class, Classes, ObjectOf, class_color};
 use crate::error::{Result, ensure};
@@ -262,7 +262,7 @@ mod tests {
             BTreeMap::from([(1, 2), (2, 1), (3, 4), (4, 3)])
         );
         assert_eq!(joined.joined, 3);
-        // An object of which no Gaussian stays has no id.
+        // An object without remaining Gaussians has no id.
         let without = [
             blocks[0],
             BlockObjects {

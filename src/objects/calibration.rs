@@ -111,7 +111,7 @@ struct Flux {
 }
 
 impl Flux {
-    /// Of pieces of surface with these class shares and sizes.
+    /// The flux of pieces of surface with these class shares and sizes.
     fn new<'a>(rows: impl Iterator<Item = (&'a [f64], f64)>, classes: usize) -> Self {
         let mut table = vec![0.0; classes * classes];
         for (row, size) in rows {
@@ -185,8 +185,8 @@ pub struct LabelErrors {
 }
 
 impl LabelErrors {
-    /// Of the class shares `rows` of pieces of surface, `[N, C]`. Leave out those at the border of two classes: there both lose
-    /// alike.
+    /// The errors in the class shares `rows` of pieces of surface, `[N, C]`. Leave out pieces at the border of two classes: there
+    /// both lose alike.
     pub fn of<'a>(rows: impl Iterator<Item = &'a [f64]>, classes: usize) -> Self {
         let flux = Flux::new(rows.map(|row| (row, 1.0)), classes);
         let won = flux.won();

@@ -21,7 +21,7 @@ pub struct Similarities {
 }
 
 impl Similarities {
-    /// Those of `gaussians` features without channels and of `phrases` phrases.
+    /// Similarities of `gaussians` features to `phrases` phrases, before any channel is added.
     pub fn new(gaussians: usize, phrases: usize) -> Self {
         Self {
             phrases,

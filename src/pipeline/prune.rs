@@ -8,11 +8,12 @@ use crate::reconstruction::pruning::{PrunedScene, ascending, cheapest_first};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 
-/// Training views that judge the result, at most. The Gaussians are measured in all of them.
+/// Most training views whose PSNR judges the result. Gaussians are measured in all training views.
 const JUDGES: usize = 16;
-/// A round leaves out one in this many Gaussians at most. Then they are measured again: one of two alike adds little, the last a lot.
+/// A round leaves out at most one in this many Gaussians. Then all are measured again: each of two similar Gaussians adds little
+/// until the other is gone.
 const ROUND: usize = 10;
-/// Rounds end when one leaves out fewer than one in this many.
+/// A round that leaves out fewer than one in this many Gaussians is the last.
 const LAST_ROUND: usize = 100;
 
 /// How many Gaussians stay.
@@ -20,7 +21,7 @@ const LAST_ROUND: usize = 100;
 pub enum Keep {
     /// This share of them, above 0, at most 1.
     Share(f64),
-    /// As few as lower the mean PSNR of training views by no more than this, dB, to a hundredth.
+    /// The fewest, within about a hundredth, that lower the mean PSNR of training views by no more than this, dB.
     Within(f64),
 }
 

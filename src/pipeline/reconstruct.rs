@@ -50,7 +50,7 @@ pub(crate) struct RunFiles {
 }
 
 impl RunFiles {
-    /// Those of the run folder `out`.
+    /// The files of the run folder `out`.
     pub fn new(out: &Path) -> Self {
         Self {
             checkpoints: out.join("checkpoint"),

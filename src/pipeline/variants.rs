@@ -282,7 +282,7 @@ impl<'a> StageTwo<'a> {
             self.inputs.correct(&mut identities.scores);
             Ok(identities)
         };
-        // Of the last iteration.
+        // Identities and scores of the last iteration.
         let mut last: Option<(Identities, HeldOutScores)> = None;
         let mut evaluate = |training: &Training<M>| {
             if held_out.is_empty() {

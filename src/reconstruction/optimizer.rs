@@ -12,11 +12,11 @@ use std::sync::Arc;
 
 /// Names of the parameters, in the order of [`Moments`].
 pub const NAMES: [&str; 5] = ["means", "log_scales", "rotations", "opacity_logits", "sh"];
-/// Place of the means in [`Moments`].
+/// Index of the means in [`Moments`].
 const MEANS: usize = 0;
-/// Place of the log-scales in [`Moments`].
+/// Index of the log-scales in [`Moments`].
 const LOG_SCALES: usize = 1;
-/// Place of the opacity logits in [`Moments`].
+/// Index of the opacity logits in [`Moments`].
 pub const OPACITY: usize = 3;
 
 /// One value for each scalar of each parameter, row-major: a first or second moment.
@@ -75,7 +75,7 @@ fn gradient<const D: usize>(leaf: Tensor<D>, gradients: &mut Gradients) -> Tenso
 pub struct ParameterGradients([Tensor<2>; 5]);
 
 impl ParameterGradients {
-    /// Those of `leaves`, which are dropped: they share the buffers of the parameters.
+    /// The gradients of `leaves`, which are dropped: they share the buffers of the parameters.
     pub fn of(leaves: RasterInput, gradients: &mut Gradients) -> Self {
         let sh = leaves.sh.expect("parameters have SH");
         Self([

@@ -81,8 +81,8 @@ impl PrunedScene {
         read("changes of the pictures", gradient / sigmoid(logits.neg()))
     }
 
-    /// The Gaussians that stay, in their order: as many of the cheapest are left out, fewer than `most`, as keep the mean PSNR of `views`
-    /// at `least` dB or more.
+    /// The Gaussians that stay, in their order. As many of the cheapest as possible are left out, but fewer than `most`, while the
+    /// mean PSNR of `views` stays at `least` dB or above.
     ///
     /// # Errors
     /// Those of [`crate::data::Photo::pixels`], and [`crate::Error::Device`] when the device does not return the pictures.

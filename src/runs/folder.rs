@@ -74,8 +74,8 @@ impl RunFolder {
         Ok(run)
     }
 
-    /// Locks the folder for this process. The files of a run to `resume` may be written over; for a new one, refuses those that
-    /// this program did not write.
+    /// Locks the folder for this process. With `resume`, the files of the run may be overwritten. Without it, files that this
+    /// program did not write are refused.
     ///
     /// # Errors
     /// [`crate::Error::Input`] naming the process that has the folder; [`crate::Error::Argument`] naming a file that is in the way.

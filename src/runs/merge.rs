@@ -146,7 +146,7 @@ fn check_complete(parts: &[Part]) -> Result<()> {
     Ok(())
 }
 
-/// Refuses runs that differ in a setting that counts for the whole scene, or of which only some have labels.
+/// Refuses runs that differ in a setting that counts for the whole scene, and runs with and without labels together.
 fn check_alike(parts: &[Part]) -> Result<()> {
     let first = &parts[0];
     for part in parts {
@@ -224,7 +224,7 @@ impl Part {
         self.rows(|place| self.block.grid.cell(place) == self.block.index)
     }
 
-    /// The Gaussians whose places `is_wanted` accepts.
+    /// The Gaussians whose centres `is_wanted` accepts.
     fn rows(&self, is_wanted: impl Fn(DVec3) -> bool) -> Vec<u32> {
         let rows = (0..).zip(&self.places);
         let wanted = rows.filter(|(_, place)| is_wanted(**place));

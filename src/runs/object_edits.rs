@@ -33,7 +33,8 @@ impl ObjectEdits {
         *self == Self::default()
     }
 
-    /// What they make of `scene`, of which `editing` has the Gaussians, and a few words about it; none where nothing is asked for.
+    /// Applies the edits to `scene`, whose Gaussians are in `editing`. Returns the result and a few words about it; no words
+    /// without edits.
     ///
     /// # Errors
     /// [`crate::Error::Argument`] naming the flag: no such object, one that is removed, a move too far, no Gaussian left.

@@ -90,7 +90,7 @@ pub fn check_output(
     Ok(())
 }
 
-/// Whether the file `names` is there and has `classes`, or neither is.
+/// Whether the file `names` has the table `classes`. Without the file: whether `classes` is empty.
 ///
 /// # Errors
 /// As [`Classes::read`].

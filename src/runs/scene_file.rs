@@ -130,8 +130,9 @@ pub fn cameras_path(cameras: Option<&Path>, scene: &Path) -> Result<PathBuf> {
         })
 }
 
-/// The photos of the views whose cameras are in the file or folder `cameras`, by the names of these: the photos of the scene folder
-/// that this is or lies in, or else of the one that the run of this folder was trained on. Empty where neither is there.
+/// The photos of the views whose cameras are in the file or folder `cameras`, by the names of the views. They lie in the scene
+/// folder that `cameras` is or lies in, or else in the one that the run in this folder was trained on. Empty where neither is
+/// there.
 pub fn photos_of(cameras: &Path) -> BTreeMap<String, ViewPhoto> {
     let parent = cameras.parent().filter(|dir| *dir != Path::new(""));
     let folder = if cameras.is_dir() {

@@ -130,7 +130,7 @@ fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<usize> {
     ply::write(&run.file(SCENE), gaussians, scene.origin, ids.as_deref())?;
     match identities {
         Some(identities) => identities.write(&run.file(IDENTITIES))?,
-        // Those of an earlier result, which had other variants.
+        // An earlier result, with other variants, may have left identities.
         None => atomic::remove(run.file(IDENTITIES))?,
     }
     match &outcome.feature_colors {
@@ -143,7 +143,7 @@ fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<usize> {
     let labels = ids.unwrap_or_else(|| scene.classes.unlabelled(gaussians.len()));
     let page_bytes = Viewer::bytes(gaussians, true);
     if page_bytes > MAX_PAGE_BYTES {
-        // The page of an earlier result.
+        // An earlier result may have left its page.
         atomic::remove(run.file(VIEWER))?;
         return Ok(page_bytes);
     }
@@ -189,7 +189,7 @@ fn write_report(
     let shown = views.iter().map(|v| (v.view.name.clone(), v.scores));
     scores.extend(shown);
     metrics.test.views = scores;
-    // Of a resumed run, the largest of the parts that came to their end.
+    // For a resumed run, the peak of all parts that ended regularly.
     metrics.peak_memory_bytes = metrics.peak_memory_bytes.max(run.peak_memory_before());
     let report = Report {
         metrics,

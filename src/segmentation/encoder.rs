@@ -153,9 +153,9 @@ pub(crate) fn encoder_input(
     }
 }
 
-/// Metres per world unit by the setting. To estimate them, the extent of the cameras (the largest distance of one from their mean,
-/// world units) is taken for two metres: that of the whole scene for `"auto"`, `extent` for 0. With `"auto"`, a unit of which nothing
-/// is known is a metre too.
+/// Metres per world unit by the setting. An estimate assumes that the extent of the cameras (the largest distance of one from their
+/// mean, world units) is two metres. For 0 this is `extent`. For `"auto"` it is the extent of the whole scene where the unit is
+/// arbitrary; all other units count as metres.
 ///
 /// # Errors
 /// [`crate::Error::Config`] for 0 without a usable extent.

@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 /// Rows of a block.
 pub const BLOCK: usize = 256;
 
-/// 1 / sqrt(`inputs`): first weights of a layer of so many inputs are uniform within it.
+/// The first weights of a layer are uniform in +-1 / sqrt(`inputs`): this bound.
 pub(super) fn bound(inputs: usize) -> f32 {
     1.0 / (inputs.max(1) as f32).sqrt()
 }

@@ -79,7 +79,7 @@ pub fn label_scene(job: &Job<'_>, progress: &mut dyn Progress) -> Result<Labelle
                 .map_or_else(String::new, |user| user.file.display().to_string()),
         ),
     ]);
-    // Before the maps, so that no maps are there without it.
+    // Written before the maps: without this file, loading would have to guess their geometry.
     index.write(&[(
         MapGeometry::FILE.to_owned(),
         MapGeometry::Photos.text().into_bytes(),

@@ -147,7 +147,7 @@ fn choose_output(file: &Path, graph: &mut GraphProto, name: Option<&str>) -> Res
             bail!(file, "outputs"; found "{}", described(&outputs); expected "{expected}"; help "{UNFIT_HELP}");
         }
     };
-    // The library takes this for granted.
+    // The ONNX library does not check this.
     let made = graph.node.iter().flat_map(|node| &node.output);
     let inputs = graph.input.iter().map(|input| &input.name);
     ensure!(made.chain(inputs).any(|made| *made == name),

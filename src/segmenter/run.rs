@@ -11,7 +11,7 @@ use image::RgbImage;
 
 /// Cells of scores on the longer side, at most: outputs that are finer are averaged over blocks.
 const MAX_CELLS: usize = 192;
-/// Probability of the listed classes below which a place is unlabelled: none of them would be stored.
+/// Probability of the listed classes below which a pixel is unlabelled: none of them would be stored.
 const MIN_PROBABILITY: f32 = 0.5 / 255.0;
 
 /// The output of a network for a photo, cut to the cells that the photo needs.

@@ -174,7 +174,7 @@ impl Viewer<'_> {
         })
     }
 
-    /// The input of the page's program beside the columns. Places are relative to the origin.
+    /// The input of the page's program besides the columns. Positions are relative to the origin.
     fn header(&self, listed: &Listed) -> Value {
         let Listed { all, objects, .. } = listed;
         let entry = |object: &Object| {
@@ -209,20 +209,20 @@ impl Viewer<'_> {
             "sha256": self.sha256,
             "origin": self.origin,
             "gaussians": self.gaussians.len(),
-            // Of the tree in the page: none without labels, and on watched pages.
+            // Regions of the tree in the page; 0 without labels, and on watched pages.
             "regions": 0,
-            // Of the columns in the page.
+            // Bytes of the columns in the page.
             "bytes": 0,
-            // Of columns that a server has instead.
+            // Blocks of columns that a server sends instead.
             "blocks": 0,
             // The value of --edits in the commands that the page writes.
             "edits": "edits.json",
             "degree": self.gaussians.sh_degree,
             "alpha_max": self.alpha_max,
             "up": up,
-            // Without the outermost 1 % on each side.
+            // The box of the scene without the outermost 1 % on each side.
             "extent": {"low": all.low, "high": all.high},
-            // Of moves, as `coseg edit` takes them; zero is no limit.
+            // The longest move that `coseg edit` accepts; 0 is no limit.
             "farthest": farthest(self.gaussians),
             "start": camera_entry("", Split::Train, &start),
             "objects": objects.iter().map(entry).collect::<Vec<_>>(),

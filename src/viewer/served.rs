@@ -72,7 +72,7 @@ impl Content {
 }
 
 impl Served<'_> {
-    /// Gaussians of a block, where nothing speaks for another number: 8 MB at SH degree 3.
+    /// Gaussians of a block by default: 8 MB at SH degree 3.
     pub const BLOCK: usize = 100_000;
 
     /// Serves the page on a free port until `is_over`. `started` gets its address: whoever has it may see the scene
@@ -205,7 +205,8 @@ async fn saved(State(content): State<Arc<Content>>) -> Response {
     }
 }
 
-/// Writes the file of edits of a page that knows of so many `saves`, and answers with their number.
+/// Writes the file of edits, and answers with the new number of saves. `saves` is the number that the page knows: a page that
+/// missed one is refused.
 async fn save(
     State(content): State<Arc<Content>>,
     Path(saves): Path<usize>,

@@ -36,7 +36,7 @@ pub(super) struct RunState {
 pub(super) struct SceneCopy {
     gaussians: Gaussians,
     labels: Option<Vec<u16>>,
-    /// It has one of so many Gaussians of the run.
+    /// Step between the Gaussians of the run that the copy holds; 1 holds all of them.
     every: usize,
 }
 
@@ -73,7 +73,7 @@ pub(super) struct Status {
     stage: &'static str,
     done: usize,
     iterations: usize,
-    /// Of the last iteration.
+    /// Loss of the last iteration.
     loss: Option<f64>,
     gaussians: usize,
     seconds: f64,
@@ -83,7 +83,7 @@ pub(super) struct Status {
     copy: usize,
     /// Whether its Gaussians have labels.
     labelled: bool,
-    /// It has one of so many Gaussians of the run.
+    /// Step between the Gaussians of the run that the copy holds; 1 holds all of them.
     every: usize,
     /// Whether the run has ended.
     ended: bool,

@@ -103,8 +103,8 @@ pub fn largest_buffer(client: &Client) -> usize {
     usize::try_from(client.properties().memory.max_page_size).unwrap_or(usize::MAX)
 }
 
-/// Launches a kernel on so many `cubes` with these buffers, then these numbers and constants:
-/// `launch!(gpu, kernel, gpu.cubes_for(n); a, &b; n as u32)`.
+/// Launches a kernel on `cubes` cubes. Buffers come first, then numbers and constants: `launch!(gpu, kernel, gpu.cubes_for(n); a,
+/// &b; n as u32)`.
 macro_rules! launch {
     ($gpu:expr, $kernel:ident, $cubes:expr; $($buffer:expr),+; $($value:expr),+) => {
         $kernel::launch(

@@ -20,7 +20,7 @@ pub(super) const VERSION: u32 = 1;
 const EXPECTED: &str = "a block that `coseg split` wrote";
 pub(super) const AGAIN: &str = "split the scene again";
 
-/// A block of a scene. Its region follows from the grid and its place there, so that blocks of one grid cover space once.
+/// A block of a scene. Its region follows from the grid and its position there, so that blocks of one grid cover space once.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Block {
@@ -77,8 +77,8 @@ impl Reading {
         config.max_frames = self.max_frames;
     }
 
-    /// How the scene is listed to find the frames of a block, of which `options` may take fewer. Other names of files count if
-    /// they are not the usual ones, for instance those of other labels.
+    /// How the whole scene is listed to find the frames of a block. `options` may name other files, for instance other labels; its
+    /// limits on frames are applied to the block later.
     fn options(&self, options: &LoadOptions) -> LoadOptions {
         let usual = LoadOptions::default();
         LoadOptions {
@@ -183,7 +183,7 @@ impl Block {
         Ok((self.scene_folder(dir)?, self.reading.options(options)))
     }
 
-    /// Lists the frames of the block in folder `dir`; of these, `options` may take fewer.
+    /// Lists the frames of the block in folder `dir`, or fewer where `options` say so.
     pub(crate) fn list(
         &self,
         dir: &Path,

@@ -24,8 +24,8 @@ pub struct Grid {
     pub counts: [usize; 2],
     /// The horizontal directions of both, unit vectors in the world.
     pub axes: [DVec3; 2],
-    /// Lowest and highest coordinates of the training cameras along both, world units. Outer blocks are taken to end there where
-    /// the size of a block counts.
+    /// Lowest and highest coordinates of the training cameras along both, world units. Where the size of a block matters, outer
+    /// blocks end there.
     pub extent: [[f64; 2]; 2],
     /// Borders between columns, ascending, world units.
     pub columns: Vec<f64>,
@@ -34,7 +34,8 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// A grid of `counts` columns and rows in which each block has about as many of `cameras`, which are places in the world.
+    /// A grid of `counts` columns and rows in which each block has about the same number of `cameras`, which are positions in the
+    /// world.
     ///
     /// # Errors
     /// [`crate::Error::Argument`] naming `--blocks`: no block, too many, fewer than four cameras in a block.
@@ -94,7 +95,7 @@ impl Grid {
         Ok(())
     }
 
-    /// Refuses a grid from `file` that is none.
+    /// Refuses a malformed grid from `file`.
     pub(super) fn check(&self, file: &Path) -> Result<()> {
         let [columns, rows] = self.counts;
         ensure!(self.counts.iter().all(|count| (1..=MAX_SIDE).contains(count)), file, "grid.counts";
@@ -133,7 +134,7 @@ impl Grid {
         part(&self.columns, x)
     }
 
-    /// What only this block has.
+    /// The space that belongs to this block alone.
     pub fn core(&self, index: [usize; 2]) -> Region {
         let [column, row] = index;
         let [x, y] = [side(&self.columns, column), side(&self.rows[column], row)];

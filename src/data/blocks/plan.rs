@@ -17,8 +17,8 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::path::Path;
 
-/// A block has the frames in which its core fills at least this share of the parts of the photo that show points, and those taken in
-/// its region.
+/// A frame belongs to a block if it was taken in the block's region, or if the block's core fills at least this share of the cells
+/// of the photo that show points.
 const MIN_SHARE: f64 = 0.25;
 
 /// A block that was planned and is not written yet.

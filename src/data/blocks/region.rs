@@ -33,9 +33,9 @@ impl Region {
         self.low.cmplt(other.high).all() && other.low.cmplt(self.high).all()
     }
 
-    /// Leaves out points, relative to `origin`, that training on the frames of this region does not start from. All points of the
-    /// region stay. Outside it those stay that are the nearest in a part of a photo: without any, Gaussians of the region would
-    /// take the place of what the photos show behind it.
+    /// Keeps the points, relative to `origin`, that training on the frames of this region starts from: all points of the region,
+    /// and outside it those that are the nearest in a cell of a photo. Without the latter, Gaussians of the region would have to
+    /// imitate what the photos show behind it.
     pub(crate) fn thin(&self, points: &mut Points, frames: &[&Frame], origin: DVec3) {
         let world = |i: usize| DVec3::from(points.positions[i].map(f64::from)) + origin;
         let mut kept: Vec<bool> = (0..points.len()).map(|i| self.contains(world(i))).collect();

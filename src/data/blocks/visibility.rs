@@ -3,11 +3,11 @@
 use crate::splat::camera::Camera;
 use glam::DVec3;
 
-/// A photo is looked at in this many cells across and down.
+/// Cells across and down that a photo is divided into.
 const CELLS: [usize; 2] = [16, 12];
 
-/// For each cell of a photo the number of the nearest of `points`, which are places in the world: walls hide what is behind them.
-/// Cells without points have none.
+/// For each cell of a photo the number of the nearest of `points`, which are positions in the world: walls hide what is behind
+/// them. Cells without points have none.
 pub(super) fn nearest(camera: &Camera, points: &[DVec3]) -> Vec<usize> {
     let [across, down] = CELLS;
     let mut nearest = vec![(f64::INFINITY, 0); across * down];

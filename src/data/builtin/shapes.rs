@@ -159,7 +159,7 @@ impl Bounds {
 /// All solids of a room. A ray looks at the box of each object first: a room has few.
 #[derive(Clone, Debug)]
 pub(super) struct Solids {
-    /// Those of one object stand together.
+    /// Solids of one object are neighbours in the list.
     pub all: Vec<Solid>,
     bounds: Vec<Bounds>,
     objects: Vec<(Bounds, Range<usize>)>,

@@ -84,7 +84,7 @@ pub struct ClassShare {
     pub views: usize,
 }
 
-/// Places in [`FrameInfo::of_classes`].
+/// Indices into the counts of [`FrameInfo::of_classes`].
 const TRUTH: usize = 0;
 const RAW: usize = 1;
 

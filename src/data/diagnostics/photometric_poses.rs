@@ -123,9 +123,9 @@ impl SmallPhoto {
 struct Blocks {
     /// Blocks that are not flat.
     all: usize,
-    /// Those of them that the next photo shows at some depth.
+    /// Blocks among `all` that the next photo shows at some depth.
     shown: usize,
-    /// Those of them that look alike there.
+    /// Blocks among `shown` that look alike there.
     alike: usize,
 }
 

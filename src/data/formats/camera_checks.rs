@@ -102,8 +102,8 @@ pub(crate) fn posed(
     with_pose(pose).ok_or_else(|| not_a_rotation(path, field, pose, with_pose))
 }
 
-/// The error for a pose of which `with_pose` makes no camera. Exporters of Blender leave the scale of the object that a camera
-/// belongs to in its matrix.
+/// The error for a pose that `with_pose` refuses. Exporters of Blender leave the scale of the object that a camera belongs to in
+/// its matrix.
 fn not_a_rotation(
     path: &Path,
     field: &str,

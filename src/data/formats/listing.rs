@@ -27,7 +27,8 @@ pub(crate) struct Listing {
     pub classes: Classes,
     /// The class table is that of a whole dataset: only classes that occur in the scene are kept.
     pub occurring_classes: bool,
-    /// Class id of each id in the true labels, where they hold ids of another table; `None` for ids that this has not. Length 65536.
+    /// Class id of each id in the true labels, where they hold ids of another table; `None` for ids that the other table lacks.
+    /// Length 65536.
     pub truth_ids: Option<Vec<Option<u16>>>,
     /// How the raw labels are stored.
     pub raw: RawLabels,
@@ -41,7 +42,7 @@ pub(crate) struct Listing {
     pub region: Option<Region>,
     /// The extent of the cameras of the whole scene, where the folder is a block.
     pub whole_extent: Option<f64>,
-    /// Whether +z is up in the world; else the cameras tell.
+    /// Whether +z is up in the world. If not, up is estimated from the cameras.
     pub z_up: bool,
     /// Sentences on what is left out or assumed.
     pub notices: Vec<String>,
@@ -158,7 +159,7 @@ impl Listing {
         spread(self.frames.iter().map(|frame| frame.camera.center))
     }
 
-    /// What a world unit is taken for.
+    /// The assumed size of a world unit.
     pub fn unit(&self) -> WorldUnit {
         if self.layout != Layout::Colmap {
             return WorldUnit::Metre;

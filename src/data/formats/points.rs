@@ -44,7 +44,7 @@ impl Points {
         let middle = DVec3::from([0, 1, 2].map(|axis| median(along(axis))));
         let distance = |p: &[f32; 3]| DVec3::from(p.map(f64::from)).distance(middle);
         let most = MAX_STRAY * median(self.positions.iter().map(distance));
-        // Where half of all points lie in one place, nobody knows.
+        // Where half of all points coincide, no distance is known.
         let is_kept = |p: &[f32; 3]| most == 0.0 || distance(p) <= most;
         let kept: Vec<bool> = self.positions.iter().map(is_kept).collect();
         self.retain(&kept);

@@ -6,7 +6,7 @@ use crate::metrics::assignment;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-/// Pixels without a group that each Gaussian has beforehand: a Gaussian seen in one pixel is half known.
+/// Pixels without a group that are assumed for each Gaussian: one that is seen in one pixel is half known.
 const PRIOR_WEIGHT: f64 = 1.0;
 /// Weight in the union of a pixel whose Gaussians no view has shown yet.
 const UNSEEN_WEIGHT: f64 = 0.1;

@@ -8,10 +8,10 @@ use std::collections::BTreeMap;
 /// Two groups can be one object when they share more than this part of the lighter one's weight. Neighbours share the Gaussians of
 /// their border.
 const MIN_SHARED: f64 = 0.02;
-/// Views that count against a merge beforehand, so that no view decides alone.
+/// Views that are assumed to speak against each merge, so that no view decides alone.
 const PRIOR_VIEWS: f64 = 1.0;
-/// Groups are merged when more than this share of the views that show both put them into one segment. [`PRIOR_VIEWS`] views more
-/// count against it.
+/// Groups are merged when more than this share of the views that show both put them into one segment. [`PRIOR_VIEWS`] further views
+/// are assumed to speak against it.
 const MIN_AGREEMENT: f64 = 0.5;
 /// A group with a lower purity is a stray: others have most of its Gaussians.
 const MIN_PURITY: f64 = 0.15;
@@ -152,7 +152,7 @@ mod tests {
             thing: true,
         };
         let mut groups = Groups::new(4);
-        // Most of the only Gaussian of the last group is another one's.
+        // The last group covers one Gaussian, most of which belongs to another group.
         for weights in [vec![(0, 30.0), (1, 30.0)], vec![(2, 4.0)], vec![(1, 4.0)]] {
             let weights = SegmentWeights {
                 segment,

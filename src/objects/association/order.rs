@@ -28,7 +28,7 @@ pub(super) fn view_order(views: &[ViewSegments], gaussians: usize) -> Vec<usize>
         order.push(view);
         let weights = views[view].segments.iter().flat_map(|s| &s.weights);
         for &(gaussian, _) in weights {
-            // Counted once.
+            // Taken, so that each Gaussian counts once.
             for (v, weight) in std::mem::take(&mut shown[gaussian as usize]) {
                 known[v as usize] += f64::from(weight);
             }
@@ -61,7 +61,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         for _ in 0..20 {
             let mut segment = |id| {
-                // Quarters, of which sums are exact in any order.
+                // Sums of quarters are exact in any order.
                 let weight = |g| {
                     let weight = 0.25 * rng.random_range(1..9) as f32;
                     rng.random_bool(0.15).then_some((g, weight))

@@ -156,7 +156,7 @@ mod tests {
             width,
             height,
         };
-        // A segment above, nothing below, of which the left half is left out.
+        // The upper part is a segment. The lower part has none, and its left half is masked.
         let ids = (0..width * height)
             .map(|pixel| u16::from(pixel / width < 7))
             .collect();

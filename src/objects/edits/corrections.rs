@@ -114,7 +114,7 @@ impl Corrections {
         Ok(())
     }
 
-    /// The maps of corrected labels. Pixels of which other Gaussians have the larger part show nothing.
+    /// The maps of corrected labels. Pixels where uncorrected Gaussians weigh more show nothing.
     pub fn maps(&self, min_coverage: f32) -> LabelMaps<'_> {
         let index = |id: &Option<u16>| self.classes.index((*id)?).map(|index| index as u16);
         let labels = self.labels.iter().map(index).collect();

@@ -242,7 +242,7 @@ mod tests {
                 covered.iter().map(|share| share.ln()).sum::<f32>() / covered.len() as f32
             };
             let mut votes = step(None);
-            // Of the column of Gaussians left of the edge.
+            // The column of Gaussians left of the edge.
             let blurred = votes.table[2 * 4];
             for _ in 0..4 {
                 let refined = step(Some(&votes));

@@ -33,7 +33,7 @@ pub struct FieldScores {
 }
 
 impl FieldScores {
-    /// Those of the lifted features of `inputs`; `None` where none were lifted.
+    /// The scores of the lifted features of `inputs`; `None` where none were lifted.
     ///
     /// # Errors
     /// As [`Self::of_field`].

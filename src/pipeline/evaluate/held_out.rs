@@ -40,7 +40,7 @@ impl HeldOutScores {
 }
 
 impl<'a> HeldOut<'a> {
-    /// Those of the scene of `inputs`.
+    /// The held-out views of the scene of `inputs`.
     pub fn new(inputs: &'a SegmentationInputs<'a>) -> Self {
         let association = inputs.config.data.association;
         let semantics = inputs.semantics;

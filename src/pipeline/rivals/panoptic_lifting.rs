@@ -40,7 +40,7 @@ struct Segments {
 }
 
 impl<'a> PanopticLifting<'a> {
-    /// Of the labelled views of `inputs`.
+    /// The losses on the labelled views of `inputs`.
     pub fn new(inputs: &SegmentationInputs<'a>) -> Self {
         let scene = inputs.scene;
         let views: Vec<_> = scene.labelled().collect();

@@ -11,7 +11,7 @@ const KIND: &str = "segmentation variant";
 const PARAMETERS: &str = "parameters";
 
 impl<M: IdentityModel> Training<M> {
-    /// Writes everything that training goes on from.
+    /// Writes everything that training needs to continue.
     pub(super) fn save(&self, provenance: &Provenance, path: &Path) -> Result<()> {
         let mut checkpoint = Checkpoint::new(KIND);
         checkpoint.set("iteration", &self.iteration)?;
@@ -25,7 +25,7 @@ impl<M: IdentityModel> Training<M> {
         checkpoint.save(path)
     }
 
-    /// Goes on from the checkpoint of `schedule`, where there is one.
+    /// Continues from the checkpoint of `schedule`, if there is one.
     pub(super) fn resume(
         &mut self,
         plan: &TrainingPlan,
@@ -48,7 +48,7 @@ impl<M: IdentityModel> Training<M> {
         self.recall = ClassRecall(checkpoint.take("recall", &[self.recall.0.len()])?);
         self.curve = checkpoint.get("curve")?;
         if !schedule.provenance.renders_as(&stored) {
-            // Scores by another rule than this run's.
+            // These scores were rendered by another rule than this run's.
             self.curve.iter_mut().for_each(|point| point.miou = None);
         }
         Ok(())

@@ -76,7 +76,7 @@ impl ClassRecall {
     }
 }
 
-/// Places of up to [`PIXELS`] pixels of each class, evenly spread over its own.
+/// Positions of up to [`PIXELS`] pixels of each class, evenly spread over its own.
 fn some_of_each(labels: &[u16], classes: usize) -> Vec<u32> {
     let mut of_class: Vec<Vec<u32>> = vec![Vec::new(); classes];
     for (place, &label) in (0..).zip(labels).filter(|(_, label)| **label != NO_CLASS) {
@@ -139,7 +139,7 @@ mod tests {
         );
         let mut recall = ClassRecall::new(3);
         let mut learn = |logits: [f32; 3], steps: usize| {
-            // Of the one Gaussian behind all pixels.
+            // Logits of the one Gaussian behind all pixels.
             let scores = Scores::Gaussians(Tensor::<2>::from_data([logits], &device));
             (0..steps).for_each(|i| recall.measure(&scores, &pixels, i).unwrap());
             (

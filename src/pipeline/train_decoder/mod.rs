@@ -100,8 +100,7 @@ pub trait IdentityModel {
 
     /// The loss of an iteration, `[1]`: the CoSeg loss, unless the model has its own.
     ///
-    /// # Errors
-    /// Those of blending and of reading labels.
+    /// # Errors Blending fails, or the labels of a view cannot be read.
     fn loss(&mut self, coseg: &CoSegLoss, rendered: Rendered) -> Result<Tensor<1>> {
         let pixels = &rendered.sample.pixels;
         coseg.forward(rendered.scores, pixels, rendered.regularisation)
@@ -321,7 +320,7 @@ impl<M: IdentityModel> Training<M> {
             stop = progress.stop();
             let end = iteration == plan.config.iterations;
             let due = |every: usize| end || iteration.is_multiple_of(every.max(1));
-            // No point for a stop: the curve of a resumed run is that of an uninterrupted one.
+            // A stop adds no point, so that the curve of a resumed run equals that of an uninterrupted one.
             if due(schedule.eval_every) {
                 let point = self.evaluated(schedule.gaussians, evaluate)?;
                 progress.event(&Event::Evaluated(point));

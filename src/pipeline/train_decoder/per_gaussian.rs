@@ -33,7 +33,7 @@ impl Logits {
         }
     }
 
-    /// Those of the Gaussians `rows`.
+    /// The logits of the Gaussians `rows`.
     pub fn of(&self, rows: &[u32]) -> Tensor<2> {
         select(&self.scores.val(), rows)
     }

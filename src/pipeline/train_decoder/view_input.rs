@@ -68,7 +68,7 @@ pub(super) struct ViewInput {
 /// Gaussians that are decoded together.
 #[derive(Clone, Debug)]
 pub(super) struct Part {
-    /// Their places among the visible Gaussians.
+    /// Their positions among the visible Gaussians.
     pub places: Range<usize>,
     /// Selects them from the scene.
     pub gaussians: Arc<SparseMatrix>,
@@ -81,7 +81,7 @@ pub(super) struct Part {
 struct Cloud {
     /// Rows of the pyramid's level, ascending.
     rows: Vec<u32>,
-    /// The K nearest others of each point, `[N_n, K]`, as places in `rows`.
+    /// The K nearest others of each point, `[N_n, K]`, as positions in `rows`.
     neighbours: Vec<u32>,
 }
 
@@ -179,7 +179,7 @@ impl Cloud {
         Ok(Self { rows, neighbours })
     }
 
-    /// The sampled points of `iteration` at `scale` with their neighbours, as places in [`Cloud::rows`].
+    /// The sampled points of `iteration` at `scale` with their neighbours, as positions in [`Cloud::rows`].
     fn sample(&self, plan: &DecoderPlan, scale: usize, iteration: usize) -> Option<NeighbourPairs> {
         let points = self.rows.len();
         let k = plan.config.reg_neighbours;

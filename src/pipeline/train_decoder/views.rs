@@ -72,7 +72,7 @@ pub struct TrainingViews<'a> {
 struct ReplacedLabels {
     /// `[N, C]`, without autodiff.
     scores: Tensor<2>,
-    /// Of the views that were used already.
+    /// The labels of views that were used already.
     labels: ViewCache<Vec<u16>>,
 }
 

@@ -109,7 +109,7 @@ impl Outlines {
         let none = [0.0; BLOCK];
         let mut center = [none; 2];
         let mut slope = none;
-        // The others are somewhere, and nobody asks where.
+        // Lanes beyond the last splat need values that divide well; nobody reads their results.
         let mut du = [1.0; BLOCK];
         let mut dv = [1.0; BLOCK];
         let mut reach = [1.0; BLOCK];

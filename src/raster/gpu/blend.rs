@@ -42,7 +42,7 @@ struct Batch {
     values: Shared<[Four]>,
 }
 
-/// What the units of a cube tell each other. Each has three slots: one is written while another is read and the third is cleared.
+/// Flags that the units of a cube share. Each has three slots: one is written while another is read and the third is cleared.
 #[derive(CubeType)]
 struct Signals {
     /// Whether some unit still blends.
@@ -103,7 +103,7 @@ fn mark_patches(
     width: u32,
     height: u32,
 ) {
-    // Neighbouring units ask for different patches, whose words do not get in each other's way.
+    // Neighbouring units test different patches, so that their atomic operations go to different words.
     let unit = UNIT_POS as usize;
     let patch = unit % PATCHES;
     let bit = unit / PATCHES;

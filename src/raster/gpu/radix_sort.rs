@@ -2,7 +2,7 @@
 //!
 //! A digit has eight bits. Within its block a cube sorts by them four at a time. Then shared memory has room for a counter of every
 //! unit and half digit. Units count their own consecutive keys, one scan ranks all keys, and no subgroup operation is needed. Then
-//! every key goes to its place among all, neighbours together.
+//! every key goes to its position among all, neighbours together.
 
 use super::scan::{exclusive_sums, scan_cube};
 use crate::backend::gpu::{Gpu, UNITS, launch};
@@ -52,7 +52,7 @@ struct Counters {
     totals: Shared<[u32]>,
 }
 
-/// Places of the unit's keys when the block is sorted by the four bits from `shift` on.
+/// Positions of the unit's keys when the block is sorted by the four bits from `shift` on.
 #[cube]
 fn rank(keys: &Array<u32>, shift: u32, counters: &mut Counters) -> Array<u32> {
     let unit = UNIT_POS as usize;
@@ -99,7 +99,7 @@ fn rank(keys: &Array<u32>, shift: u32, counters: &mut Counters) -> Array<u32> {
     places
 }
 
-/// Moves every key to its place among all, `starts` being the exclusive sums of the counts.
+/// Moves every key to its position among all, `starts` being the exclusive sums of the counts.
 #[cube(launch)]
 fn scatter(
     keys: &[u32],
@@ -169,7 +169,7 @@ fn scatter(
             before = (block_keys[place - 1] >> shift) & 255u32;
         }
         if before != digit {
-            // Wraps where the digit starts later in the block than among all; adding a place in the block undoes that.
+            // Wraps where the digit starts later in the block than among all; adding a position in the block undoes that.
             digit_starts[digit as usize] =
                 starts[digit as usize * blocks as usize + CUBE_POS] - place as u32;
         }

@@ -198,7 +198,7 @@ fn colours_backward(
     }
 }
 
-/// SH coefficients `[N, stored, 3]`, of which those up to `degree` are in use.
+/// SH coefficients `[N, stored, 3]`. Those up to `degree` are in use.
 #[derive(Clone)]
 pub(super) struct Harmonics {
     pub sh: CubeTensor,

@@ -21,7 +21,7 @@ pub struct SplatTensors {
 }
 
 impl SplatTensors {
-    /// Those of `gaussians` on `device`, in f32 and without autodiff.
+    /// The geometry of `gaussians` on `device`, in f32 and without autodiff.
     pub fn new(gaussians: &Gaussians, device: &Device) -> Self {
         let device = device.clone().inner();
         let n = gaussians.len();

@@ -39,7 +39,7 @@ class Gizmo {
     return this.isInside(middle, GAP) ? middle : this.seen(id);
   }
 
-  /** Whether a point is in the picture, so many pixels from its edges. */
+  /** Whether a point is in the picture, at least `margin` pixels from its edges. */
   isInside(point, margin) {
     const { fitted } = this.page;
     if (!(fitted.depth(point) > NEAR)) return false;

@@ -44,7 +44,7 @@ class Scene {
     this.superpoints = null;
   }
 
-  /** The tree of so many regions: superpoints merge into it, they are its first regions. */
+  /** The tree of `regions` regions. The first of them are the superpoints. */
   setTree(columns, regions) {
     this.superpoints = columns.take(Uint32Array, this.gaussians);
     this.parents = columns.take(Uint32Array, regions);

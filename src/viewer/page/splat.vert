@@ -16,7 +16,7 @@ uniform vec3 center;
 uniform vec2 focal;
 uniform vec2 principal;
 uniform vec2 size;
-uniform ivec2 blocks;       // their number, and Gaussians that each has room for: every so many Gaussians are one
+uniform ivec2 blocks;       // their number B, and the capacity of each: block k has the Gaussians k, k + B and so on
 uniform int degree;
 uniform float painted;      // share of the label's colour
 uniform vec3 chosen;        // what chosen objects are tinted with

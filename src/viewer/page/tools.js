@@ -142,7 +142,7 @@ class Tools {
     return [width / 2, height / 2];
   }
 
-  /** Moves the crosshair by so many strides, and with it the end of a shape. */
+  /** Moves the crosshair by `left` and `up` strides, and with it the end of a shape. */
   step([left, up], { shiftKey }) {
     if (this.page.navigation.drawing) return;
     const stride = shiftKey ? 1 : STRIDE;

@@ -15,7 +15,7 @@ fn quick(more: &[&str]) -> String {
     )
 }
 
-/// The figures of a section for so many Gaussians in a JSON file.
+/// The figures of a section for this number of Gaussians in a JSON file.
 fn figures(path: &Path, section: &str, gaussians: usize) -> Vec<serde_json::Value> {
     let json = read_json(path);
     let sections = json["sections"].as_array().unwrap();

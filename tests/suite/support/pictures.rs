@@ -66,7 +66,7 @@ pub fn picture(width: u32, height: u32, seed: u32) -> RgbImage {
     })
 }
 
-/// A scene of so many pictures, every fourth of them held out.
+/// A scene of `count` pictures, every fourth of them held out.
 pub fn pictures(count: u32) -> Scene {
     let views = (0..count).map(|i| {
         view(

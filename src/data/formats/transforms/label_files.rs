@@ -73,8 +73,8 @@ impl<'a> LabelFiles<'a> {
     }
 }
 
-/// Possible files of a frame in a folder, the likeliest first: those of the paths `of_frame`, which the frame gives, then those of its
-/// photo, and the view's name last. Leading folders of these paths are cut off only as long as no two frames share a file, see
+/// Possible files of a frame in a folder, the likeliest first: those of the paths `of_frame` that the frame names, then those of
+/// its photo, and the view's name last. Leading folders of these paths are cut off only as long as no two frames share a file, see
 /// [`Endings::unique`].
 fn candidates(of_frame: &[PathBuf], photos: &[PathBuf], name: &str) -> Vec<PathBuf> {
     let png = |path: &PathBuf| [path.with_extension("png"), with_png(path)];

@@ -20,7 +20,7 @@ pub struct Categories {
 }
 
 impl Categories {
-    /// Those of the label ids that occur in a scene.
+    /// The categories of the label ids that occur in a scene.
     pub fn new(classes: &Classes, labels: impl IntoIterator<Item = u16>) -> Self {
         let mut categories = Self::default();
         for label in labels {

@@ -102,13 +102,13 @@ pub(super) fn read(
 /// A region on an image.
 struct Shape<'a> {
     image: &'a Image,
-    /// The place of its category.
+    /// Index of its category.
     category: usize,
     area: f64,
     region: Region,
 }
 
-/// The regions on the `images`, which have their ids. `indices` has the places of the categories.
+/// The regions on the `images`, which are by their ids. `indices` has the index of each category by its id.
 fn shapes<'a>(
     path: &Path,
     annotations: Vec<Annotation>,
@@ -152,7 +152,7 @@ impl Annotation {
     }
 }
 
-/// The places of the categories by their ids.
+/// The index of each category by its id.
 fn indices(path: &Path, categories: &[Category]) -> Result<HashMap<u64, usize>> {
     let mut indices = HashMap::new();
     for (index, category) in categories.iter().enumerate() {
@@ -166,7 +166,7 @@ fn indices(path: &Path, categories: &[Category]) -> Result<HashMap<u64, usize>> 
     Ok(indices)
 }
 
-/// The region of an annotation that has no other than its box; `None` where it has none. `field` is named in errors.
+/// The box of an annotation without a segmentation; `None` where it has no box either. `field` is named in errors.
 fn box_alone(path: &Path, field: &str, bbox: &Value) -> Result<Option<Region>> {
     let numbers = Option::<Vec<f64>>::deserialize(bbox);
     match numbers.as_ref().map(Option::as_deref) {
@@ -338,7 +338,7 @@ mod tests {
 
     #[test]
     fn a_string_of_pycocotools_is_understood() {
-        // Of a picture of 9 x 10 pixels.
+        // Runs of a picture of 9 x 10 pixels.
         let runs = vec![6, 1, 40, 4, 5, 4, 5, 4, 21];
         assert_eq!(unpacked("61X13mN000`0"), Some(runs));
     }

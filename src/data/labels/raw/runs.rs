@@ -12,7 +12,7 @@ pub(super) struct Runs {
     size: (usize, usize),
     /// The runs go along rows, not along columns.
     by_rows: bool,
-    /// They fill the box.
+    /// Lengths of the runs. Their sum is the number of pixels of the box.
     counts: Vec<u64>,
 }
 
@@ -59,7 +59,8 @@ impl Runs {
         self.counts.iter().skip(1).step_by(2).sum()
     }
 
-    /// The inside runs, cut at the ends of the lines of the box, which are its rows or its columns: each line, and places along it.
+    /// The inside runs, cut at the ends of lines, as the number of the line and the positions along it. A line is a row or a column
+    /// of the box.
     fn pieces(&self) -> impl Iterator<Item = (usize, Range<usize>)> {
         let length = if self.by_rows {
             self.size.0
@@ -82,7 +83,7 @@ impl Runs {
         })
     }
 
-    /// The lines that have pixels inside, from the first to the last, and the places along them; `None` where no pixel is inside.
+    /// The smallest ranges of lines, and of positions along them, that hold all inside pixels; `None` where no pixel is inside.
     fn covered(&self) -> Option<(Range<usize>, Range<usize>)> {
         let pieces = self.pieces().map(|(line, piece)| (line..line + 1, piece));
         pieces.reduce(|(lines, along), (line, piece)| {
@@ -91,7 +92,8 @@ impl Runs {
         })
     }
 
-    /// Calls `paint` with the place of each pixel that is inside, in a photo of the size `(width, height)` that the picture shows.
+    /// Scales the picture to a photo of the size `(width, height)`, and calls `paint` with the row-major number of each inside
+    /// pixel.
     pub fn paint(&self, (width, height): (usize, usize), mut paint: impl FnMut(usize)) {
         let Some((lines, along)) = self.covered() else {
             return;
@@ -125,12 +127,12 @@ impl Runs {
     }
 }
 
-/// The pixel of a picture of `whole` pixels across that pixel `x` of a photo of `width` pixels across shows.
+/// The pixel of a picture, `whole` pixels wide, at the centre of pixel `x` of the same picture scaled to `width` pixels.
 fn nearest(x: usize, width: usize, whole: usize) -> usize {
     (x * whole + whole / 2) / width
 }
 
-/// The pixels of a photo that show the `length` pixels from `start` on, see [`nearest`].
+/// The pixels of a photo, `width` pixels wide, whose [`nearest`] pixel in the picture is one of the `length` from `start` on.
 fn shown(start: usize, length: usize, whole: usize, width: usize) -> Range<usize> {
     let first = |edge: usize| {
         let before = (edge * width).saturating_sub(whole / 2);
@@ -161,7 +163,7 @@ mod tests {
             let runs = Runs::of_columns((9, 10), counts.to_vec());
             runs.expect("runs").covered()
         };
-        // Of columns 1, 5 and 6 of ten pixels.
+        // Inside pixels lie in columns 1, 5 and 6, each of ten pixels.
         assert_eq!(covered(&[13, 2, 38, 4, 5, 4, 24]), Some((1..7, 2..7)));
         assert_eq!(covered(&[0, 3, 87]), Some((0..1, 0..3)));
         assert_eq!(covered(&[18, 4, 68]), Some((1..3, 0..10)));
@@ -197,7 +199,7 @@ mod tests {
             photo in (1_usize..30, 1_usize..30),
             by_rows in any::<bool>(),
         ) {
-            // A box in a picture, or the whole picture; its last run fills it.
+            // Runs along rows are those of a box, runs along columns those of the whole picture. The last run fills the rest.
             let (corner, rest) = if by_rows { (corner, rest) } else { ((0, 0), (0, 0)) };
             let picture = (corner.0 + size.0 + rest.0, corner.1 + size.1 + rest.1);
             let mut left = (size.0 * size.1) as u64;

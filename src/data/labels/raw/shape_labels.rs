@@ -18,7 +18,7 @@ const MAX_LABELS: u64 = u16::MAX as u64 - 1;
 /// Labels of shapes, as classes.
 pub(super) struct ShapeLabels {
     pub vocabulary: Vocabulary,
-    /// Places in the vocabulary.
+    /// Index of each label in the vocabulary.
     places: HashMap<String, usize>,
 }
 

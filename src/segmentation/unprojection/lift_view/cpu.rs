@@ -85,7 +85,7 @@ pub(super) fn lift_view<E: Real>(
 /// The cell weights of a view.
 struct ViewWeights<'a, E> {
     tiles: Vec<Vec<CellWeight<E>>>,
-    /// In the order of the tile lists.
+    /// One for each Gaussian of each tile, in the order of the tile lists.
     entries: Vec<Entry<E>>,
     positions: Positions<'a>,
 }
