@@ -25,10 +25,10 @@
 //! | paper | where |
 //! |---|---|
 //! | Eq. 1 to 4, rendering in N channels | [`raster`] |
-//! | Eq. 5, Algorithm 1, unprojection | [`LiftedViews::add`](segmentation::unprojection::LiftedViews::add), [`Sums::normalised`](segmentation::unprojection::Sums::normalised) |
+//! | Eq. 5, Algorithm 1, unprojection | [`segmentation::unprojection`]: [`LiftedViews::add`](segmentation::unprojection::LiftedViews::add) sums, [`Sums::normalised`](segmentation::unprojection::Sums::normalised) divides |
 //! | Eq. 6, RandLA-Net | [`segmentation::randla`] |
-//! | Eq. 7, decoder | [`Decoder::forward`](segmentation::decoder::Decoder::forward) |
-//! | Eq. 8, a label loss | [`LabelLoss`](segmentation::loss::LabelLoss) |
+//! | Eq. 7, decoder | [`Decoder`](segmentation::decoder::Decoder) |
+//! | Eq. 8, label loss | [`LabelLoss`](segmentation::loss::LabelLoss) |
 //! | Eq. 9, neighbours agree | [`neighbour_divergence`](segmentation::loss::neighbour_divergence) |
 //! | Eq. 10, CoSeg loss | [`CoSegLoss::forward`](segmentation::loss::CoSegLoss::forward) |
 //! | stage one | [`reconstruction`] |

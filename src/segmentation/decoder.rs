@@ -129,7 +129,16 @@ pub struct Decoded {
     pub fused: Vec<Tensor<2>>,
 }
 
-/// The decoder: a shared MLP a scale (LeakyReLU 0.2), and a last FC.
+/// The decoder (Eq. 7): at each scale a shared MLP (a linear map and LeakyReLU 0.2), and a last FC.
+///
+/// ```text
+/// y_n = MLP_n(f_d,n (+) f_s,n (+) US(y_(n+1)))   for n = 4, 3, 2, 1, where y_5 = f_e
+/// s   = FC(y_1)                                   (Eq. 7)
+/// ```
+///
+/// (+) is concatenation, US upsampling, and f_e the encoder's last output. The formula of the paper leaves out MLP_1, but its text
+/// names four MLP layers. The code sums linear maps instead of concatenating, W (a (+) b) = W_a a + W_b b, and upsamples after the
+/// product, W US(y) = US(W y). [`Decoder::forward`] gives the y_n, and [`Decoder::classify`] is the FC.
 #[derive(Module, Debug)]
 pub struct Decoder {
     layers: Vec<FusionLayer>,

@@ -17,6 +17,15 @@ const GJS_PI: f64 = 0.99;
 const SOFTEST: f64 = 1e-4;
 
 /// A loss between the class probabilities p of a pixel and its label y.
+///
+/// The paper takes [`LabelLoss::Js`]. With the label as a one-hot distribution k, and m = pi k + (1 - pi) p, it is
+///
+/// ```text
+/// (pi KL(k || m) + (1 - pi) KL(p || m)) / Z,   Z = -(1 - pi) ln(1 - pi)     (Eq. 8, without its sum over pixels)
+/// ```
+///
+/// `jensen_shannon` in this file is its closed form. [`CoSegLoss`](super::CoSegLoss) takes the mean over pixels, and the setting
+/// `segmentation.reduction = "sum"` makes it the sum of Eq. 8.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LabelLoss {
     /// Cross-entropy, -ln p_y.

@@ -1,5 +1,15 @@
 //! Lifting 2D feature maps onto the Gaussians (Eq. 5, Algorithm 1): the adjoint of rendering them.
 //!
+//! ```text
+//!           sum_v sum_p alpha'_i(p) T_i(p) F_n(p)
+//! f_n,i  =  -------------------------------------     (Eq. 5)
+//!                   sum_v |p_v| + eps
+//! ```
+//!
+//! f_n,i is the feature of Gaussian i at scale n. The sums run over the training views v and their pixels p; F_n is the feature map
+//! of the view, and |p_v| the number of its pixels within the radius of the Gaussian. [`LiftedViews::add`] adds a view to the
+//! numerator and to the denominator, and [`Sums::normalised`] divides.
+//!
 //! With the blending weights `W` of a view and its map `F`, the buffer is the sum over views of `W^T F`. At `feature` resolution
 //! (the paper) the camera is scaled to the map. At `image` resolution `F` is read bilinearly, `U F`, and the buffer is
 //! `(W U)^T F`: the exact adjoint of rendering at image resolution and comparing with `U F`.
