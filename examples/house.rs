@@ -24,7 +24,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let folder = Path::new(&folder);
     fs::create_dir_all(folder.join("images"))?;
-    let (mut frames, mut points, mut count) = (Vec::new(), String::new(), 0);
+    let mut frames = Vec::new();
+    let mut points = String::new();
+    let mut count = 0;
     for room in 0..ROOMS[0] * ROOMS[1] {
         let [x, y] = [room % ROOMS[0], room / ROOMS[0]].map(|i| i as f64);
         let offset = DVec3::new(PITCH[0] * x, PITCH[1] * y, 0.0);

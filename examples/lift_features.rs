@@ -26,7 +26,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     if origin != scene.origin {
         return Err(format!("{run}: not a run of the built-in room").into()); // else cameras move by -origin
     }
-    let (n, channels) = (gaussians.len(), scene.classes.len());
+    let n = gaussians.len();
+    let channels = scene.classes.len();
 
     // s = W^T F / W^T 1, summed over the training views
     let (mut sums, mut weights) = (vec![0.0_f32; n * channels], vec![0.0_f32; n]);

@@ -35,7 +35,9 @@ pub fn linear_probe(
     device: &Device,
 ) -> Result<Scores> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let (mut rows, mut labels, mut width) = (Vec::new(), Vec::new(), 1);
+    let mut rows = Vec::new();
+    let mut labels = Vec::new();
+    let mut width = 1;
     for (i, cloud) in train.iter().enumerate() {
         let features = all_scales(encoder, cloud, seed ^ i as u64, device)?;
         width = features.len() / cloud.positions.len().max(1);

@@ -94,10 +94,8 @@ pub fn pretrain(
     let (train, held_out) = rooms.split_at(options.rooms);
     let device = device.clone().inner().autodiff();
     let encoder = RandlaEncoder::load(&random_weights(3, options.seed), &device)?;
-    let (spatial, top) = (
-        encoder.widths(),
-        encoder.widths().last().copied().unwrap_or_default(),
-    );
+    let spatial = encoder.widths();
+    let top = encoder.widths().last().copied().unwrap_or_default();
     let head = DecoderConfig::new(spatial, top, classes).with_layer_norm(true);
     let mut student = Student {
         encoder,
@@ -240,7 +238,8 @@ fn balanced(labels: &[u16], rng: &mut ChaCha8Rng) -> Vec<u16> {
     let share = (2 * labels.len()).div_ceil(classes.max(1));
     let mut order: Vec<usize> = (0..labels.len()).collect();
     order.shuffle(rng);
-    let (mut counts, mut kept) = (vec![0; classes], vec![NO_CLASS; labels.len()]);
+    let mut counts = vec![0; classes];
+    let mut kept = vec![NO_CLASS; labels.len()];
     for i in order.into_iter().filter(|&i| labels[i] != NO_CLASS) {
         let count = &mut counts[usize::from(labels[i])];
         if *count < share {

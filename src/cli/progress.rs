@@ -82,8 +82,10 @@ impl Progress for Bars {
                 iterations,
             } => {
                 self.clear();
-                (self.stage, self.iterations) = (stage, *iterations);
-                (self.started, self.last) = (Some(Instant::now()), None);
+                self.stage = stage;
+                self.iterations = *iterations;
+                self.started = Some(Instant::now());
+                self.last = None;
                 if terminal::draws_bars() {
                     let bar = terminal::bar(stage, *iterations as u64);
                     bar.set_position(*done as u64);

@@ -77,10 +77,8 @@ fn a_missing_adapter_is_an_error_or_a_notice_and_no_panic() {
 fn weights_of_features_are_read_on_the_device_of_the_run() {
     let folder = tempfile::tempdir().unwrap();
     scene(folder.path());
-    let (run, weights) = (
-        folder.path().join("run"),
-        folder.path().join("blur.safetensors"),
-    );
+    let run = folder.path().join("run");
+    let weights = folder.path().join("blur.safetensors");
     crate::support::mobilenet_weights::write_blur_weights(&weights);
     let source = format!("features.weights={}", utf8(&weights));
     let sets = [

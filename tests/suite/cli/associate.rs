@@ -13,7 +13,8 @@ fn associate_writes_maps_of_global_ids() {
     let folder = tempfile::tempdir().expect("folder");
     let dir = folder.path();
     plate_folder(dir);
-    let (ply, out) = (dir.join("plates.ply"), dir.join("out"));
+    let ply = dir.join("plates.ply");
+    let out = dir.join("out");
     let arguments = [
         "associate",
         "--scene",

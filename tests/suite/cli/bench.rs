@@ -128,7 +128,9 @@ fn trained_gaussians_come_from_a_run() {
     let folder = tempfile::tempdir().unwrap();
     scene(folder.path());
     let run = folder.path().join("run");
-    let (data, out, backend) = (utf8(folder.path()), utf8(&run), cpu_backend());
+    let data = utf8(folder.path());
+    let out = utf8(&run);
+    let backend = cpu_backend();
     let mut train = vec!["train", "--data", data, "--out", out, "--backend", &backend];
     for setting in [
         "building.iterations=3",

@@ -26,7 +26,8 @@ fn a_table_is_made_in_parts() {
     let scenes = folder.path().join("scenes");
     std::fs::create_dir_all(scenes.join("plates")).unwrap();
     scene(&scenes.join("plates"));
-    let (plan, out) = (folder.path().join("plan.toml"), folder.path().join("table"));
+    let plan = folder.path().join("plan.toml");
+    let out = folder.path().join("table");
     std::fs::write(&plan, PLAN).unwrap();
     let backend = cpu_backend();
     let command = [

@@ -64,7 +64,8 @@ fn the_program_lists_picks_and_edits() {
     near(&json[1]["high"], ORIGIN + DVec3::new(0.3, 0.6, 0.0), 1e-6);
     // The green plate is in the middle of view 3.
     let (x, y) = (WIDTH / 2, HEIGHT / 2 - 2);
-    let (cameras, pixel) = (folder.path().join("transforms.json"), format!("{x},{y}"));
+    let cameras = folder.path().join("transforms.json");
+    let pixel = format!("{x},{y}");
     let at = [
         "objects",
         "--scene",

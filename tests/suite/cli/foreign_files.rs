@@ -25,7 +25,8 @@ fn refuses(arguments: &[&str], path: &Path) {
 fn commands_write_over_their_own_files_alone() {
     let folder = tempfile::tempdir().unwrap();
     let dir = folder.path();
-    let (data, out) = (dir.join("data"), dir.join("out"));
+    let data = dir.join("data");
+    let out = dir.join("out");
     fs::create_dir(&data).unwrap();
     let ply = scene(&data);
     let given = ["--scene", utf8(&ply)];

@@ -16,7 +16,8 @@ const STEPS: [&str; 3] = ["features", "matches", "poses"];
 fn photos_become_a_scene_folder_once() {
     for python in [false, true] {
         let place = Place::new();
-        let (photos, room) = (place.photos(), place.path("room"));
+        let photos = place.photos();
+        let room = place.path("room");
         if python {
             place.pycolmap();
         } else {
@@ -286,7 +287,8 @@ fn a_stop_ends_the_programs_too() {
 #[test]
 fn the_sharpest_frames_of_a_video_are_taken() {
     let place = Place::new();
-    let (photos, video) = (place.photos(), place.path("Gang 1.mp4"));
+    let photos = place.photos();
+    let video = place.path("Gang 1.mp4");
     fs::write(&video, "film").unwrap();
     place.colmap();
     let dir = utf8(place.0.path()).to_owned();

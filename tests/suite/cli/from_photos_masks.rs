@@ -24,7 +24,9 @@ fn pixel(path: &Path, x: u32, y: u32) -> u8 {
 fn masks_go_to_colmap_and_into_the_scene_folder() {
     for python in [false, true] {
         let place = Place::new();
-        let (photos, masks, room) = (place.photos(), place.path("people"), place.path("room"));
+        let photos = place.photos();
+        let masks = place.path("people");
+        let room = place.path("room");
         if python {
             place.pycolmap();
         } else {

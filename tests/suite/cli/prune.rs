@@ -63,7 +63,8 @@ fn what_no_photo_shows_goes_and_the_rest_keeps_its_labels() {
 #[test]
 fn numbers_out_of_range_are_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let (data, file) = (folder.path().join("data"), folder.path().join("scene.ply"));
+    let data = folder.path().join("data");
+    let file = folder.path().join("scene.ply");
     scene(&data);
     with_hidden(&file);
     let out = folder.path().join("out");

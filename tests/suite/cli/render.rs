@@ -11,7 +11,8 @@ use glam::DVec3;
 #[test]
 fn render_writes_arrays_labels_and_pictures() {
     let folder = tempfile::tempdir().unwrap();
-    let (scene, out) = (scene(folder.path()), folder.path().join("out"));
+    let scene = scene(folder.path());
+    let out = folder.path().join("out");
     let cameras = folder.path().join("transforms.json");
     let render_args = [
         "render",
@@ -122,7 +123,8 @@ fn render_writes_arrays_labels_and_pictures() {
 #[test]
 fn vote_outvotes_wrong_views() {
     let folder = tempfile::tempdir().unwrap();
-    let (scene, out) = (scene(folder.path()), folder.path().join("voted"));
+    let scene = scene(folder.path());
+    let out = folder.path().join("voted");
     // Without the label column: labels come from the raw maps alone.
     let (gaussians, truth) = plates();
     ply::write(&scene, &gaussians, DVec3::ZERO, None).unwrap();
@@ -238,7 +240,8 @@ fn annotations_and_depth_are_those_of_the_views() {
         assert!((f32::from(*color) - 127.5 * (n + 1.0)).abs() < 0.51);
     }
     let millimetres = image::open(out.join("v5.depth.png")).unwrap().into_luma16();
-    let (gaussians, camera) = (plates().0, camera(5));
+    let gaussians = plates().0;
+    let camera = camera(5);
     let of_center = |mean: &[f32; 3]| {
         let offset = DVec3::from(mean.map(f64::from)) - camera.center;
         (camera.rotation * offset).z as f32

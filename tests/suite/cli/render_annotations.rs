@@ -49,7 +49,8 @@ fn coco_names(out: &Path) -> Vec<String> {
 #[test]
 fn annotations_have_the_photos_of_a_scene_folder() {
     let folder = tempfile::tempdir().unwrap();
-    let (room, out) = (room(folder.path()), folder.path().join("out"));
+    let room = room(folder.path());
+    let out = folder.path().join("out");
     let said = annotate(&room.join("plates.ply"), &out, &["--cameras", utf8(&room)]);
     for part in ["instances.json: 6 photos", "images: 6 photos"] {
         assert!(said.contains(part), "{said}");
@@ -152,7 +153,8 @@ fn room(folder: &Path) -> PathBuf {
 #[test]
 fn photos_with_lens_distortion_are_not_those_of_the_maps() {
     let folder = tempfile::tempdir().unwrap();
-    let (room, out) = (room(folder.path()), folder.path().join("out"));
+    let room = room(folder.path());
+    let out = folder.path().join("out");
     let cameras = room.join("transforms.json");
     let mut file = read_json(&cameras);
     file["k1"] = 0.05.into();
@@ -172,7 +174,8 @@ fn photos_with_lens_distortion_are_not_those_of_the_maps() {
 #[test]
 fn photos_are_copied_without_orientation_and_not_turned() {
     let folder = tempfile::tempdir().unwrap();
-    let (room, out) = (room(folder.path()), folder.path().join("out"));
+    let room = room(folder.path());
+    let out = folder.path().join("out");
     let original = room.join("images/v5.jpg");
     photo(&original, (WIDTH, HEIGHT), 6);
     let orientation = |path: &Path| {
@@ -191,7 +194,8 @@ fn photos_are_copied_without_orientation_and_not_turned() {
 #[test]
 fn the_lists_of_both_splits_stay_in_a_folder() {
     let folder = tempfile::tempdir().unwrap();
-    let (room, out) = (room(folder.path()), folder.path().join("out"));
+    let room = room(folder.path());
+    let out = folder.path().join("out");
     let plates = room.join("plates.ply");
     for split in ["train", "test"] {
         annotate(&plates, &out, &["--cameras", utf8(&room), "--split", split]);
@@ -210,7 +214,8 @@ fn files_of_others_are_refused_before_rendering() {
         let out = folder.path().join(format);
         fs::create_dir(&out).unwrap();
         fs::write(out.join(name), "of somebody else").unwrap();
-        let (plates, cpu) = (room.join("plates.ply"), cpu_backend());
+        let plates = room.join("plates.ply");
+        let cpu = cpu_backend();
         let arguments = ["render", "--scene", utf8(&plates), "--cameras", utf8(&room)];
         let more = ["--out", utf8(&out), "--split", "train", "--labels"];
         let formats = ["--annotations", format, "--backend", &cpu];

@@ -11,7 +11,8 @@ use std::path::Path;
 #[test]
 fn a_path_is_rendered_with_its_cameras() {
     let folder = tempfile::tempdir().unwrap();
-    let (run, out) = (run_folder(folder.path()), folder.path().join("walk"));
+    let run = run_folder(folder.path());
+    let out = folder.path().join("walk");
     let said = render(
         &run,
         &out,
@@ -129,11 +130,9 @@ fn a_path_is_rendered_with_its_cameras() {
 #[test]
 fn an_orbit_shows_the_scene_or_one_object() {
     let folder = tempfile::tempdir().unwrap();
-    let (run, out, red) = (
-        run_folder(folder.path()),
-        folder.path().join("all"),
-        folder.path().join("red"),
-    );
+    let run = run_folder(folder.path());
+    let out = folder.path().join("all");
+    let red = folder.path().join("red");
     render(&run, &out, &["--path", "orbit", "--frames", "4"]);
     let frames = read_json(&out.join("cameras.json"))["frames"]
         .as_array()
@@ -219,13 +218,12 @@ fn an_orbit_shows_the_scene_or_one_object() {
 #[test]
 fn a_path_sways_before_what_the_cameras_look_at_from_one_side() {
     let folder = tempfile::tempdir().unwrap();
-    let (run, out) = (run_folder(folder.path()), folder.path().join("film"));
+    let run = run_folder(folder.path());
+    let out = folder.path().join("film");
     render(&run, &out, &["--path", "--frames", "8"]);
     let path = read_cameras(&out.join("cameras.json"), None).unwrap();
-    let (eyes, ahead) = (
-        path.iter().map(|named| named.camera.center),
-        glam::DVec3::NEG_Z,
-    );
+    let eyes = path.iter().map(|named| named.camera.center);
+    let ahead = glam::DVec3::NEG_Z;
     // The photos are taken from 4 before the plates, up to 1.2 to either side.
     assert!(
         eyes.clone().all(|eye| eye.z > 3.7 && eye.x.abs() < 1.2),
@@ -264,7 +262,8 @@ fn a_path_sways_before_what_the_cameras_look_at_from_one_side() {
 #[test]
 fn ordinary_frames_take_another_size() {
     let folder = tempfile::tempdir().unwrap();
-    let (run, out) = (run_folder(folder.path()), folder.path().join("large"));
+    let run = run_folder(folder.path());
+    let out = folder.path().join("large");
     render(&run, &out, &["--split", "test", "--size", "200,128"]);
     assert_eq!(size(&out.join("v2.rgb.png")), (200, 128));
     // Twice as large, and 20 pixels more on either side: the middle is the photo.

@@ -28,7 +28,8 @@ fn run(data: &Path) -> std::path::PathBuf {
 #[test]
 fn labels_are_shown_from_the_runs_coverage_on() {
     let folder = tempfile::tempdir().unwrap();
-    let (plates, run) = (scene(folder.path()), folder.path().join("run"));
+    let plates = scene(folder.path());
+    let run = folder.path().join("run");
     let sets = [
         "--set",
         "segmentation.rows=vote",

@@ -19,7 +19,8 @@ fn the_command_writes_objects_that_edit_knows() {
     ply::write(&path("scene.ply"), &gaussians, DVec3::ZERO, Some(&labels)).unwrap();
     let classes = Classes::from_names(0, [(1, "wall"), (2, "chair"), (7, "lamp")]);
     classes.write(&path("classes.json")).unwrap();
-    let (scene, out) = (path("scene.ply"), path("objects/scene.ply"));
+    let scene = path("scene.ply");
+    let out = path("objects/scene.ply");
     // As far as a Gaussian is half opaque the plates do not touch.
     let level = ["--level", "0.5"];
     let said = succeeds(

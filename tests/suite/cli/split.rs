@@ -15,7 +15,8 @@ fn split<'a>(data: &'a Path, counts: &'a str, out: &'a Path) -> [&'a str; 7] {
 fn blocks_are_trained_and_merged() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
-    let (scene, blocks) = (at("hall"), at("blocks"));
+    let scene = at("hall");
+    let blocks = at("blocks");
     hall(&scene, false);
     let said = succeeds(&split(&scene, "2x1", &blocks));
     let line = format!("coseg train --data {}", blocks.join("1_0").display());

@@ -33,11 +33,9 @@ fn train_fills_the_run_folder_and_eval_agrees() {
         );
     }
     // A view rendered from the run folder alone is the run's own picture.
-    let (scene, cameras, out) = (
-        run.join("scene.ply"),
-        run.join("cameras.json"),
-        folder.path().join("again"),
-    );
+    let scene = run.join("scene.ply");
+    let cameras = run.join("cameras.json");
+    let out = folder.path().join("again");
     succeeds(&[
         "render",
         "--scene",

@@ -122,11 +122,9 @@ fn files_that_are_something_else_are_named() {
         }
         assert!(!out.exists());
     };
-    let (ply, json, photo) = (
-        run.join("scene.ply"),
-        run.join("cameras.json"),
-        folder.path().join("images/v0.png"),
-    );
+    let ply = run.join("scene.ply");
+    let json = run.join("cameras.json");
+    let photo = folder.path().join("images/v0.png");
     refused(
         &ply,
         &["--cameras", utf8(&ply)],

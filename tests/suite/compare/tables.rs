@@ -94,10 +94,8 @@ fn feature_fields_are_scored_and_cells_without_scores_are_read() {
     let (keep, ..) = folder();
     let distilled = "\n[[rows]]\nname = \"distilled\"\nvariant = \"distilled\"\n";
     let path = write_plan(keep.path(), &(PLAN.to_owned() + distilled));
-    let (plan, out) = (
-        Plan::read(&path, None).expect("a plan"),
-        keep.path().join("out"),
-    );
+    let plan = Plan::read(&path, None).expect("a plan");
+    let out = keep.path().join("out");
     let options = Options {
         only: "/0".into(),
         ..options(&out)

@@ -20,7 +20,8 @@ fn refused(dir: &Path, options: &LoadOptions, parts: &[&str]) {
 #[test]
 fn broken_masks_are_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
-    let (dir, options) = (folder.path(), LoadOptions::default());
+    let dir = folder.path();
+    let options = LoadOptions::default();
     masked(dir);
     let file = dir.join("masks/v1.png");
     grey(64, 80, |_, _| true).save(&file).unwrap();

@@ -22,7 +22,8 @@ fn view<'a>(scene: &'a Scene, name: &str) -> &'a View {
 #[test]
 fn masks_leave_pixels_out_and_labels_unlabelled() {
     let folder = tempfile::tempdir().unwrap();
-    let (dir, options) = (folder.path(), LoadOptions::default());
+    let dir = folder.path();
+    let options = LoadOptions::default();
     masked(dir);
     let instances = LabelMap {
         width: WIDTH,

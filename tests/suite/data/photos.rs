@@ -163,12 +163,14 @@ fn views_that_the_page_does_not_show_are_handed_over() {
         )
         .expect("photo");
         let mut frame = frames[i].clone();
-        (frame["file_path"], frame["split"]) = (json!(format!("images/w{i}.png")), json!("test"));
+        frame["file_path"] = json!(format!("images/w{i}.png"));
+        frame["split"] = json!("test");
         frames.push(frame);
     }
     fs::write(dir.join("transforms.json"), transforms.to_string()).expect("transforms");
     let mut config = plate_runs::config(dir);
-    (config.building.iterations, config.segmentation.rows) = (2, Some(Vec::new()));
+    config.building.iterations = 2;
+    config.segmentation.rows = Some(Vec::new());
     let outcome = plate_runs::whole(&config, &dir.join("run"));
     let mut names = Vec::new();
     let beside = |view: HeldOutView| {

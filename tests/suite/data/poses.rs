@@ -16,7 +16,9 @@ use std::sync::{Arc, Mutex};
 fn colmap(capture: &Capture, dir: &Path, convention: Convention) {
     let folder = dir.join("sparse/0");
     fs::create_dir_all(&folder).unwrap();
-    let (mut cameras, mut images, mut points) = (String::new(), String::new(), String::new());
+    let mut cameras = String::new();
+    let mut images = String::new();
+    let mut points = String::new();
     for (i, (path, c)) in capture.shots.iter().enumerate() {
         writeln!(
             cameras,
@@ -25,7 +27,8 @@ fn colmap(capture: &Capture, dir: &Path, convention: Convention) {
         )
         .unwrap();
         let m = matrix(c, convention);
-        let (q, t) = (DQuat::from_mat3(&DMat3::from_mat4(m)), m.w_axis);
+        let q = DQuat::from_mat3(&DMat3::from_mat4(m));
+        let t = m.w_axis;
         let name = path.file_name().unwrap().to_str().unwrap();
         images += &image_line(i + 1, (q, t.truncate()), i, name);
     }

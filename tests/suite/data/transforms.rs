@@ -238,7 +238,9 @@ fn real_scenes_load() {
         // Poses, intrinsics and points agree: most points that fall into a photo have nearly its colour there (a wrong
         // axis or sign leaves no more than chance).
         let view = scene.split(Split::Train).nth(10).expect("view");
-        let (rgb, mut seen, mut near) = (view.rgb().expect("photo"), 0, 0);
+        let rgb = view.rgb().expect("photo");
+        let mut seen = 0;
+        let mut near = 0;
         for (p, c) in scene.points.positions.iter().zip(&scene.points.colors) {
             let Some((u, v, _)) = view.camera.project(DVec3::from(p.map(f64::from))) else {
                 continue;

@@ -53,7 +53,8 @@ fn center_of_mass(
     [width, height]: [usize; 2],
     weight: impl Fn(&[f32], usize) -> f64,
 ) -> [f64; 2] {
-    let (mut total, mut sum) = (0.0, [0.0; 2]);
+    let mut total = 0.0;
+    let mut sum = [0.0; 2];
     for (cell, values) in map.data.chunks_exact(map.channels).enumerate() {
         let (u, v) = map
             .lattice()

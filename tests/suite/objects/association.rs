@@ -186,12 +186,10 @@ fn nothing_to_put_together_is_an_error() {
 fn what_was_built_stays_without_an_object() {
     let folder = tempfile::tempdir().expect("folder");
     plates::scene(folder.path());
-    let (mut config, out) = (
-        crate::support::plate_runs::config(folder.path()),
-        folder.path().join("run"),
-    );
-    (config.data.association, config.segmentation.rows) =
-        (config::Association::Gaussians, Some(vec![Variant::Vote]));
+    let mut config = crate::support::plate_runs::config(folder.path());
+    let out = folder.path().join("run");
+    config.data.association = config::Association::Gaussians;
+    config.segmentation.rows = Some(vec![Variant::Vote]);
     let raw = folder.path().join("raw");
     let given = folder.path().join("given");
     fs::rename(&raw, &given).expect("moved");

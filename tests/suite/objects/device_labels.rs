@@ -114,7 +114,8 @@ fn label_maps_are_those_of_the_host() {
             .chunks_exact_mut(c)
             .step_by(5)
             .for_each(|row| row.fill(0.25));
-        let (identities, classes) = (Identities { scores, classes: c }, classes(count));
+        let identities = Identities { scores, classes: c };
+        let classes = classes(count);
         for (source, min_coverage) in [
             (LabelSource::Labels, 0.3),
             (LabelSource::Scores, 0.3),
@@ -151,7 +152,8 @@ fn label_maps_are_those_of_the_host() {
 fn nothing_known_is_the_ignored_id_on_every_device() {
     let camera = crate::support::raster_reference::camera(40, 30);
     let gaussians = gaussians(&camera, 0.1);
-    let (settings, classes) = (Settings::default(), classes(3));
+    let settings = Settings::default();
+    let classes = classes(3);
     let identities = Identities {
         scores: vec![0.5; gaussians.len() * 3],
         classes: 3,

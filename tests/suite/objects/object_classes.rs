@@ -202,7 +202,9 @@ fn runs_score_objects_by_class_and_eval_says_the_same() {
     let folder = tempfile::tempdir().expect("folder");
     let dir = folder.path();
     panoptic_plates(dir);
-    let (ply, out, run) = (dir.join("plates.ply"), dir.join("out"), dir.join("run"));
+    let ply = dir.join("plates.ply");
+    let out = dir.join("out");
+    let run = dir.join("run");
     let said = succeeds(&[
         "associate",
         "--scene",

@@ -90,10 +90,8 @@ fn commands_say_what_they_need_for_segments() {
     let dir = folder.path();
     scene(dir);
     masks(dir, &[]);
-    let (sheet, association) = (
-        dir.join("sheet.png"),
-        ["--set", "data.association=gaussians"],
-    );
+    let sheet = dir.join("sheet.png");
+    let association = ["--set", "data.association=gaussians"];
     let look = [
         "data",
         "info",

@@ -8,7 +8,8 @@ use image::{GrayImage, Luma};
 #[test]
 fn segments_of_single_views_are_not_voted_for() {
     let folder = tempfile::tempdir().unwrap();
-    let (ply, out) = (scene(folder.path()), folder.path().join("out"));
+    let ply = scene(folder.path());
+    let out = folder.path().join("out");
     let vote = [
         "vote",
         "--scene",

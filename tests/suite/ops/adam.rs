@@ -35,7 +35,8 @@ fn worst(a: Tensor<2>, b: Tensor<2>) -> f64 {
 }
 
 fn compare(dtype: DType, tolerance: f64) {
-    let (device, shape) = (device(), [1234, 7]);
+    let device = device();
+    let shape = [1234, 7];
     let tensor = |v: Vec<f64>| Tensor::<2>::from_data(TensorData::new(v, shape), (&device, dtype));
     let n = shape[0] * shape[1];
     let start = || AdamTensors {

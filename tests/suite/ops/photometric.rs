@@ -26,7 +26,8 @@ fn rms(values: &[f64]) -> f64 {
 
 /// Largest deviation of `gradient` from central differences, over max(|gradient|, rms).
 fn worst_deviation(x: &[f64], gradient: &[f64], loss: impl Fn(&[f64]) -> f64) -> f64 {
-    let (h, scale) = (1e-5, rms(gradient));
+    let h = 1e-5;
+    let scale = rms(gradient);
     let mut worst = 0.0_f64;
     for i in (0..x.len()).step_by(5) {
         let mut moved = x.to_vec();

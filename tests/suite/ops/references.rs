@@ -107,7 +107,8 @@ fn moments(training: &Training<DecoderModel>) -> Vec<[Vec<f32>; 2]> {
 
 fn stage_two(config: &Config) -> StageTwo {
     let (scene, gaussians, labels, _folder) = crate::support::plates::loaded();
-    let (device, settings) = (crate::support::device(), Settings::default());
+    let device = crate::support::device();
+    let settings = Settings::default();
     let lifted = LiftedFeatures::of_views(&scene, &gaussians, config, &device, &mut Silent)
         .expect("features");
     let gaussians = gaussians.select(&lifted.kept);

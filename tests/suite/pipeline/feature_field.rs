@@ -29,7 +29,8 @@ fn lifted(labels: &[u16], factor: f32) -> LiftedFeatures {
 }
 
 fn scores(scene: &Scene, gaussians: &Gaussians, lifted: LiftedFeatures) -> FieldScores {
-    let (config, device) = (Config::default(), device());
+    let config = Config::default();
+    let device = device();
     let inputs = SegmentationInputs {
         lifted: Some(lifted),
         ..SegmentationInputs::new(scene, gaussians, &config, &device)

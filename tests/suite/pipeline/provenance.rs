@@ -127,7 +127,8 @@ fn rows_do_not_decide_which_gaussians_are_pruned() {
 /// Maps of every view of the plates, other ones for another `seed`.
 fn write_maps(dir: &Path, seed: usize) {
     fs::create_dir_all(dir).expect("folder");
-    let (shape, count) = ([8, 10, 6], 8 * 10 * 6);
+    let shape = [8, 10, 6];
+    let count = 8 * 10 * 6;
     for view in 0..6 {
         let value = |i: usize| ((i * 37 + (seed * 7 + view + 1) * 101) % 997) as f32 / 997.0;
         let bytes: Vec<u8> = (0..count).flat_map(|i| value(i).to_le_bytes()).collect();
@@ -256,7 +257,8 @@ fn other_data_is_told_by_the_setting_that_made_it_so() {
     // Another setting that gives the same data is no obstacle; nor is what says nothing of it.
     let other = with(&|c| {
         c.data.raw_labels = "same".into();
-        (c.data.decoded_mb, c.data.raw_labels_note) = (0, "drawn by hand".into());
+        c.data.decoded_mb = 0;
+        c.data.raw_labels_note = "drawn by hand".into();
     });
     same(&done, &whole(&other, &out));
 

@@ -16,7 +16,8 @@ fn a_resumed_row_equals_an_uninterrupted_one_bit_for_bit() {
         (Encode::Scene, gjs, 97),
     ] {
         let mut config = config(folder.path());
-        (config.spatial.encode, config.segmentation.decoder_chunk) = (encode, chunk);
+        config.spatial.encode = encode;
+        config.segmentation.decoder_chunk = chunk;
         config.segmentation.loss = loss;
         let out = |name: &str| folder.path().join(format!("{encode:?}-{chunk}-{name}"));
         let uninterrupted = whole(&config, &out("whole"));
@@ -49,7 +50,8 @@ fn a_resumed_row_equals_an_uninterrupted_one_bit_for_bit() {
 fn checkpoints_of_other_settings_or_data_are_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::support::plates::scene(folder.path());
-    let (base, out) = (config(folder.path()), folder.path().join("run"));
+    let base = config(folder.path());
+    let out = folder.path().join("run");
     let done = whole(&base, &out);
     let notes = coseg::report::Report::notes_of(&done, &base);
     for part in [

@@ -16,7 +16,8 @@ use std::sync::Arc;
 #[test]
 fn label_maps_show_the_labels_of_the_ply() {
     let outcome = trained(|s| s.rows = Some(vec![Variant::Vote]));
-    let (gaussians, classes) = (&outcome.gaussians, &outcome.scene.classes);
+    let gaussians = &outcome.gaussians;
+    let classes = &outcome.scene.classes;
     let scores = (0..gaussians.len() * classes.len())
         .map(|i| (i as f32 * 1.7).sin())
         .collect();
@@ -127,7 +128,8 @@ fn a_truth_that_no_row_is_scored_by_is_none() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::support::plates::scene(folder.path());
     let mut config = crate::support::plate_runs::config(folder.path());
-    (config.segmentation.rows, config.segmentation.iterations) = (None, 4);
+    config.segmentation.rows = None;
+    config.segmentation.iterations = 4;
     let trained = |association: Association, out: &str| {
         let mut config = config.clone();
         config.data.association = association;
@@ -191,7 +193,9 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
         config.segmentation.lr = 1e-2;
         let mut plan = TrainingPlan::new(&config.segmentation, LabelLoss::Ce, 0);
         plan.config.iterations = iterations;
-        let (scene, gaussians, settings) = (&scene, &gaussians, Settings::default());
+        let scene = &scene;
+        let gaussians = &gaussians;
+        let settings = Settings::default();
         let inputs = SegmentationInputs {
             settings,
             ..SegmentationInputs::new(scene, gaussians, &config, &device)
@@ -233,7 +237,8 @@ fn what_a_view_shows_is_computed_once_as_far_as_the_budget_reaches() {
     for device in devices.into_iter().flatten() {
         // Whether the same view's second draw has the weights of its first, where they are stored, and how many pixels were drawn.
         let draw = |weight_cache_mb: usize, share: f64| {
-            let (train, settings) = (scene.split(Split::Train), Settings::default());
+            let train = scene.split(Split::Train);
+            let settings = Settings::default();
             let config = SegmentationConfig {
                 weight_cache_mb,
                 ..SegmentationConfig::default()

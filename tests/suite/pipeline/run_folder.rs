@@ -216,7 +216,8 @@ fn a_refused_resume_leaves_the_run_as_it_was() {
             .unwrap()
     };
     for (run, sets, named) in cases {
-        let (before, since) = (contents(run), written(run));
+        let before = contents(run);
+        let since = written(run);
         let sets = sets.iter().flat_map(|set| ["--set", set]);
         let message = fails(
             &["train", "--resume", utf8(run)]

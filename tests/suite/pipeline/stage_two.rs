@@ -19,7 +19,8 @@ const STILL: f64 = 1e-12;
 #[test]
 fn a_decoder_that_has_learned_nothing_stores_the_shares_of_the_votes() {
     let outcome = trained(|s| {
-        (s.lr, s.prior) = (STILL, Prior::Votes);
+        s.lr = STILL;
+        s.prior = Prior::Votes;
         s.fine_tune = Some(false);
     });
     let scene = &outcome.scene;
@@ -33,7 +34,8 @@ fn a_decoder_that_has_learned_nothing_stores_the_shares_of_the_votes() {
     .expect("votes");
     let identities = outcome.rows[0].identities.as_ref().expect("identities");
     let classes = scene.classes.len();
-    let (mut checked, floor) = (0, 0.002_f32);
+    let mut checked = 0;
+    let floor = 0.002_f32;
     for (stored, row) in identities
         .scores
         .chunks_exact(classes)
@@ -66,7 +68,8 @@ fn a_decoder_that_has_learned_nothing_stores_the_pooled_vote() {
         s.rows = Some(vec![Variant::PooledVote, Variant::Ours]);
     });
     let [pooled, ours] = [0, 1].map(|row: usize| outcome.rows[row].identities.as_ref().unwrap());
-    let (classes, floor) = (pooled.classes, 0.002_f32);
+    let classes = pooled.classes;
+    let floor = 0.002_f32;
     let rows = pooled.scores.chunks_exact(classes);
     let mut known = 0;
     for (pooled, stored) in rows.zip(ours.scores.chunks_exact(classes)) {
@@ -168,8 +171,11 @@ fn probabilities_are_blended_over_the_coverage_and_logits_as_they_are() {
 #[test]
 fn blended_logits_without_a_prior_are_the_papers_rule_and_learn() {
     let edit = |s: &mut SegmentationConfig| {
-        (s.blend, s.prior) = (Blend::Logits, Prior::None);
-        (s.rows, s.iterations, s.lr) = (Some(vec![Variant::OursCe]), 100, 1e-2);
+        s.blend = Blend::Logits;
+        s.prior = Prior::None;
+        s.rows = Some(vec![Variant::OursCe]);
+        s.iterations = 100;
+        s.lr = 1e-2;
     };
     let outcome = trained(edit);
     let scores = &outcome.rows[0]
@@ -207,7 +213,8 @@ fn votes_under_blended_logits_are_refused() {
 fn weights_made_again_at_each_step_give_the_same_bits_as_kept_ones() {
     let scores = |megabytes| {
         let outcome = trained(|s| {
-            (s.weight_cache_mb, s.pixel_share) = (megabytes, 0.25);
+            s.weight_cache_mb = megabytes;
+            s.pixel_share = 0.25;
             s.rows = Some(vec![Variant::PerGaussian, Variant::Ours]);
         });
         let bits = |row: &coseg::pipeline::VariantOutcome| -> Vec<u32> {
@@ -239,7 +246,8 @@ fn the_vote_sums_weights_by_label_whatever_the_number_of_classes() {
         view.raw = Some(LabelRuns::from(map));
     }
     let gaussians = initialization::from_points(&scene.points, 0, 2.0).expect("Gaussians");
-    let (settings, c) = (Settings::default(), scene.classes.len());
+    let settings = Settings::default();
+    let c = scene.classes.len();
     let votes = vote(
         &gaussians,
         scene.views.iter(),

@@ -17,7 +17,9 @@ fn screen_gradient(
     columns: usize,
 ) -> Vec<f64> {
     let device = crate::support::device().autodiff();
-    let (n, w, h) = (c.len(), camera.width, camera.height);
+    let n = c.len();
+    let w = camera.width;
+    let h = camera.height;
     let two = |v: &[f64], shape: [usize; 2]| {
         Tensor::<2>::from_data(TensorData::new(v.to_vec(), shape), (&device, DType::F64))
             .require_grad()

@@ -13,7 +13,8 @@ fn close(got: &[f64], want: &[f64], tolerance: f64, what: &str) {
 #[test]
 fn lists_of_many_gaussians_equal_the_plain_reference() {
     // More than are binned by one task.
-    let (camera, n) = (camera(33, 24), 13_000);
+    let camera = camera(33, 24);
+    let n = 13_000;
     let cloud = cloud(n, 0.004, &camera, 5);
     let projected = Projected::new(&cloud.splats(), &camera, &Settings::default()).expect("valid");
     let visible = projected

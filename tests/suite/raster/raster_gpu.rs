@@ -10,7 +10,8 @@ use coseg::raster::{RasterInput, Settings, rasterize};
 #[test]
 fn sums_of_absolute_values_change_no_other_gradient() {
     let Some(device) = gpu() else { return };
-    let (device, camera) = (device.autodiff(), camera(40, 31));
+    let device = device.autodiff();
+    let camera = camera(40, 31);
     let scene = cloud(60, 0.04, &camera, 12);
     for channels in [RGB, plain(1), plain(8), plain(9)] {
         let of = |columns: usize| {

@@ -59,7 +59,8 @@ fn assert_close(what: &str, got: &[f64], want: &[f64], tolerance: f64) {
 #[test]
 fn rendering_and_all_gradients_equal_the_reference() {
     let device = crate::support::device().autodiff();
-    let (camera, cloud) = (camera(33, 27), awkward());
+    let camera = camera(33, 27);
+    let cloud = awkward();
     let n = cloud.len();
     for (settings, degree, active, features) in [
         (SMOOTH, 3, 3, 2),
@@ -117,7 +118,8 @@ fn rendering_and_all_gradients_equal_the_reference() {
 #[test]
 fn frozen_blending_and_its_adjoint_equal_the_reference() {
     let device = crate::support::device();
-    let (camera, cloud) = (camera(33, 27), awkward());
+    let camera = camera(33, 27);
+    let cloud = awkward();
     let n = cloud.len();
     let splats = SplatTensors {
         means: tensor(&cloud.means, [n, 3], &device),

@@ -34,11 +34,9 @@ fn mask(height: usize, width: usize) -> Mask {
 #[test]
 fn what_is_left_out_has_no_gradient_and_no_influence() {
     let (height, width) = (50, 37);
-    let (x, y, mask) = (
-        picture(height, width, 0.0),
-        picture(height, width, 0.4),
-        mask(height, width),
-    );
+    let x = picture(height, width, 0.0);
+    let y = picture(height, width, 0.4);
+    let mask = mask(height, width);
     let size = (height, width);
     let photo = target(&y, size, Some(mask.clone()));
     for weight in [0.0, 0.2, 1.0] {
@@ -99,7 +97,9 @@ fn scores_are_of_what_is_used() {
         .iter_mut()
         .find(|view| view.split == Split::Test)
         .unwrap();
-    let (width, height, photo) = (view.camera.width, view.camera.height, view.rgb().unwrap());
+    let width = view.camera.width;
+    let height = view.camera.height;
+    let photo = view.rgb().unwrap();
     let mut image: Vec<f32> = photo
         .iter()
         .enumerate()

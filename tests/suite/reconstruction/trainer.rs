@@ -78,7 +78,8 @@ fn a_densification_that_leaves_nothing_is_an_error() {
 
 #[test]
 fn training_learns_the_scene() {
-    let (scene, device) = (scene(), device());
+    let scene = scene();
+    let device = device();
     let building = BuildingConfig {
         iterations: 400,
         sh_degree: 2,
@@ -171,7 +172,9 @@ fn black_surfaces_become_opaque_before_a_changing_background() {
 
 #[test]
 fn resumed_run_equals_uninterrupted_run_bit_for_bit() {
-    let (scene, device, config) = (scene(), device(), config());
+    let scene = scene();
+    let device = device();
+    let config = config();
     let mut whole = Trainer::new(&scene, &config, &device).expect("a stage");
     let mut densified = 0;
     let mut resets = 0;
@@ -217,7 +220,9 @@ fn run_resumed_from_its_own_checkpoint_keeps_the_curves() {
             self.0 == 0
         }
     }
-    let (scene, device, config) = (scene(), device(), config());
+    let scene = scene();
+    let device = device();
+    let config = config();
     let dir = tempfile::tempdir().expect("a folder");
     let path = dir.path().join("building.safetensors");
     let mut whole = Trainer::new(&scene, &config, &device).expect("a stage");
@@ -247,7 +252,9 @@ fn same_seed_same_bits_at_one_and_two_threads() {
 
 #[test]
 fn non_finite_values_stop_the_run_and_are_located() {
-    let (scene, device, config) = (scene(), device(), config());
+    let scene = scene();
+    let device = device();
+    let config = config();
     let mut stage = Trainer::new(&scene, &config, &device).expect("a stage");
     advance(&mut stage, 3);
     let good = stage.state().expect("a state");
@@ -277,7 +284,8 @@ fn non_finite_values_stop_the_run_and_are_located() {
 
 #[test]
 fn an_empty_scene_of_gaussians_trains_without_effect() {
-    let (scene, device) = (scene(), device());
+    let scene = scene();
+    let device = device();
     let empty = coseg::splat::Gaussians {
         sh_degree: 2,
         ..Default::default()
@@ -291,7 +299,8 @@ fn an_empty_scene_of_gaussians_trains_without_effect() {
 
 #[test]
 fn unusable_settings_and_scenes_are_refused() {
-    let (scene, device) = (scene(), device());
+    let scene = scene();
+    let device = device();
     let refusal = |scene: &Scene, edit: fn(&mut Config)| {
         let mut config = config();
         edit(&mut config);

@@ -198,7 +198,8 @@ fn the_page_says_where_raw_labels_come_from_where_that_is_known() {
 
 #[test]
 fn a_scene_without_labels_and_views_has_a_page_too() {
-    let (classes, config) = (Classes::default(), Config::default());
+    let classes = Classes::default();
+    let config = Config::default();
     let metrics = Metrics {
         scene: "bare".into(),
         ..Metrics::default()

@@ -12,8 +12,10 @@ use glam::DVec3;
 #[test]
 fn count_is_algorithm_one_by_brute_force() {
     // Every pixel, every Gaussian, in depth order, from the formulas of the blending alone.
-    let (scene, views) = (cloud(12), views(40, 30));
-    let (wide, settings) = (Wide::of(&scene), Settings::default());
+    let scene = cloud(12);
+    let views = views(40, 30);
+    let wide = Wide::of(&scene);
+    let settings = Settings::default();
     let maps = |i: usize| {
         [
             map(40, 30, 3, i),
@@ -55,7 +57,9 @@ fn count_is_algorithm_one_by_brute_force() {
     let n = scene.len();
     for (scale, exact) in exact.iter().enumerate() {
         let c = set.views[0].maps[scale].channels;
-        let (mut counter, mut buffer, mut pixels) = (vec![0_u64; n], vec![0.0; n * c], 0);
+        let mut counter = vec![0_u64; n];
+        let mut buffer = vec![0.0; n * c];
+        let mut pixels = 0;
         for (view, features) in views.iter().zip(&set.views) {
             let map = &features.maps[scale];
             let camera = view.camera.resized(map.width, map.height);

@@ -18,7 +18,8 @@ fn of_many_large_photos_a_few_pixels_are_enough() {
     };
     assert!((share.fewest_pixels(437 * 1600 * 1200) - 8_390.4).abs() < 1e-6);
 
-    let (scene, views) = (cloud(200), views(40, 30));
+    let scene = cloud(200);
+    let views = views(40, 30);
     let set = features(&views, maps);
     let pruned = |attendance_pixels| {
         let config = UnprojectionConfig {
@@ -46,7 +47,8 @@ fn of_many_large_photos_a_few_pixels_are_enough() {
 
 #[test]
 fn no_attendance_threshold_prunes_nothing() {
-    let (scene, views) = (cloud(50), views(40, 30));
+    let scene = cloud(50);
+    let views = views(40, 30);
     let config = UnprojectionConfig {
         attendance: 0.0,
         ..UnprojectionConfig::default()

@@ -183,7 +183,8 @@ fn blended_label_loss_survives_certainty_and_emptiness() {
 
 #[test]
 fn blended_label_loss_has_the_same_bits_at_any_number_of_threads() {
-    let (pixels, scores) = (pixels(60_000, 500), waves(2500, 0.77));
+    let pixels = pixels(60_000, 500);
+    let scores = waves(2500, 0.77);
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)

@@ -61,7 +61,8 @@ impl Scene {
             points: (0..POINTS as u32).collect(),
         });
         let visible: Vec<u32> = (0..POINTS as u32).filter(|i| i % 7 != 2).collect();
-        let (k, columns) = (4, visible.len());
+        let k = 4;
+        let columns = visible.len();
         let weights = SparseMatrix::new(
             columns,
             (0..=PIXELS).map(|r| (r * k) as u32).collect(),
@@ -163,7 +164,8 @@ fn step(
         lambda: [0.8, 20.0],
         ..label.into()
     };
-    let (drawn, blend) = (&scene.drawn, scene.blend);
+    let drawn = &scene.drawn;
+    let blend = scene.blend;
     let decoded = model
         .decode(decoder, 0, &drawn.visible, iteration)
         .expect("a prediction");

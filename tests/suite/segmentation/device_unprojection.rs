@@ -98,8 +98,10 @@ fn the_adjoint_of_blending() {
 #[test]
 fn frozen_geometry_renders_and_learns_features_as_learned_geometry_does() {
     let Some(gpu) = gpu() else { return };
-    let (camera, device) = (camera(64, 48), gpu.clone().autodiff());
-    let (cloud, settings) = (cloud(300, 0.05, &camera, 3), Settings::default());
+    let camera = camera(64, 48);
+    let device = gpu.clone().autodiff();
+    let cloud = cloud(300, 0.05, &camera, 3);
+    let settings = Settings::default();
     let features =
         || tensor::<2>(&numbers(300 * 21, 8), [300, 21], &device, DType::F32).require_grad();
     let finish = |image: Tensor<3>, features: Tensor<2>| {
@@ -128,10 +130,8 @@ fn frozen_geometry_renders_and_learns_features_as_learned_geometry_does() {
         screen: None,
     };
     let out = rasterize(input, &camera, &settings, [0.0; 3]).expect("valid");
-    let (transmittance, learned) = (
-        host(out.transmittance.inner()),
-        finish(out.image, of_learned),
-    );
+    let transmittance = host(out.transmittance.inner());
+    let learned = finish(out.image, of_learned);
     let view = splats(&cloud, &gpu, DType::F32).seen_by(&camera, &settings);
     // Lists that are made at the first use serve the second.
     for _ in 0..2 {

@@ -23,7 +23,8 @@ fn mask() -> Mask {
 
 #[test]
 fn sums_are_the_adjoint_of_rendering_what_is_used() {
-    let (scene, settings) = (cloud(300), Settings::default());
+    let scene = cloud(300);
+    let settings = Settings::default();
     let camera = &cameras(SIZE.0, SIZE.1)[1];
     let maps = maps(3);
     let channels = maps.each_ref().map(|map| map.channels);
@@ -93,7 +94,8 @@ fn sums_are_the_adjoint_of_rendering_what_is_used() {
 
 #[test]
 fn counts_are_of_pixels_that_are_used() {
-    let (scene, settings) = (cloud(120), Settings::default());
+    let scene = cloud(120);
+    let settings = Settings::default();
     let camera = &cameras(SIZE.0, SIZE.1)[1];
     let view = projected(&scene, camera, &settings);
     assert_eq!(
@@ -105,7 +107,8 @@ fn counts_are_of_pixels_that_are_used() {
         let Some((x, y, _)) = camera.project(glam::Vec3::from(*mean).as_dvec3()) else {
             continue;
         };
-        let (radius, width) = (f64::from(view.radii()[i]), SIZE.0);
+        let radius = f64::from(view.radii()[i]);
+        let width = SIZE.0;
         let inside = |pixel: &usize| {
             let (px, py) = ((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
             radius > 0.0 && (px - x).hypot(py - y) <= radius
@@ -133,7 +136,8 @@ fn counts_are_of_pixels_that_are_used() {
 
 #[test]
 fn a_mask_of_another_size_is_refused() {
-    let (scene, mut views) = (cloud(30), views(SIZE.0, SIZE.1));
+    let scene = cloud(30);
+    let mut views = views(SIZE.0, SIZE.1);
     views[1].mask = Some(Mask::new(SIZE.1, SIZE.0, |i| i > 9));
     let set = features(&views, maps);
     for device in devices() {
@@ -158,7 +162,8 @@ fn a_mask_of_another_size_is_refused() {
         scene.len(),
         &set.views[1].maps.each_ref().map(|map| map.channels),
     );
-    let (camera, mask) = (&views[1].camera, views[1].mask.as_ref());
+    let camera = &views[1].camera;
+    let mask = views[1].mask.as_ref();
     let maps = &set.views[1].maps;
     let error = sums
         .add(
@@ -190,7 +195,8 @@ fn projected(scene: &Gaussians, camera: &Camera, settings: &Settings) -> Project
 
 #[test]
 fn what_is_left_out_has_no_influence_on_features() {
-    let (scene, mut views) = (cloud(300), views(SIZE.0, SIZE.1));
+    let scene = cloud(300);
+    let mut views = views(SIZE.0, SIZE.1);
     let lift = |views: &[_], salt: usize, config: &UnprojectionConfig| -> Unprojected {
         // Maps of pixels, which differ in what is left out of the second view.
         let of = |i: usize| {
@@ -240,7 +246,9 @@ fn what_is_left_out_has_no_influence_on_features() {
 
 #[test]
 fn attendance_by_itself_is_that_of_the_unprojection() {
-    let (scene, settings, device) = (cloud(300), Settings::default(), crate::support::device());
+    let scene = cloud(300);
+    let settings = Settings::default();
+    let device = crate::support::device();
     for masked in [false, true] {
         let mut views = views(SIZE.0, SIZE.1);
         views

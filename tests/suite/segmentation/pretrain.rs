@@ -109,10 +109,8 @@ fn the_notes_of_the_weights_inside_the_crate_name_todays_options() {
 #[test]
 #[ignore = "minutes: pretrains in full"]
 fn the_weights_inside_the_crate_are_what_pretraining_gives() {
-    let (notes, made) = (
-        shipped().metadata,
-        run(&PretrainOptions::default()).expect("finite"),
-    );
+    let notes = shipped().metadata;
+    let made = run(&PretrainOptions::default()).expect("finite");
     // Processors that round differently drift apart over the steps.
     for (note, found) in [
         ("held_out_accuracy", made.held_out.accuracy),

@@ -34,8 +34,11 @@ impl Wide {
 
 #[test]
 fn buffers_are_the_adjoint_of_rendering() {
-    let (scene, cameras, settings) = (cloud(300), cameras(97, 71), Settings::default());
-    let (wide, n) = (Wide::of(&scene), scene.len());
+    let scene = cloud(300);
+    let cameras = cameras(97, 71);
+    let settings = Settings::default();
+    let wide = Wide::of(&scene);
+    let n = scene.len();
     for resolution in [Resolution::Image, Resolution::Feature] {
         let mut sums = Sums::<f64>::new(n, &maps(0).each_ref().map(|m| m.channels));
         let mut left = [0.0; 4];
@@ -101,7 +104,8 @@ fn buffers_are_the_adjoint_of_rendering() {
 
 #[test]
 fn feature_resolution_is_the_adjoint_blend_of_the_scaled_camera() {
-    let (scene, settings) = (cloud(200), Settings::default());
+    let scene = cloud(200);
+    let settings = Settings::default();
     let camera = &cameras(97, 71)[1];
     let mut sums = Sums::<f32>::new(scene.len(), &maps(0).each_ref().map(|m| m.channels));
     sums.add(
@@ -217,7 +221,8 @@ fn small_gaussians_read_the_cells_that_lie_under_them() {
 
 #[test]
 fn a_constant_map_unprojects_to_that_constant() {
-    let (scene, views) = (cloud(500), views(160, 120));
+    let scene = cloud(500);
+    let views = views(160, 120);
     let constant = |c: usize| 0.3 + 0.01 * c as f32;
     let set = features(&views, |i| {
         maps(i).map(|m| FeatureMap {
@@ -270,7 +275,8 @@ fn a_constant_map_unprojects_to_that_constant() {
 
 #[test]
 fn the_same_bits_at_one_and_two_threads() {
-    let (scene, views) = (cloud(800), views(160, 120));
+    let scene = cloud(800);
+    let views = views(160, 120);
     let set = features(&views, maps);
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new()
@@ -294,7 +300,8 @@ fn the_same_bits_at_one_and_two_threads() {
 
 #[test]
 fn views_and_maps_that_do_not_match_are_refused() {
-    let (scene, views) = (cloud(20), views(40, 30));
+    let scene = cloud(20);
+    let views = views(40, 30);
     let config = UnprojectionConfig::default();
     let error = |views: &[View], set: &FeatureSet| {
         unproject(

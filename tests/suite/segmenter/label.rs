@@ -355,11 +355,9 @@ fn pixels_divide_their_vote_by_their_scores_and_distance_weighs_it() {
     for mean in &mut gaussians.means {
         *mean = (Vec3::from(*mean) - loaded.origin.as_vec3()).to_array();
     }
-    let (classes, settings, device) = (
-        &loaded.classes,
-        Settings::default(),
-        crate::support::device(),
-    );
+    let classes = &loaded.classes;
+    let settings = Settings::default();
+    let device = crate::support::device();
     let view = &loaded.views[0];
     let hard = View {
         scores: None,

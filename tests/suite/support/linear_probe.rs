@@ -209,7 +209,8 @@ fn softmax(mut logits: DMatrix<f32>) -> DMatrix<f32> {
 }
 
 fn score(samples: &Samples, weights: &DMatrix<f32>, dimensions: usize) -> ProbeScore {
-    let (classes, width) = (weights.nrows(), dimensions + 1);
+    let classes = weights.nrows();
+    let width = dimensions + 1;
     let rows: Vec<usize> = (0..samples.classes.len()).collect();
     let predicted: Vec<usize> = rows
         .par_chunks(BATCH)

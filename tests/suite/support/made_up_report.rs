@@ -235,7 +235,8 @@ pub fn metrics() -> Metrics {
 
 /// Hands a full report on made-up data to `check`.
 pub fn with_report(check: impl FnOnce(&Report<'_>)) {
-    let (classes, config) = (classes(), Config::default());
+    let classes = classes();
+    let config = Config::default();
     let views = views(&classes);
     let held_out = |(i, view): (usize, &'_ View)| {
         let noise = |j: usize| 0.04 * ((j * 7919 + i) as f32).sin();

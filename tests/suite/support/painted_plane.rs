@@ -137,7 +137,8 @@ pub fn assert_bits_follow_the_seed(config: &Config) {
             .build()
             .expect("a pool");
         pool.install(|| {
-            let (scene, device) = (scene(), crate::support::device());
+            let scene = scene();
+            let device = crate::support::device();
             let config = Config {
                 seed,
                 ..config.clone()

@@ -21,7 +21,8 @@ fn camera(width: usize, height: usize) -> Camera {
 
 /// A view of a picture.
 pub fn view(name: &str, split: Split, image: RgbImage, truth: Option<LabelMap>) -> View {
-    let (image, truth) = (Photo::from(image), truth.map(LabelRuns::from));
+    let image = Photo::from(image);
+    let truth = truth.map(LabelRuns::from);
     let camera = camera(image.width(), image.height());
     View {
         name: name.into(),

@@ -25,7 +25,9 @@ impl Place {
 
     /// Six photos of the plates, in a folder whose name is no plain word, and their model in `model`.
     pub fn photos(&self) -> PathBuf {
-        let (all, photos, model) = (self.path("all"), self.path("Küche 1"), self.path("model"));
+        let all = self.path("all");
+        let photos = self.path("Küche 1");
+        let model = self.path("model");
         fs::create_dir(&all).unwrap();
         scene(&all);
         fs::rename(all.join("images"), &photos).unwrap();

@@ -112,7 +112,9 @@ impl Compared<'_> {
         } = self;
         let device = device.clone().autodiff();
         let input = input(cloud, channels, &device, dtype);
-        let (w, h, c) = (camera.width, camera.height, channels.count());
+        let w = camera.width;
+        let h = camera.height;
+        let c = channels.count();
         let out = rasterize(input.clone(), camera, settings, [0.3, 0.9, -0.4]).expect("valid");
         let radii = values(out.radii.clone())
             .into_iter()

@@ -226,7 +226,8 @@ fn a_large_selection_fits_what_the_browser_keeps() {
     tab.value(
         "for (const row of [0, 1, 2, 7, 30, 31, 110]) page.selection.set(row, 1); page.putInto(3)",
     );
-    let (end, text) = (state(&mut tab), tab.text("page.edits.text()"));
+    let end = state(&mut tab);
+    let text = tab.text("page.edits.text()");
     assert!(
         text.contains(r#""gaussians":[0,1,2,7,30,31,110]"#),
         "{text}"

@@ -95,10 +95,8 @@ fn columns(page: &str) -> Vec<u8> {
 /// The Gaussians that the page carries, read as the page reads them, and each one's place in the list of objects.
 fn unpacked(page: &str) -> (Gaussians, Vec<u16>) {
     let header: serde_json::Value = serde_json::from_str(inside(page, "header")).unwrap();
-    let (n, degree) = (
-        header["gaussians"].as_u64().unwrap() as usize,
-        header["degree"].as_u64().unwrap() as usize,
-    );
+    let n = header["gaussians"].as_u64().unwrap() as usize;
+    let degree = header["degree"].as_u64().unwrap() as usize;
     let labelled = !header["objects"][0]["id"].is_null();
     let regions = header["regions"].as_u64().unwrap() as usize;
     let bytes = columns(page);
@@ -287,7 +285,8 @@ fn the_page_asks_nothing_of_the_network_and_names_stay_text() {
 
 #[test]
 fn what_cannot_be_shown_is_an_error() {
-    let (cloud, classes) = (cloud(10), Classes::default());
+    let cloud = cloud(10);
+    let classes = Classes::default();
     let viewer = viewer(&cloud, Some(&[1; 9]), &classes);
     assert_names(
         &Viewer {

@@ -136,7 +136,8 @@ fn id(name: &str) -> u16 {
 
 /// Writes scene and page.
 fn write(dir: &Path, photo: &Photo, labels: &[u16], classes: &Classes) {
-    let (gaussians, scene) = (photo.gaussians(), dir.join("room.ply"));
+    let gaussians = photo.gaussians();
+    let scene = dir.join("room.ply");
     ply::write(&scene, &gaussians, DVec3::ZERO, Some(labels)).unwrap();
     classes.write(&dir.join("classes.json")).unwrap();
     let cameras = [NamedCamera {
@@ -167,7 +168,8 @@ fn a_rug_that_is_called_wall_is_put_right() {
     let Some(browser) = browser() else { return };
     let dir = tempfile::tempdir().unwrap();
     let photo = Photo::of_the_rug();
-    let (classes, truth) = (classes(), &photo.truth.labels.ids);
+    let classes = classes();
+    let truth = &photo.truth.labels.ids;
     assert!(photo.rug.len() > 500, "{}", photo.rug.len());
     let mut wrong = truth.clone();
     for [x, y] in &photo.rug {

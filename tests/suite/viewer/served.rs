@@ -21,7 +21,8 @@ fn blocks_make_the_scene_of_the_offline_page() {
     plates.viewer().write(&page).unwrap();
     let picture = "page.draw(); page.canvas.toDataURL()";
     let mut tab = Tab::open(&browser, &page, [600, 400]);
-    let (want, drawn) = (tab.value(DIGEST), tab.text(picture));
+    let want = tab.value(DIGEST);
+    let drawn = tab.text(picture);
     drop(tab);
     plates.served(&dir.path().join("edits.json"), |address| {
         let mut tab = Tab::served(&browser, address, [600, 400]);
