@@ -59,11 +59,9 @@ pub fn vote(
         let (photos, mut ply) = runs::load_both(&data, &scene, &config, &device)?;
         let identities = runs::vote(&photos, &ply.gaussians, pooled, &config, &device)?;
         ply.labels = Some(identities.ids(&photos.classes));
-        Ok(Scene {
-            identities: Some(identities),
-            cameras: photos.cameras().into(),
-            ..Scene::made(runs::scene_path(&scene)?, ply, photos.classes)
-        })
+        let mut voted = Scene::of_photos(&scene, ply, photos)?;
+        voted.identities = Some(identities);
+        Ok(voted)
     };
     py.detach(voted).map_err(raised)
 }
@@ -92,11 +90,9 @@ pub fn lift(
             scales: scales.map(all).collect(),
             dimensions: lifted.dimensions,
         };
-        Ok(Scene {
-            features: Some(features),
-            cameras: photos.cameras().into(),
-            ..Scene::made(runs::scene_path(&scene)?, ply, photos.classes)
-        })
+        let mut lifted = Scene::of_photos(&scene, ply, photos)?;
+        lifted.features = Some(features);
+        Ok(lifted)
     };
     py.detach(lifted).map_err(raised)
 }

@@ -36,7 +36,7 @@ pub struct Scene {
     feature_colors: Option<FeatureColors>,
     pub features: Option<Features>,
     /// Read when they are needed, unless they came with the scene.
-    pub cameras: OnceLock<Vec<NamedCamera>>,
+    cameras: OnceLock<Vec<NamedCamera>>,
     /// What rendered the last view.
     renderer: Mutex<Option<(Look, Renderer)>>,
 }
@@ -77,7 +77,7 @@ impl Scene {
     }
 
     /// A scene made from that in the file `source`.
-    pub fn made(source: PathBuf, ply: PlyScene, classes: Classes) -> Self {
+    fn made(source: PathBuf, ply: PlyScene, classes: Classes) -> Self {
         Self {
             source,
             is_file: false,
@@ -89,6 +89,14 @@ impl Scene {
             cameras: OnceLock::new(),
             renderer: Mutex::new(None),
         }
+    }
+
+    /// The Gaussians `ply` of the scene `given`, with the classes and cameras of `photos`.
+    pub fn of_photos(given: &Path, ply: PlyScene, photos: coseg::data::Scene) -> Result<Self> {
+        Ok(Self {
+            cameras: photos.cameras().into(),
+            ..Self::made(runs::scene_path(given)?, ply, photos.classes)
+        })
     }
 
     /// The cameras beside the file.
