@@ -100,7 +100,8 @@ pub trait IdentityModel {
 
     /// The loss of an iteration, `[1]`: the CoSeg loss, unless the model has its own.
     ///
-    /// # Errors Blending fails, or the labels of a view cannot be read.
+    /// # Errors
+    /// Blending fails, or the labels of a view cannot be read.
     fn loss(&mut self, coseg: &CoSegLoss, rendered: Rendered) -> Result<Tensor<1>> {
         let pixels = &rendered.sample.pixels;
         coseg.forward(rendered.scores, pixels, rendered.regularisation)

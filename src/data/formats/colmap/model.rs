@@ -27,7 +27,8 @@ pub(super) struct SparseModel {
 impl SparseModel {
     /// The model with the most photos.
     ///
-    /// # Errors The folder has no model, or only some files of one, or one of several models that cannot be read.
+    /// # Errors
+    /// The folder has no model, or only some files of one, or one of several models that cannot be read.
     pub fn find(dir: &Path) -> Result<Self> {
         let folders = candidates(dir);
         let first = Self::first_of(dir, &folders)?;
