@@ -2,6 +2,7 @@
 
 use crate::support::colmap::{self, pinhole};
 use crate::support::damage::Damage;
+use crate::support::glb::glb;
 use crate::support::onnx::Onnx;
 use crate::support::pictures::picture;
 use crate::support::spz::version_4;
@@ -14,6 +15,7 @@ use coseg::data::{
 };
 use coseg::objects::Identities;
 use coseg::segmenter::{ClassFile, Contract, Network};
+use coseg::splat::formats::glb::with_labels;
 use coseg::splat::formats::{self, Format};
 use coseg::splat::ply;
 use coseg::weights::WeightFile;
@@ -21,26 +23,58 @@ use flate2::Compression;
 use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 use glam::DVec3;
-use serde_json::json;
+use serde_json::{Map, json};
 use std::collections::BTreeMap;
-use std::fs;
-use std::io::{Read, Write};
+use std::io::{self, Read, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
+use std::sync::mpsc::{self, RecvTimeoutError, Sender};
+use std::time::{Duration, Instant};
+use std::{fs, process, thread};
 
 /// Mutations of each file.
 const MUTATIONS: usize = 2_000;
+/// The longest time that reading one may take.
+const LONGEST: Duration = Duration::from_secs(10);
+/// When the process ends: a test cannot end a read that hangs.
+const HANGS: Duration = Duration::from_secs(60);
 
 /// Reads mutations of the file.
 pub fn survives<T>(path: &Path, read: impl Fn(&Path) -> T) {
     let whole = fs::read(path).expect("a file of the corpus");
     let mut damage = Damage::new(3);
+    let begun = watchdog(path);
     for number in 0..MUTATIONS {
         fs::write(path, damage.mutated(&whole)).expect("write");
+        begun.send(number).expect("a watchdog");
+        let start = Instant::now();
         let read = catch_unwind(AssertUnwindSafe(|| drop(read(path))));
-        assert!(read.is_ok(), "{}: mutation {number}", path.display());
+        let (place, took) = (path.display(), start.elapsed());
+        assert!(read.is_ok(), "{place}: mutation {number}");
+        assert!(took < LONGEST, "{place}: mutation {number} took {took:?}");
     }
     fs::write(path, whole).expect("write");
+}
+
+/// Takes the numbers of mutations as their reads begin, and ends the process where the next one does not come.
+fn watchdog(path: &Path) -> Sender<usize> {
+    let (sender, begun) = mpsc::channel();
+    let path = path.to_owned();
+    thread::spawn(move || {
+        let mut current = 0;
+        loop {
+            match begun.recv_timeout(HANGS) {
+                Ok(number) => current = number,
+                Err(RecvTimeoutError::Disconnected) => return,
+                Err(RecvTimeoutError::Timeout) => break,
+            }
+        }
+        // A test would keep the text of `eprintln` to itself.
+        let hangs = format!("{}: mutation {current} hangs\n", path.display());
+        let _ = io::stderr().write_all(hangs.as_bytes());
+        process::abort();
+    });
+    sender
 }
 
 #[test]
@@ -192,6 +226,24 @@ fn gaussians_in_other_formats() {
     fs::write(at("a.splat"), [90; 320]).expect("write");
     read(&at("a.splat")).expect("a scene");
     survives(&at("a.splat"), read);
+}
+
+#[test]
+fn gaussians_of_gltf_that_get_labels() {
+    let dir = tempfile::tempdir().expect("folder");
+    let file = dir.path().join("a.glb");
+    let (gaussians, labels) = plates::plates();
+    let rows: Vec<u32> = (0..8).collect();
+    let gaussians = gaussians.select(&rows);
+    let origin = DVec3::new(0.25, -7.0, 3.0);
+    fs::write(&file, glb(&gaussians, origin)).expect("write");
+    let read = |file: &Path| {
+        let bytes = fs::read(file).expect("read");
+        let names = Map::from_iter([("1".to_owned(), json!("red"))]);
+        with_labels(file, &bytes, (&gaussians, origin), &labels[..8], names)
+    };
+    read(&file).expect("labelled");
+    survives(&file, read);
 }
 
 #[test]

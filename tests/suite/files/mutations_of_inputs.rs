@@ -1,11 +1,12 @@
 //! More readers of files on thousands of damaged ones: feature maps, text encoders, photos without poses, edits.
 
 use super::mutations::survives;
-use crate::support::clip_weights::{Size, generated};
+use crate::support::clip_weights::{Size, as_openai, generated};
 use crate::support::dino_weights::write;
 use crate::support::exif_photo::photo;
 use crate::support::pictures::{picture, view};
 use crate::support::plates::plates;
+use crate::support::torch_file;
 use coseg::capture::Capture;
 use coseg::config::{FeatureConfig, FeatureSource};
 use coseg::data::{Classes, Split};
@@ -56,34 +57,39 @@ fn imported_features() {
     );
 }
 
+/// The smallest text encoder.
+const TINY: Size = Size {
+    vocabulary: 5,
+    width: 64,
+    hidden: 3,
+    blocks: 1,
+    positions: 4,
+    projection: 2,
+};
+
 #[test]
 fn text_encoders() {
     let dir = tempfile::tempdir().expect("folder");
     let device = crate::support::device();
     let weights = dir.path().join("clip.safetensors");
-    let size = Size {
-        vocabulary: 5,
-        width: 64,
-        hidden: 3,
-        blocks: 1,
-        positions: 4,
-        projection: 2,
-    };
-    write(&weights, &generated(size));
-    TextEncoder::load(&weights, &device).expect("weights");
-    // Most of the file are values, so its header is changed by itself.
-    let whole = fs::read(&weights).expect("read");
-    let (length, rest) = whole.split_at(8);
-    let length = u64::from_le_bytes(length.try_into().expect("8 bytes"));
-    let (header, values) = rest.split_at(length as usize);
-    let file = dir.path().join("header");
-    fs::write(&file, header).expect("write");
-    survives(&file, |file| {
-        let header = fs::read(file).expect("read");
-        let length = (header.len() as u64).to_le_bytes();
-        fs::write(&weights, [&length[..], &header, values].concat()).expect("write");
-        TextEncoder::load(&weights, &device)
-    });
+    // The names of Hugging Face, and those of OpenAI and OpenCLIP.
+    for tensors in [generated(TINY), as_openai(generated(TINY))] {
+        write(&weights, &tensors);
+        TextEncoder::load(&weights, &device).expect("weights");
+        // Most of the file are values, so its header is changed by itself.
+        let whole = fs::read(&weights).expect("read");
+        let (length, rest) = whole.split_at(8);
+        let length = u64::from_le_bytes(length.try_into().expect("8 bytes"));
+        let (header, values) = rest.split_at(length as usize);
+        let file = dir.path().join("header");
+        fs::write(&file, header).expect("write");
+        survives(&file, |file| {
+            let header = fs::read(file).expect("read");
+            let length = (header.len() as u64).to_le_bytes();
+            fs::write(&weights, [&length[..], &header, values].concat()).expect("write");
+            TextEncoder::load(&weights, &device)
+        });
+    }
     let config = dir.path().join("config.json");
     fs::write(
         &config,
@@ -94,6 +100,28 @@ fn text_encoders() {
     survives(&config, |_| TextEncoder::activation_beside(&weights));
 }
 
+#[test]
+fn text_encoders_of_pytorch() {
+    let dir = tempfile::tempdir().expect("folder");
+    let device = crate::support::device();
+    let weights = dir.path().join("open_clip_pytorch_model.bin");
+    let state = torch_file::state_dict(&as_openai(generated(TINY)), "");
+    let mut entries = torch_file::entries(&state);
+    fs::write(&weights, torch_file::zip(&entries)).expect("write");
+    TextEncoder::load(&weights, &device).expect("weights");
+    survives(&weights, |file| TextEncoder::load(file, &device));
+    // Checksums of the archive may hide what is changed in the pickle, so that they follow it.
+    let pickle = dir.path().join("pickle");
+    fs::write(&pickle, &entries[0].1).expect("write");
+    let values = entries.split_off(1);
+    survives(&pickle, |pickle| {
+        let changed = fs::read(pickle).expect("read");
+        let whole = [&[(entries[0].0.clone(), changed)], &values[..]].concat();
+        fs::write(&weights, torch_file::zip(&whole)).expect("write");
+        TextEncoder::load(&weights, &device)
+    });
+}
+
 /// A folder in memory where the system has such a place: files that are written whole are synced, which takes time on a disk.
 fn memory() -> TempDir {
     let folder = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir());
@@ -101,10 +129,10 @@ fn memory() -> TempDir {
 }
 
 /// A scene folder of the photos in `photos`; its poses are taken to be there, so that COLMAP is not run.
-fn capture(photos: &Path, out: &Path) -> coseg::Result<()> {
+fn capture(photos: &Path, masks: Option<&Path>, out: &Path) -> coseg::Result<()> {
     let capture = Capture {
         source: photos,
-        masks: None,
+        masks,
         frames: 2,
         python: Some(Path::new("/nothing/python")),
     };
@@ -127,7 +155,7 @@ fn photos_with_damaged_exif() {
         photo(&photos.join(name), (16, 12), 6);
     }
     begun(&out);
-    capture(&photos, &out).expect("photos");
+    capture(&photos, None, &out).expect("photos");
     // The segment behind the first two bytes, with a length that does not count its marker.
     let whole = fs::read(photos.join("a.jpg")).expect("read");
     let end = 4 + usize::from(u16::from_be_bytes([whole[4], whole[5]]));
@@ -139,8 +167,58 @@ fn photos_with_damaged_exif() {
         fs::write(photos.join("a.jpg"), damaged).expect("write");
         fs::remove_dir_all(&out).expect("removed");
         begun(&out);
-        capture(&photos, &out)
+        capture(&photos, None, &out)
     });
+}
+
+#[test]
+fn masks_of_photos() {
+    let dir = memory();
+    let [photos, masks, out] = ["photos", "masks", "room"].map(|name| dir.path().join(name));
+    fs::create_dir(&photos).expect("folder");
+    fs::create_dir(&masks).expect("folder");
+    for name in ["a.jpg", "b.jpg"] {
+        photo(&photos.join(name), (16, 12), 6);
+    }
+    let mask = masks.join("a.png");
+    let picture = image::GrayImage::from_fn(16, 12, |x, _| [if x < 5 { 0 } else { 255 }].into());
+    picture.save(&mask).expect("PNG");
+    let read = || {
+        if out.exists() {
+            fs::remove_dir_all(&out).expect("removed");
+        }
+        begun(&out);
+        capture(&photos, Some(&masks), &out)
+    };
+    read().expect("a mask");
+    survives(&mask, |_| read());
+    // Checksums hide most changes, so that they follow these.
+    let file = dir.path().join("changed");
+    fs::copy(&mask, &file).expect("copied");
+    survives(&file, |file| {
+        let changed = checksummed(fs::read(file).expect("read"));
+        fs::write(&mask, changed).expect("write");
+        read()
+    });
+}
+
+/// A PNG file with right checksums, as far as it has chunks.
+fn checksummed(mut png: Vec<u8>) -> Vec<u8> {
+    let mut start = 8;
+    while let Some(length) = png.get(start..start + 4) {
+        let length = u32::from_be_bytes(length.try_into().expect("4 bytes")) as usize;
+        let end = start + 8 + length;
+        let Some(chunk) = png.get(start + 4..end) else {
+            break;
+        };
+        let mut sum = flate2::Crc::new();
+        sum.update(chunk);
+        let sum = sum.sum().to_be_bytes();
+        let place = png.iter_mut().skip(end).take(4);
+        place.zip(sum).for_each(|(byte, new)| *byte = new);
+        start = end + 4;
+    }
+    png
 }
 
 #[test]
@@ -152,8 +230,10 @@ fn records_of_scene_folders() {
         picture(16, 12, 1).save(photos.join(name)).expect("photo");
     }
     begun(&out);
-    capture(&photos, &out).expect("photos");
-    survives(&out.join("from-photos.json"), |_| capture(&photos, &out));
+    capture(&photos, None, &out).expect("photos");
+    survives(&out.join("from-photos.json"), |_| {
+        capture(&photos, None, &out)
+    });
 }
 
 #[test]

@@ -22,6 +22,11 @@ pub fn state_dict(tensors: &BTreeMap<String, (Vec<usize>, Vec<f32>)>, prefix: &s
 }
 
 pub fn bytes(root: &Value) -> Vec<u8> {
+    zip(&entries(root))
+}
+
+/// Names and contents of the files in the archive; the first one is the pickle.
+pub fn entries(root: &Value) -> Vec<(String, Vec<u8>)> {
     let mut pickle = Pickle {
         code: vec![0x80, 2],
         storages: vec![],
@@ -32,7 +37,7 @@ pub fn bytes(root: &Value) -> Vec<u8> {
     let storages = pickle.storages.into_iter().enumerate();
     entries.extend(storages.map(|(n, bytes)| (format!("archive/data/{n}"), bytes)));
     entries.push(("archive/version".to_owned(), b"3\n".to_vec()));
-    zip(&entries)
+    entries
 }
 
 struct Pickle {
@@ -93,7 +98,7 @@ impl Pickle {
 }
 
 /// A zip archive without compression.
-fn zip(entries: &[(String, Vec<u8>)]) -> Vec<u8> {
+pub fn zip(entries: &[(String, Vec<u8>)]) -> Vec<u8> {
     let (mut file, mut directory) = (Vec::new(), Vec::new());
     for (name, bytes) in entries {
         // Version, flags, method, time, date; checksum, both sizes; lengths of the name and of nothing more.
