@@ -1,9 +1,11 @@
 //! `coseg from-photos`, with scripts in the place of colmap, Python and ffmpeg, and with these programs where they are there.
 
 use crate::support::exif_photo::photo;
+use crate::support::onnx::Onnx;
+use crate::support::plates::{HEIGHT, WIDTH};
 use crate::support::program::{fails, listed, read_json, text, utf8};
 use crate::support::programs::Place;
-use coseg::data::{LoadOptions, check};
+use coseg::data::{LabelMap, LoadOptions, check, load};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -48,6 +50,49 @@ fn photos_become_a_scene_folder_once() {
         place.fails(&photos, &[], &["--out", "made from", "another folder"]);
         assert_eq!(listed(&room.join("images")).len(), 6);
     }
+}
+
+#[test]
+fn a_segmenter_labels_the_photos() {
+    let place = Place::new();
+    place.colmap();
+    let (photos, room) = (place.photos(), place.path("room"));
+    place.fails(&photos, &["--contract", "net"], &["no segmenter"]);
+    let model = Onnx::write_sound(place.0.path(), WIDTH, HEIGHT);
+    let given = ["--segmenter", utf8(&model)];
+    let said = place.succeeds(&photos, &given);
+    let next = "--set data.raw_labels=labels_segmenter";
+    assert!(said.contains(next), "{said}");
+    let options = LoadOptions {
+        raw_labels: Some("labels_segmenter".to_owned()),
+        ..LoadOptions::default()
+    };
+    let scene = load(&room, &options).unwrap();
+    let names = scene.classes.entries.iter().map(|class| &*class.name);
+    let names: Vec<&str> = names.collect();
+    assert_eq!(names, ["crimson", "lime", "navy", "plaster"]);
+    for (i, view) in scene.views.iter().enumerate() {
+        assert!(view.scores.is_some(), "{}", view.name);
+        let raw = view.raw.as_ref().unwrap().map().ids;
+        let truth = LabelMap::read(&place.path(&format!("all/labels/v{i}.png"))).unwrap();
+        let pairs = truth.ids.iter().zip(raw).filter(|(truth, _)| **truth != 0);
+        // Red, green, blue and the wall, in the order of the network's names.
+        let same = pairs.clone().filter(|(truth, raw)| {
+            let index = scene.classes.index(*raw);
+            index == Some(usize::from(**truth) - 1)
+        });
+        let agreement = same.count() as f64 / pairs.count() as f64;
+        assert!(agreement > 0.85, "{}: {agreement}", view.name);
+    }
+    // What is done is not done again.
+    let map = room.join("labels_segmenter").join("Bild ö 0.png");
+    let written = || fs::metadata(&map).unwrap().modified().unwrap();
+    let before = written();
+    place.succeeds(&photos, &given);
+    assert_eq!(
+        (before, place.log()),
+        (written(), STEPS.map(str::to_owned).to_vec())
+    );
 }
 
 #[test]
