@@ -92,7 +92,7 @@ struct SuggestArgs {
     /// Number of photos
     #[arg(long, default_value_t = 6, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     count: usize,
-    /// Scene, a PLY, .spz, .sog or .splat file, or its folder, whose Gaussians are to be shown
+    /// Scene whose Gaussians to show: a PLY, .spz, .sog or .splat file, or its folder
     #[arg(long, value_name = "FILE|DIR")]
     scene: Option<PathBuf>,
     /// Print JSON

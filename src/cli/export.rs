@@ -25,8 +25,8 @@ With a file name the scene becomes that file; with a folder each object becomes 
   .glb .sog        through splat-transform, where it is on the PATH
 
 A .spz, .sog or .compressed.ply gets its labels in a file beside it, NAME.labels.json. --scene of all commands reads these
-formats with their labels, and .splat. classes.json and cameras.json are copied beside the new files. docs/export.md says how exact
-each format is.
+formats with their labels, and .splat. classes.json and cameras.json are copied beside the new files. docs/export.md says how
+exact each format is.
 
 Examples:
   coseg export --scene runs/room --out room.spz

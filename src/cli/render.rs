@@ -82,7 +82,7 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_help = HELP)]
 pub struct RenderArgs {
-    /// Scene, a PLY, .spz, .sog or .splat file, or its folder; its `label` column is needed for --labels
+    /// Scene, a PLY, .spz, .sog or .splat file, or its folder; --labels needs its labels
     #[arg(long, value_name = "FILE|DIR")]
     scene: PathBuf,
     /// Cameras of this or another tool, see below [default: cameras.json beside the scene]

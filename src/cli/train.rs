@@ -70,7 +70,7 @@ pub struct TrainArgs {
     /// Scene folder with photos, cameras and label maps [default: the built-in room]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// Scene whose Gaussians to label instead of new ones: a PLY, .spz, .sog or .splat file, or its folder
+    /// Label these Gaussians instead of new ones: a PLY, .spz, .sog or .splat file, or its folder
     #[arg(long, value_name = "FILE|DIR", conflicts_with = "resume")]
     scene: Option<PathBuf>,
     /// Label the photos first by this segmenter (`coseg label --help`), into labels/ of the run folder

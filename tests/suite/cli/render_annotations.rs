@@ -2,13 +2,15 @@
 
 use crate::support::exif_photo::photo;
 use crate::support::plates::{HEIGHT, WIDTH, scene};
-use crate::support::program::{cpu_backend, fails, listed, read_json, succeeds, utf8};
+use crate::support::program::{cpu_backend, fails, listed, read_json, succeeds, text, utf8};
+use crate::support::skip_without_program;
 use coseg::data::formats::transforms::write_cameras;
 use coseg::data::read_cameras;
 use image::metadata::Orientation;
 use image::{ImageDecoder, ImageReader};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// The scene of the plates whose photo v5 is a JPEG.
 fn scene_with_jpeg(folder: &Path) {
@@ -223,4 +225,36 @@ fn files_of_others_are_refused_before_rendering() {
         assert!(message.contains(name), "{message}");
         assert_eq!(listed(&out), [name]);
     }
+}
+
+#[test]
+fn pycocotools_and_the_convention_of_yolo_accept_annotations() {
+    let python = std::env::var("COSEG_PYTHON").unwrap_or("python3".to_owned());
+    let modules = "import numpy, PIL, yaml, pycocotools";
+    let there = Command::new(&python).args(["-c", modules]).output();
+    if !there.is_ok_and(|output| output.status.success()) {
+        skip_without_program(&format!("{python} has no pycocotools and PyYAML"));
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let room = room(folder.path());
+    let out = folder.path().join("out");
+    annotate(&room.join("plates.ply"), &out, &["--cameras", utf8(&room)]);
+    let check = || {
+        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/scripts/check_annotations.py");
+        let output = Command::new(&python).args([script, utf8(&out)]).output();
+        let output = output.unwrap();
+        let said = text(&[output.stdout, output.stderr].concat());
+        (output.status.success(), said)
+    };
+    let (accepted, said) = check();
+    assert!(accepted && said.contains("6 images"), "{said}");
+    // A label of another class.
+    let file = out.join("labels/v0.txt");
+    let lines = fs::read_to_string(&file).unwrap();
+    let (class, outline) = lines.split_once(' ').unwrap();
+    let other = (class.parse::<usize>().unwrap() + 1) % 4;
+    fs::write(&file, format!("{other} {outline}")).unwrap();
+    let (accepted, said) = check();
+    assert!(!accepted && said.contains("v0"), "{said}");
 }
