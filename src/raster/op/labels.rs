@@ -97,13 +97,15 @@ impl SplatView {
         if !CustomOp::Raster.is_replaced()
             && let ProjectedView::F32(projected) = self.projected()?
         {
-            let blended = match colours {
-                Some(colours) => projected.blend(&read("colours", colours)?, 3),
-                None => projected.blend(&[], 0),
+            let (blended, labels) = match colours {
+                Some(colours) => {
+                    projected.blend_labels::<4>(&read("colours", colours)?, &labels.labels)
+                }
+                None => projected.blend_labels::<1>(&[], &labels.labels),
             };
             return Ok(LabelledImage {
                 rgb: blended.image,
-                labels: projected.label_map(&labels.labels),
+                labels,
                 transmittance: blended.transmittance,
             });
         }

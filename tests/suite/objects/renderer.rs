@@ -130,7 +130,7 @@ fn equal_weights_go_to_the_lower_label() {
     };
     let projected = Projected::new(&pair.splats(), &camera, &settings).unwrap();
     let of_equals = |labels: [u16; 2]| {
-        let ids = projected.label_map(&labels);
+        let (_, ids) = projected.blend_labels::<1>(&[], &labels);
         let (front, behind) = (
             projected.blend(&[1.0, 0.0], 1).image,
             projected.blend(&[0.0, 1.0], 1).image,

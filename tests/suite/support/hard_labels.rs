@@ -11,9 +11,8 @@ use coseg::raster::Projected;
 /// # Panics
 /// If `labels` does not have one id for each Gaussian of `projected`.
 pub fn hard_label_map(projected: &Projected<f32>, labels: &[u16], min_coverage: f32) -> LabelMap {
-    let mut ids = projected.label_map(labels);
-    let transmittance = projected.blend(&[], 0).transmittance;
-    for (id, &t) in ids.iter_mut().zip(&transmittance) {
+    let (blended, mut ids) = projected.blend_labels::<1>(&[], labels);
+    for (id, &t) in ids.iter_mut().zip(&blended.transmittance) {
         let covered = 1.0 - t >= min_coverage;
         *id = if covered { *id } else { 0 };
     }
