@@ -30,8 +30,8 @@ const MAX_CODE: f64 = 65_535.0;
 const PALETTE_COLUMNS: usize = 64;
 /// The fourth byte of a quaternion whose largest component is the first one, w.
 const LARGEST_W: u8 = 252;
-/// Gaussians for a byte of the file, at most.
-const MAX_RATIO: u64 = 256;
+/// Gaussians for a byte of the file, at most. Trained scenes have one for ten bytes or more.
+const MAX_RATIO: u64 = 4;
 /// Bytes that reading may allocate for each Gaussian, and besides. A picture has four bytes for each, and may have margins.
 const BYTES_OF_GAUSSIAN: u64 = 32;
 const EXTRA_BYTES: u64 = 64 << 20;
@@ -165,36 +165,55 @@ fn codebook<'a>(path: &Path, name: &str, entries: &'a [f32]) -> Result<&'a [f32;
 /// # Errors
 /// [`Error::Input`], [`Error::Limit`], [`Error::Io`].
 pub(super) fn read(path: &Path) -> Result<PlyScene> {
-    let mut archive = Archive::open(path)?;
-    let meta = archive.meta()?;
-    let count = meta.count;
-    let codes = codes(&mut archive, &meta)?;
-    let position = |code: &[u16; 3]| [0, 1, 2].map(|axis| meta.means.coordinate(axis, code[axis]));
-    let scales = codebook(path, "scales", &meta.scales.codebook)?;
-    let scale_texels = archive.texels(&meta.scales.files[0], count)?.values;
-    let scale = |&[x, y, z, _]: &[u8; 4]| [x, y, z].map(|code| scales[usize::from(code)]);
-    let quaternions = archive.texels(&meta.quats.files[0], count)?.values;
-    let colors = codebook(path, "sh0", &meta.sh0.codebook)?;
-    let color_texels = archive.texels(&meta.sh0.files[0], count)?.values;
-    let higher = match &meta.higher {
-        Some(palette) => palette.coefficients(&mut archive, count)?,
-        None => Vec::new(),
-    };
-    let width = higher.len() / count.max(1);
-    let mut sh = Vec::with_capacity(3 * count + higher.len());
-    for (row, [r, g, b, _]) in color_texels[..count].iter().enumerate() {
-        sh.extend([r, g, b].map(|&code| colors[usize::from(code)]));
-        sh.extend(&higher[row * width..][..width]);
+    scene_of(path, Decoded::read(path)?.gaussians)
+}
+
+/// The content of a file.
+struct Decoded {
+    means: Means,
+    /// Of the positions.
+    codes: Vec<[u16; 3]>,
+    gaussians: Gaussians,
+}
+
+impl Decoded {
+    fn read(path: &Path) -> Result<Self> {
+        let mut archive = Archive::open(path)?;
+        let meta = archive.meta()?;
+        let count = meta.count;
+        let codes = codes(&mut archive, &meta)?;
+        let position =
+            |code: &[u16; 3]| [0, 1, 2].map(|axis| meta.means.coordinate(axis, code[axis]));
+        let scales = codebook(path, "scales", &meta.scales.codebook)?;
+        let scale_texels = archive.texels(&meta.scales.files[0], count)?.values;
+        let scale = |&[x, y, z, _]: &[u8; 4]| [x, y, z].map(|code| scales[usize::from(code)]);
+        let quaternions = archive.texels(&meta.quats.files[0], count)?.values;
+        let colors = codebook(path, "sh0", &meta.sh0.codebook)?;
+        let color_texels = archive.texels(&meta.sh0.files[0], count)?.values;
+        let higher = match &meta.higher {
+            Some(palette) => palette.coefficients(&mut archive, count)?,
+            None => Vec::new(),
+        };
+        let width = higher.len() / count.max(1);
+        let mut sh = Vec::with_capacity(3 * count + higher.len());
+        for (row, [r, g, b, _]) in color_texels[..count].iter().enumerate() {
+            sh.extend([r, g, b].map(|&code| colors[usize::from(code)]));
+            sh.extend(&higher[row * width..][..width]);
+        }
+        let gaussians = Gaussians {
+            means: codes.iter().map(position).collect(),
+            log_scales: scale_texels[..count].iter().map(scale).collect(),
+            rotations: quaternions[..count].iter().map(rotation).collect(),
+            opacity_logits: color_texels[..count].iter().map(|t| logit(t[3])).collect(),
+            sh,
+            sh_degree: meta.higher.map_or(0, |palette| palette.bands),
+        };
+        Ok(Self {
+            means: meta.means,
+            codes,
+            gaussians,
+        })
     }
-    let gaussians = Gaussians {
-        means: codes.iter().map(position).collect(),
-        log_scales: scale_texels[..count].iter().map(scale).collect(),
-        rotations: quaternions[..count].iter().map(rotation).collect(),
-        opacity_logits: color_texels[..count].iter().map(|t| logit(t[3])).collect(),
-        sh,
-        sh_degree: meta.higher.map_or(0, |palette| palette.bands),
-    };
-    scene_of(path, gaussians)
 }
 
 /// The codes of the positions.
@@ -278,32 +297,33 @@ pub fn labels_of(
     labels: &[u16],
 ) -> Result<Vec<u16>> {
     gaussians.check(Some(labels))?;
-    let found = read(path)?.gaussians;
-    let mut archive = Archive::open(path)?;
-    let meta = archive.meta()?;
+    let found = Decoded::read(path)?;
     let mut by_code: HashMap<[u16; 3], Vec<usize>> = HashMap::new();
     for (row, position) in gaussians.positions(origin).iter().enumerate() {
         // The program reads floats.
         let position = position.as_vec3().as_dvec3().to_array();
-        let code = [0, 1, 2].map(|axis| meta.means.code(axis, position[axis]));
+        let code = [0, 1, 2].map(|axis| found.means.code(axis, position[axis]));
         by_code.entry(code).or_default().push(row);
     }
-    let mut label = |(row, code): (usize, [u16; 3])| {
-        let original = around(code).find_map(|code| {
+    let mut original = |row: usize, code: [u16; 3]| {
+        around(code).find_map(|code| {
             let rows = by_code.get_mut(&code)?;
             let differences = rows
                 .iter()
-                .map(|&of| difference(&found, row, gaussians, of));
+                .map(|&of| difference(&found.gaussians, row, gaussians, of));
             let nearest = differences.enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
             Some(rows.swap_remove(nearest.0))
-        });
-        original.map(|row| labels[row]).ok_or_else(|| {
-            let expected = "the position of a Gaussian of the scene";
-            damaged(path, &format!("row {row}"), "another position", expected)
         })
     };
-    let codes = codes(&mut archive, &meta)?;
-    codes.into_iter().enumerate().map(&mut label).collect()
+    let codes = found.codes.iter().enumerate();
+    let label = |(row, &code): (usize, &[u16; 3])| {
+        let original = original(row, code).ok_or_else(|| {
+            let expected = "the position of a Gaussian of the scene";
+            damaged(path, &format!("row {row}"), "another position", expected)
+        })?;
+        Ok(labels[original])
+    };
+    codes.map(label).collect()
 }
 
 /// `code` and the 26 codes around it, which rounding may have given instead.
