@@ -84,10 +84,11 @@ pub fn lift(
         let (photos, ply) = runs::load_both(&data, &scene, &config, &device)?;
         let gaussians = &ply.gaussians;
         let lifted = LiftedFeatures::of_views(&photos, gaussians, &config, &device, &mut Silent)?;
-        let scales = lifted.lifted.iter();
-        let all = |kept: &Vec<f32>| lifted.rows_of_all(kept, gaussians.len());
+        let scales = 0..lifted.lifted.len();
         let features = Features {
-            scales: scales.map(all).collect(),
+            scales: scales
+                .map(|scale| lifted.of_all(scale, gaussians.len()))
+                .collect(),
             dimensions: lifted.dimensions,
         };
         let mut lifted = Scene::of_photos(&scene, ply, photos)?;

@@ -84,11 +84,12 @@ impl LiftedFeatures {
         })
     }
 
-    /// Features of all of `gaussians` Gaussians, `[gaussians, D]`: those of one scale, `kept`, and zeros for Gaussians that are not kept.
-    pub fn rows_of_all(&self, kept: &[f32], gaussians: usize) -> Vec<f32> {
+    /// Features at `scale`, counted from 0, of all `gaussians` that were lifted onto, `[gaussians, D]`; zeros where they are not kept.
+    pub fn of_all(&self, scale: usize, gaussians: usize) -> Vec<f32> {
         let width = self.dimensions;
         let mut all = vec![0.0; gaussians * width];
-        for (&row, values) in self.kept.iter().zip(kept.chunks_exact(width)) {
+        let kept = self.lifted[scale].chunks_exact(width);
+        for (&row, values) in self.kept.iter().zip(kept) {
             all[row as usize * width..][..width].copy_from_slice(values);
         }
         all
@@ -235,7 +236,7 @@ mod tests {
 
     #[test]
     fn rows_that_were_not_kept_are_zero() {
-        let lifted = LiftedFeatures {
+        let mut lifted = LiftedFeatures {
             kept: vec![1, 3],
             lifted: [const { Vec::new() }; SCALES],
             dimensions: 2,
@@ -243,7 +244,8 @@ mod tests {
             content: String::new(),
             seconds: [0.0; 2],
         };
-        let all = lifted.rows_of_all(&[1.0, 2.0, 3.0, 4.0], 5);
+        lifted.lifted[2] = vec![1.0, 2.0, 3.0, 4.0];
+        let all = lifted.of_all(2, 5);
         assert_eq!(all, [0.0, 0.0, 1.0, 2.0, 0.0, 0.0, 3.0, 4.0, 0.0, 0.0]);
     }
 
