@@ -54,17 +54,9 @@ impl<E: Real, const C: usize> Kernel<E> for BlendTile<'_, E, C> {
             near: [[E::zero(); C]; LIVE_CHECK_INTERVAL],
         };
         walk(s, self.p, self.tile, &mut pass);
-        let first = self.tile.origin[1] * size[0];
-        for (from, to, len) in self.tile.rows(size) {
-            let to = to - first;
-            for x in 0..len {
-                self.transmittance[to + x] = pass.t.0[from + x].abs();
-                let pixel = &mut self.image[(to + x) * self.used..][..self.used];
-                for (sums, channel) in pass.sums.iter().zip(pixel) {
-                    *channel = sums.0[from + x];
-                }
-            }
-        }
+        let BlendPass { t, sums, .. } = &pass;
+        let sums = &sums[..self.used];
+        write_tile(self.tile, size, t, sums, self.image, self.transmittance);
     }
 }
 
@@ -173,6 +165,29 @@ impl<E: Real, S: Lanes<E>, const C: usize> Pass<E> for AdjointPass<'_, E, S, C> 
         });
         for (to, sum) in self.sums[entry * C..][..C].iter_mut().zip(sum) {
             *to = s.total(sum);
+        }
+    }
+}
+
+/// Writes the sums of a tile into `image`, `[rows of the tile, W, channels]`, and `t` into `transmittance`.
+#[inline(always)]
+pub(super) fn write_tile<E: Real>(
+    tile: Tile<'_>,
+    size: [usize; 2],
+    t: &Buffer<E>,
+    sums: &[Buffer<E>],
+    image: &mut [E],
+    transmittance: &mut [E],
+) {
+    let first = tile.origin[1] * size[0];
+    for (from, to, len) in tile.rows(size) {
+        let to = to - first;
+        for x in 0..len {
+            transmittance[to + x] = t.0[from + x].abs();
+            let pixel = &mut image[(to + x) * sums.len()..][..sums.len()];
+            for (sums, channel) in sums.iter().zip(pixel) {
+                *channel = sums.0[from + x];
+            }
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Colours and label maps of scenes with one label for each Gaussian: each pixel sums the weights of every label that it sees. The
 //! number of labels in the scene does not matter.
 
+use super::blend::write_tile;
 use super::footprint::{Buffer, Footprint, PIXELS, Rule, Tile, fresh_transmittance};
 use super::projected::{Blended, Projected};
 use super::tile_loop::{LIVE_CHECK_INTERVAL, Pass, for_each_tile_row, gather_rows, walk};
@@ -83,17 +84,8 @@ impl<E: Real, const K: usize> Kernel<E> for LabelTile<'_, E, K> {
         };
         walk(s, self.p, self.tile, &mut pass);
         pass.sums[K - 1] = heaviest(&pass.weights);
-        let first = self.tile.origin[1] * size[0];
-        for (from, to, len) in self.tile.rows(size) {
-            let to = to - first;
-            for x in 0..len {
-                self.transmittance[to + x] = pass.t.0[from + x].abs();
-                let pixel = &mut self.image[(to + x) * K..][..K];
-                for (sums, channel) in pass.sums.iter().zip(pixel) {
-                    *channel = sums.0[from + x];
-                }
-            }
-        }
+        let LabelPass { t, sums, .. } = &pass;
+        write_tile(self.tile, size, t, sums, self.image, self.transmittance);
     }
 }
 
