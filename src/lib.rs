@@ -81,6 +81,7 @@ pub mod pipeline;
 pub mod progress;
 pub mod provenance;
 pub mod random;
+pub mod ranks;
 pub mod raster;
 pub mod reconstruction;
 pub mod report;

@@ -3,6 +3,7 @@
 mod cli;
 
 use clap::{CommandFactory, FromArgMatches};
+use coseg::ranks;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
@@ -13,16 +14,20 @@ fn main() -> ExitCode {
     let name = matches.subcommand_name().unwrap_or_default();
     let cli = cli::Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     cli::terminal::show_warnings(cli.verbose);
+    // Other commands do not divide their work.
+    let started = match name {
+        "train" => ranks::start(),
+        _ => Ok(()),
+    };
     cli::announce(&matches);
-    match cli
-        .command
-        .run(name)
-        .and_then(|code| cli::terminal::finish().map(|()| code))
-    {
-        Ok(code) => code,
-        Err(error) => {
-            cli::terminal::error(&error);
-            ExitCode::FAILURE
-        }
-    }
+    let done = started
+        .and_then(|()| cli.command.run(name))
+        .and_then(|code| cli::terminal::finish().map(|()| code));
+    let code = done.unwrap_or_else(|error| {
+        cli::terminal::error(&error);
+        ExitCode::FAILURE
+    });
+    // Others may wait for this one.
+    ranks::abort();
+    code
 }

@@ -3,6 +3,7 @@
 use crate::data::Scene;
 use crate::error::{Error, Result};
 use crate::metrics::ImageScores;
+use crate::ranks;
 use crate::splat::Gaussians;
 use serde::{Deserialize, Serialize};
 
@@ -140,6 +141,10 @@ impl<'p> Viewing<'p> {
             self.done += more;
             self.progress.event(&Event::Viewed { done: self.done });
         }
+        // Each rank goes through views of its own, and waits for no other.
+        if ranks::count() > 1 {
+            return Ok(());
+        }
         go_on(self.progress)
     }
 
@@ -149,12 +154,12 @@ impl<'p> Viewing<'p> {
     }
 }
 
-/// Asks whether to continue.
+/// Asks whether to continue; ranks agree.
 ///
 /// # Errors
 /// [`Error::Stopped`] if the work is to end.
 pub(crate) fn go_on(progress: &mut dyn Progress) -> Result<()> {
-    if progress.stop() {
+    if ranks::any(progress.stop())? {
         return Err(Error::Stopped);
     }
     Ok(())

@@ -1,5 +1,6 @@
 //! Output: lines, warnings, errors, and progress bars.
 
+use coseg::ranks;
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{self, IsTerminal, Write};
 use std::sync::{LazyLock, OnceLock};
@@ -41,8 +42,14 @@ pub fn finish() -> coseg::Result<()> {
     }
 }
 
-/// Prints a line on standard error.
+/// Prints a line on standard error. Of several ranks only the first one does: the others would say the same.
 pub fn note(line: &str) {
+    if ranks::index() == 0 {
+        print(line);
+    }
+}
+
+fn print(line: &str) {
     let line = escaped(line);
     BARS.suspend(|| {
         let _ = writeln!(io::stderr(), "{line}");
@@ -64,7 +71,10 @@ pub fn escaped(line: &str) -> String {
 
 /// Prints an error.
 pub fn error(error: &coseg::Error) {
-    note(&format!("error: {error}"));
+    match ranks::index() {
+        0 => note(&format!("error: {error}")),
+        rank => print(&format!("error of rank {rank}: {error}")),
+    }
 }
 
 /// Reports a panic as a fault of this program, with a trace only if RUST_BACKTRACE asks for it.
@@ -78,7 +88,7 @@ pub fn report_panics() {
         let place = info
             .location()
             .map_or(String::new(), |l| format!(" at {}:{}", l.file(), l.line()));
-        note(&format!(
+        print(&format!(
             "error: coseg {} has an internal error{place}: {}",
             env!("CARGO_PKG_VERSION"),
             info.payload_as_str().unwrap_or("no message"),
@@ -125,6 +135,9 @@ impl Write for AboveBars {
 
 impl Drop for AboveBars {
     fn drop(&mut self) {
+        if ranks::index() > 0 {
+            return;
+        }
         // The colours of the message are commands too; those in its text are escaped before.
         let text = String::from_utf8_lossy(&self.0);
         let line = text.trim_end_matches('\n').replace('\n', "\\n");

@@ -10,10 +10,11 @@ use coseg::data::LoadOptions;
 use coseg::error::{Error, Result, bail};
 use coseg::files::own;
 use coseg::pipeline::{Outcome, VariantOutcome};
-use coseg::progress::Progress;
+use coseg::progress::{Event, Progress};
+use coseg::ranks;
 use coseg::report::Command;
 use coseg::runs::{
-    REPORT, RunFolder, RunOptions, VIEWER, check_folder, correct, scene_name, train,
+    REPORT, RunFolder, RunOptions, VIEWER, check_folder, correct, follow, scene_name, train,
 };
 use coseg::viewer::MAX_PAGE_BYTES;
 #[cfg(feature = "serve")]
@@ -22,6 +23,7 @@ use coseg::watch::Watched;
 use std::net::IpAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::time::Duration;
 
 const HELP: &str = "\
 Stage one builds Gaussians from the photos. Stage two learns from the raw label maps what each Gaussian belongs to.
@@ -112,11 +114,29 @@ pub struct TrainArgs {
 impl TrainArgs {
     /// Trains or resumes, and writes the run folder unless the run is stopped.
     pub fn run(self) -> Result<ExitCode> {
+        if ranks::index() > 0 {
+            return self.follow();
+        }
         let (run, config) = self.run_and_config()?;
         check_folder(&run, &config)?;
         let _lock = run.claim(self.resume.is_some())?;
         self.train(&run, config)
             .inspect_err(|_| own::remove_empty(run.path()))
+    }
+
+    /// Trains as another rank than the first, which reads the options, writes the files and prints.
+    fn follow(self) -> Result<ExitCode> {
+        let device = self.backend.open()?;
+        interrupt::watch();
+        match follow(&device, &mut Following) {
+            // `mpirun` ends all ranks once one fails, and the first has yet to say how the run goes on.
+            Ok(()) | Err(Error::Stopped) => Ok(ExitCode::SUCCESS),
+            Err(error) => {
+                // The first one mostly meets the same error. It has to say so, and to remove what it began.
+                std::thread::sleep(Duration::from_secs(2));
+                Err(error)
+            }
+        }
     }
 
     /// Trains in the folder `run`.
@@ -227,6 +247,17 @@ impl TrainArgs {
     }
 }
 
+/// Listens to the run of another rank.
+struct Following;
+
+impl Progress for Following {
+    fn event(&mut self, _: &Event) {}
+
+    fn stop(&mut self) -> bool {
+        interrupt::stop_requested()
+    }
+}
+
 /// Where the page of the scene is, or how to get it.
 fn viewer_line(run: &RunFolder, page_bytes: usize) -> String {
     if page_bytes <= MAX_PAGE_BYTES {
@@ -263,6 +294,15 @@ fn summary(outcome: &Outcome) {
             "held-out PSNR {psnr:.2} dB, SSIM {ssim:.4}, {} Gaussians, {:.0} s",
             outcome.gaussians.len(),
             outcome.seconds.total
+        ));
+    }
+    if let Some(traffic) = &outcome.traffic {
+        terminal::say(&format!(
+            "{} ranks; each sent {:.1} MB in a step of stage one, {:.0} MB in all of it, and {:.0} MB afterwards",
+            traffic.ranks,
+            traffic.building_step_bytes as f64 / 1e6,
+            traffic.building_bytes as f64 / 1e6,
+            traffic.segmentation_bytes as f64 / 1e6,
         ));
     }
     if let Some(a) = &outcome.association {

@@ -1,7 +1,7 @@
 //! Settings of stage one and of the blending.
 
 use super::Budget;
-use super::range::{Range, checked};
+use super::range::{MAX_BATCH, Range, checked};
 use crate::error::{Result, ensure};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
@@ -27,9 +27,14 @@ pub enum SizeRule {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
 #[serde(default, deny_unknown_fields)]
 pub struct BuildingConfig {
-    /// Optimiser steps. 0 takes `gaussians` as they are, and needs them.
+    /// Views that are rendered, one for each optimiser step unless `batch` says otherwise. 0 takes `gaussians` as they are, and
+    /// needs them.
     #[default(7_000)]
     pub iterations: usize,
+    /// Views of an optimiser step. Learning rates grow with its root (Grendel-GS, Zhao et al. 2024, arXiv 2406.18533). Absent: 1,
+    /// and in a new run under `mpirun` one for each rank.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub batch: Option<usize>,
     /// Gaussians to begin with: a 3DGS PLY of this or another trainer, in the world units and axes of the cameras. Absent:
     /// the scene's points.
     #[serde(deserialize_with = "super::optional_path")]
@@ -99,6 +104,11 @@ impl BuildingConfig {
         }
     }
 
+    /// `batch`, or what its absence stands for.
+    pub fn batch(&self) -> usize {
+        self.batch.unwrap_or(1)
+    }
+
     /// `gradient_threshold`, or what its absence stands for.
     pub fn gradient_threshold(&self) -> f32 {
         let usual = if self.absgrad { 8e-4 } else { 2e-4 };
@@ -118,6 +128,7 @@ impl BuildingConfig {
         ensure!(self.sh_degree <= 3,
             setting "building.sh_degree"; found "{}", self.sh_degree; expected "0, 1, 2 or 3"; help "3 is the usual choice");
         checked!(self, "building": { lr_means: NotNegative });
+        Range::Within(1.0, MAX_BATCH).check("building.batch", self.batch())?;
         Range::Within(1.0, MAX_POINTS).check("building.random_points", self.random_points)?;
         ensure!(self.max_gaussians != Budget::AtMost(0), setting "building.max_gaussians"; found "0";
             expected "\"auto\", \"unlimited\" or a number from 1"; help "\"unlimited\" sets no limit");

@@ -4,6 +4,9 @@ use crate::error::{Result, ensure};
 use num_traits::AsPrimitive;
 use std::fmt::Display;
 
+/// Largest number of views of an optimiser step.
+pub(super) const MAX_BATCH: f64 = 65_536.0;
+
 /// Allowed values of a number.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Range {

@@ -1,7 +1,7 @@
 //! Settings of stage two: variants, losses, and how labels are blended.
 
 use super::Variant;
-use super::range::{Range, checked};
+use super::range::{MAX_BATCH, Range, checked};
 use crate::error::{Result, bail, ensure};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
@@ -131,9 +131,12 @@ pub enum Prior {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
 #[serde(default, deny_unknown_fields)]
 pub struct SegmentationConfig {
-    /// Optimiser steps of each trained variant.
+    /// Views that each trained variant learns from, one for each optimiser step unless `batch` says otherwise.
     #[default(2_000)]
     pub iterations: usize,
+    /// Views of an optimiser step, as `building.batch`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub batch: Option<usize>,
     /// Variants to train and score. The scene stores `ours` where present, else the last one. Absent: [`Variant::COMPARED`],
     /// or [`Variant::UNSCORED`] where no held-out view has a truth.
     pub rows: Option<Vec<Variant>>,
@@ -212,7 +215,13 @@ impl SegmentationConfig {
         self.rows.as_deref().unwrap_or(&Variant::COMPARED)
     }
 
+    /// `batch`, or what its absence stands for.
+    pub fn batch(&self) -> usize {
+        self.batch.unwrap_or(1)
+    }
+
     pub(super) fn check(&self) -> Result<()> {
+        Range::Within(1.0, MAX_BATCH).check("segmentation.batch", self.batch())?;
         checked!(self, "segmentation": {
             iterations: Positive,
             lr: AboveZero,

@@ -5,6 +5,7 @@ use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::{Scene, Split, View};
 use crate::error::{Result, bail, ensure};
 use crate::random::{self, Purpose};
+use crate::ranks;
 use burn::tensor::Device;
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
@@ -30,6 +31,7 @@ pub struct ViewFeatures {
 
 /// The extractor of a scene's features and the fitted reductions. Each training view has four maps. A PCA per scale, fitted on all
 /// training views, reduces them; then each cell is L2-normalised. The unreduced maps need not fit in memory together.
+/// [Ranks](crate::ranks) divide the training views.
 pub struct Reduction<'a> {
     /// Where the features come from, see [`Extractor`].
     pub name: String,
@@ -39,8 +41,9 @@ pub struct Reduction<'a> {
     pub content: String,
     extractor: Extractor,
     config: &'a FeatureConfig,
+    /// The training views of this rank.
     train: Vec<&'a View>,
-    /// Unreduced maps of the training views that were kept.
+    /// Unreduced maps of those that were kept.
     kept: Vec<Option<[FeatureMap; SCALES]>>,
 }
 
@@ -61,14 +64,15 @@ impl<'a> Reduction<'a> {
         ensure!(config.dimensions != 0, setting "features.dimensions"; found "0"; expected "1 or more";
             help "64 is the usual choice");
         let extractor = Extractor::open(config, device)?;
-        let train: Vec<&View> = scene.split(Split::Train).collect();
+        let quota = PCA_CELLS.div_ceil(scene.split(Split::Train).count().max(1));
+        let numbered = ranks::share(scene.split(Split::Train).enumerate());
+        let (numbers, train): (Vec<usize>, Vec<&View>) = numbered.unzip();
         let mut kept: Vec<Option<[FeatureMap; SCALES]>> = Vec::with_capacity(train.len());
         let mut kept_bytes = 0;
         let mut moments: Option<[Moments; SCALES]> = None;
         // Imported maps do not depend on photos: their own digest identifies them.
         let key = extractor.cache_key.clone();
-        let mut imported = Sha256::new();
-        let quota = PCA_CELLS.div_ceil(train.len().max(1));
+        let mut imported: Vec<String> = Vec::new();
         for batch in train.chunks(BATCH) {
             let look = |view: &&View| {
                 let maps = cached_maps(&extractor, config, view)?;
@@ -77,11 +81,11 @@ impl<'a> Reduction<'a> {
             let batch_maps: Vec<Result<_>> = batch.par_iter().map(look).collect();
             for (view, maps) in batch.iter().zip(batch_maps) {
                 let (digest, maps) = maps?;
-                imported.update(digest.unwrap_or_default());
+                imported.extend(digest);
                 let moments = moments
                     .get_or_insert_with(|| std::array::from_fn(|n| Moments::new(maps[n].channels)));
                 for (n, (map, moments)) in maps.iter().zip(moments).enumerate() {
-                    let index = (kept.len() * SCALES + n) as u64;
+                    let index = (numbers[kept.len()] * SCALES + n) as u64;
                     moments.add(
                         &subsample(map, quota, seed, index),
                         &map_name(view, n),
@@ -93,10 +97,11 @@ impl<'a> Reduction<'a> {
                 viewed()?;
             }
         }
-        let Some(moments) = moments else {
+        let Some(mut moments) = moments else {
             bail!(argument "data"; found "no training view in {}", scene.name;
                 expected "one or more"; help "correct the splits");
         };
+        moments.iter_mut().try_for_each(Moments::add_other_ranks)?;
         let again = kept.iter().filter(|maps| maps.is_none()).count();
         if again > 0 && config.cache_dir.is_none() && matches!(config.source, FeatureSource::Dino) {
             tracing::warn!(
@@ -105,7 +110,13 @@ impl<'a> Reduction<'a> {
             );
         }
         let reductions = moments.map(|m| Pca::fit(&m, config.dimensions));
-        let content = key.unwrap_or_else(|| format!("imported {:x}", imported.finalize()));
+        let content = match key {
+            Some(key) => key,
+            None => format!(
+                "imported {:x}",
+                Sha256::digest(ranks::interleave(imported)?.concat())
+            ),
+        };
         Ok(Self {
             name: extractor.name.clone(),
             reductions,

@@ -6,6 +6,7 @@
 use super::FeatureMap;
 use crate::backend::check_finite;
 use crate::error::{Result, ensure};
+use crate::ranks;
 use nalgebra::{DMatrix, DVector, DVectorView, SymmetricEigen};
 use rayon::prelude::*;
 
@@ -64,6 +65,27 @@ impl Moments {
             scatter: &rows * rows.transpose(),
             largest,
         }
+    }
+
+    /// Adds the rows of the other ranks.
+    ///
+    /// # Errors
+    /// Those of [`ranks::gather`].
+    pub fn add_other_ranks(&mut self) -> Result<()> {
+        if ranks::count() == 1 {
+            return Ok(());
+        }
+        let mut count = [self.count];
+        ranks::sum(&mut count);
+        let mut mean = &self.mean * (self.count / count[0]);
+        ranks::sum(mean.as_mut_slice());
+        let delta = &self.mean - &mean;
+        self.scatter.ger(self.count, &delta, &delta, 1.0);
+        ranks::sum(self.scatter.as_mut_slice());
+        self.mean = mean;
+        self.count = count[0];
+        self.largest = ranks::gather(self.largest)?.into_iter().fold(0.0, f64::max);
+        Ok(())
     }
 
     fn merge(&mut self, other: &Self) {

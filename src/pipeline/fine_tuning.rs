@@ -26,5 +26,8 @@ pub(super) fn fine_tuning(plan: &TrainingPlan, views: usize) -> (TrainingPlan, f
     };
     plan.config.iterations = iterations;
     plan.config.lr_decay = false;
-    (plan, REACH / iterations as f64)
+    // A step of a batch has a rate that is larger by its root.
+    let batch = plan.config.batch();
+    let reach_of_rate = iterations.div_ceil(batch) as f64 * (batch as f64).sqrt();
+    (plan, REACH / reach_of_rate)
 }

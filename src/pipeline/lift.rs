@@ -7,6 +7,7 @@ use crate::error::Result;
 use crate::features::{FeatureColors, Reduction, SCALES};
 use crate::metrics::ImageScores;
 use crate::progress::{Progress, Viewing, go_on};
+use crate::ranks;
 use crate::raster::Settings;
 use crate::segmentation::unprojection::{attended, unproject};
 use crate::splat::{Gaussians, rows_where};
@@ -45,7 +46,7 @@ impl LiftedFeatures {
         progress: &mut dyn Progress,
     ) -> Result<Self> {
         let clock = Instant::now();
-        let views = scene.split(Split::Train).count();
+        let views = ranks::share(scene.split(Split::Train)).count();
         let mut viewing = Viewing::begin(progress, "features", views);
         let features = &config.features;
         let seed = config.seed;
@@ -60,7 +61,7 @@ impl LiftedFeatures {
         let mut viewing = Viewing::begin(progress, "unprojection", views);
         let lifted = unproject(
             gaussians,
-            scene.split(Split::Train),
+            ranks::share(scene.split(Split::Train)),
             reduction.training_views(),
             &config.unprojection,
             &Settings::from(&config.raster),
@@ -212,7 +213,7 @@ fn count(
 ) -> Result<Vec<u32>> {
     let settings = &Settings::from(&config.raster);
     let viewing = Viewing::begin(progress, "attendance", 1);
-    let views = scene.split(Split::Train);
+    let views = ranks::share(scene.split(Split::Train));
     let keep = attended(gaussians, views, &config.unprojection, settings, device)?;
     viewing.end();
     Ok(rows_where(keep, |keep| keep))

@@ -8,6 +8,7 @@ use crate::error::{Error, Result};
 use crate::files::{self, atomic};
 use crate::progress::{CurvePoint, Progress, Review};
 use crate::provenance::Provenance;
+use crate::ranks;
 use crate::reconstruction::{Trainer, TrainerState};
 use crate::splat::{Gaussians, ply};
 use burn::tensor::Device;
@@ -37,6 +38,8 @@ pub(crate) struct Reconstruction {
     pub earlier: f64,
     /// Whether the stage came to its end; otherwise `progress` stopped it.
     pub complete: bool,
+    /// Optimiser steps of this part of the run.
+    pub steps: usize,
     /// Whether this part of the run trained or took them.
     new: bool,
 }
@@ -96,6 +99,8 @@ pub(crate) fn reconstruct(
     device: &Device,
     progress: &mut dyn Progress,
 ) -> Result<Reconstruction> {
+    let checkpoints = [files.building(), files.initial()].map(|file| file.is_file());
+    ranks::expect_same("the checkpoints", format!("{checkpoints:?}"))?;
     let as_they_are = config.building.iterations == 0;
     let initial = match &config.building.gaussians {
         Some(path) if as_they_are || !files.building().is_file() => {
@@ -112,7 +117,7 @@ pub(crate) fn reconstruct(
         initial => build(scene, config, initial, files, device, progress)?,
     };
     // The scene of a finished run stays until there is another result.
-    if result.new || !files.scene.exists() {
+    if ranks::index() == 0 && (result.new || !files.scene.exists()) {
         ply::write(&files.scene, &result.gaussians, scene.origin, None)?;
     }
     if !result.complete {
@@ -137,11 +142,11 @@ fn take(
         provenance.check(&stored, false, &built, None)?;
     }
     let new = !initial.is_file();
-    if new {
+    if new && ranks::index() == 0 {
         let mut checkpoint = Checkpoint::new(INITIAL_KIND);
         checkpoint.set("provenance", &provenance)?;
         checkpoint.save(&initial)?;
-    } else {
+    } else if !new {
         let stored = Checkpoint::load(&initial, INITIAL_KIND)?.get("provenance")?;
         provenance.check(&stored, false, &initial, None)?;
     }
@@ -152,6 +157,7 @@ fn take(
         seconds: 0.0,
         earlier: 0.0,
         complete: true,
+        steps: 0,
         new,
     })
 }
@@ -195,6 +201,7 @@ fn build(
         seconds: 0.0,
         earlier,
         complete: stage.iteration() >= config.building.iterations,
+        steps: (stage.iteration() - first).div_ceil(config.building.batch()),
         new: stage.iteration() > first,
     })
 }

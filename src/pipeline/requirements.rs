@@ -3,9 +3,10 @@
 use super::lift::reads_features;
 use crate::config::{Association, Config, Variant};
 use crate::data::{Scene, Split};
-use crate::error::Result;
+use crate::error::{Result, ensure};
 use crate::features::Extractor;
 use crate::memory;
+use crate::ranks;
 use crate::segmentation::encoder::load_spatial;
 use burn::tensor::Device;
 
@@ -20,6 +21,21 @@ pub(super) fn check_networks(config: &Config, scene: &Scene, device: &Device) ->
     if rows.any(|row| row.trains_decoder()) {
         load_spatial(&config.spatial, config.seed, device)?;
     }
+    Ok(())
+}
+
+/// Refuses more ranks than training photos, and variants that ranks cannot train together.
+pub(super) fn check_ranks(scene: &Scene, config: &Config) -> Result<()> {
+    let ranks = ranks::count();
+    if ranks == 1 {
+        return Ok(());
+    }
+    let photos = scene.split(Split::Train).count();
+    ensure!(ranks <= photos, argument "mpirun"; found "{ranks} processes for {photos} training photos";
+        expected "no more than one a photo"; help "start fewer");
+    ensure!(!config.segmentation.rows().contains(&Variant::Distilled),
+        setting "segmentation.rows"; found "distilled"; expected "variants that ranks share";
+        help "train it without mpirun");
     Ok(())
 }
 

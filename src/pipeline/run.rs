@@ -6,7 +6,7 @@ use super::evaluate::score_images;
 use super::lift::{Pruned, lift};
 use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
 use super::requirements::{
-    check_networks, check_scores, has_raw_labels, least_count, score_tables,
+    check_networks, check_ranks, check_scores, has_raw_labels, least_count, score_tables,
 };
 use super::resolve::resolved;
 use super::segmentation_inputs::SegmentationInputs;
@@ -20,6 +20,7 @@ use crate::memory;
 use crate::metrics::ImageScores;
 use crate::objects::{Corrections, Identities, Semantics, color_all_apart};
 use crate::progress::{CurvePoint, Progress, Review, go_on};
+use crate::ranks::{self, Traffic};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
@@ -73,6 +74,8 @@ pub struct Outcome {
     pub spatial: String,
     /// Where the time went.
     pub seconds: Seconds,
+    /// What several ranks sent to each other.
+    pub traffic: Option<Traffic>,
     /// The settings as they ran, with the chosen variants where none were named.
     pub config: Config,
 }
@@ -167,6 +170,7 @@ pub fn run_on(
     let start = Instant::now();
     let files = RunFiles::new(out);
     let corrections = Corrections::read(&files.corrections())?;
+    ranks::expect_same("the corrections", corrections.is_some().to_string())?;
     let config = &resolved(config, &scene, corrections.is_some());
     if !config.segmentation.rows().is_empty() {
         if has_raw_labels(&scene) || has_segments(&scene, config) || corrections.is_some() {
@@ -179,13 +183,22 @@ pub fn run_on(
         }
     }
     check_scores(least_count(&scene, config), &scene, config)?;
+    check_ranks(&scene, config)?;
     progress.scene(&scene);
     let reconstruction = reconstruct(&scene, config, &files, device, progress)?;
+    let building_bytes = ranks::sent();
+    let building_step_bytes = building_bytes.checked_div(reconstruction.steps as u64);
     let mut outcome = Outcome::new(scene, config, reconstruction);
     outcome.corrections = corrections;
     outcome.test = score_images(&outcome.gaussians, &outcome.scene, config, device)?;
     outcome.associate(progress)?;
     outcome.segment(scores_fields, &files, device, progress)?;
+    outcome.traffic = (ranks::count() > 1).then(|| Traffic {
+        ranks: ranks::count(),
+        building_bytes,
+        building_step_bytes: building_step_bytes.unwrap_or(0),
+        segmentation_bytes: ranks::sent() - building_bytes,
+    });
     outcome.seconds.total += start.elapsed().as_secs_f64();
     Ok(outcome)
 }

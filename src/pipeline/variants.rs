@@ -156,7 +156,8 @@ impl<'a> StageTwo<'a> {
         self.views.use_raw_labels();
         let plan = plan(variant, self.inputs)?;
         let classes = self.inputs.scene.classes.len();
-        let training = Training::new(model, module, Adam::new(rate, None), classes);
+        let adam = Adam::new(rate, plan.config.batch(), None);
+        let training = Training::new(model, module, adam, classes);
         let schedule = schedule(variant, self.inputs, self.checkpoints)?;
         self.trained(variant, training, &plan, &schedule, progress)
     }
@@ -236,7 +237,7 @@ impl<'a> StageTwo<'a> {
         let (plan, rate) = &fine_tuning(plan, self.views.len());
         let model = PerGaussian(Blend::Probabilities);
         let logits = Logits::starting_at(&decoded, VOTE_FLOOR, &self.device);
-        let adam = Adam::new(*rate, None);
+        let adam = Adam::new(*rate, plan.config.batch(), None);
         let training = Training::new(model, logits, adam, decoded.classes);
         drop(decoded);
         let schedule = TrainingSchedule {
@@ -248,7 +249,8 @@ impl<'a> StageTwo<'a> {
         let tuned = self.trained(outcome.variant, training, plan, &schedule, progress)?;
         outcome.identities = tuned.identities;
         outcome.scores = tuned.scores;
-        outcome.fine_tuning_steps = Some(plan.config.iterations);
+        let steps = plan.config.iterations.div_ceil(plan.config.batch());
+        outcome.fine_tuning_steps = Some(steps);
         outcome.seconds += tuned.seconds;
         outcome.learnable_bytes += tuned.learnable_bytes;
         Ok(outcome)

@@ -31,7 +31,8 @@ impl Trainer<'_> {
         }
         let iteration = self.iteration as u64;
         let mut rng = stream(self.config.seed, Purpose::Densification, iteration);
-        let densification = adc(&old, &self.statistics.read()?, &self.adc_rules(), &mut rng)?;
+        let statistics = self.statistics.clone().of_all_ranks()?.read()?;
+        let densification = adc(&old, &statistics, &self.adc_rules(), &mut rng)?;
         ensure!(!densification.rows.is_empty(), argument "densification after {} steps", self.iteration;
             found  "{} Gaussians, none of which is opaque and small enough to stay", old.len();
             expected "some that the photos show";

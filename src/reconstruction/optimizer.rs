@@ -5,6 +5,7 @@ use crate::backend::check_finite;
 use crate::backend::device::{indices, read, upload};
 use crate::error::{Error, Result};
 use crate::ops::{AdamStep, AdamTensors, adam_step, sum_all};
+use crate::ranks;
 use crate::raster::RasterInput;
 use crate::splat::Gaussians;
 use burn::tensor::{Bool, Device, Gradients, Tensor, TensorData};
@@ -85,6 +86,39 @@ impl ParameterGradients {
             gradient(leaves.opacity_logits, gradients),
             gradient(sh, gradients),
         ])
+    }
+
+    /// Zeros, for `parameters`.
+    fn zeros(parameters: &Parameters) -> Self {
+        Self(
+            parameters
+                .state
+                .each_ref()
+                .map(|state| state.param.zeros_like()),
+        )
+    }
+
+    /// The sum of both.
+    pub fn plus(self, other: Self) -> Self {
+        let mut others = other.0.into_iter();
+        Self(
+            self.0
+                .map(|gradient| gradient + others.next().expect("as many parameters")),
+        )
+    }
+
+    /// The mean of `views` gradients, of which this rank has `own`; zeros for `parameters` where it has none.
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the device does not return them.
+    pub fn mean(own: Option<Self>, views: usize, parameters: &Parameters) -> Result<Self> {
+        let own = own.unwrap_or_else(|| Self::zeros(parameters));
+        let mut means = own.0;
+        for gradient in &mut means {
+            let sum = ranks::sum_tensor("gradients", gradient.clone())?;
+            *gradient = if views > 1 { sum / views as f64 } else { sum };
+        }
+        Ok(Self(means))
     }
 
     /// The value of `loss`, read back together with the check that it and all gradients are finite.
@@ -192,8 +226,15 @@ impl Parameters {
         }
     }
 
-    /// One Adam step, number `step` from 1. `rates` are learning rates of each parameter: one, or one per column.
-    pub fn step(&mut self, gradients: ParameterGradients, rates: &[Vec<f64>; 5], step: u32) {
+    /// One Adam step of `batch` views, after which there were `views`. `rates` are learning rates of each parameter: one, or one per
+    /// column.
+    pub fn step(
+        &mut self,
+        gradients: ParameterGradients,
+        rates: &[Vec<f64>; 5],
+        views: usize,
+        batch: usize,
+    ) {
         let updates = self.state.iter_mut().zip(gradients.0).zip(rates);
         for ((state, gradient), rates) in updates {
             let empty = Tensor::empty([0; 2], &gradient.device());
@@ -204,11 +245,12 @@ impl Parameters {
             };
             // Moved out, so that the step finds buffers that nobody else holds.
             let before = std::mem::replace(state, emptied);
-            *state = adam_step(
-                before,
-                gradient,
-                &Arc::new(AdamStep::splatting(rates.clone(), step)),
-            );
+            let step = AdamStep {
+                rates: rates.clone(),
+                views: views as u32,
+                batch: batch as u32,
+            };
+            *state = adam_step(before, gradient, &Arc::new(step));
         }
     }
 

@@ -1,6 +1,7 @@
 //! The schedule of stage one: learning rates, SH degree, densification, resets, order of views.
 //!
-//! Steps count from 1. Everything is a function of the step, so a resumed run needs no memory of it.
+//! Steps count from 1, and each is one view: an optimiser step of a batch takes as many. Everything is a function of the step, so a
+//! resumed run needs no memory of it.
 
 use crate::config::{Budget, BuildingConfig};
 use crate::data::{Points, View};

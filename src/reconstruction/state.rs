@@ -19,7 +19,7 @@ pub struct TrainerState {
     pub provenance: Provenance,
     /// Seed of the run.
     pub seed: u64,
-    /// Iterations done; also the number of Adam steps.
+    /// Iterations done, each one view.
     pub iteration: usize,
     /// The parameters.
     pub gaussians: Gaussians,

@@ -1,17 +1,24 @@
-//! The forward and backward pass over one view: loss and gradients, before they change anything.
+//! The forward and backward passes over the views of a step: loss and gradients, before they change the Gaussians.
 
 use super::Trainer;
 use super::optimizer::ParameterGradients;
 use crate::data::View;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::ops::{PhotometricTarget, photometric_loss};
+use crate::provenance::digest_gaussians;
 use crate::random::{Purpose, stream};
+use crate::ranks;
 use crate::raster::{RasterInput, RasterOutput, rasterize};
 use burn::tensor::Tensor;
 use rand::Rng;
+use sha2::Digest;
+use std::ops::RangeInclusive;
 
 /// Weight of the SSIM term of the loss; L1 has the rest (Kerbl et al. 2023).
 const SSIM_WEIGHT: f64 = 0.2;
+
+/// Steps after which ranks compare their Gaussians.
+const COMPARED_EVERY: usize = 100;
 
 /// Loss and gradients of one view.
 pub(crate) struct Pass {
@@ -24,7 +31,60 @@ pub(crate) struct Pass {
     pub loss: f64,
 }
 
+/// Loss and gradients of a step.
+pub(super) struct BatchPass {
+    /// Means over its views.
+    pub gradients: ParameterGradients,
+    /// Sum over its views.
+    pub loss: f64,
+}
+
 impl Trainer<'_> {
+    /// The passes of the iterations `batch`, divided among ranks.
+    pub(super) fn batch_pass(&mut self, batch: &RangeInclusive<usize>) -> Result<BatchPass> {
+        let mut loss = 0.0;
+        let mut sum: Option<ParameterGradients> = None;
+        for iteration in ranks::share(batch.clone()) {
+            let index = self.schedule.view(self.config.seed, iteration);
+            let view = self.train[index];
+            let locate = |mut error| {
+                if let Error::NonFinite { context, .. } = &mut error {
+                    *context = format!(", view {}, iteration {iteration}", view.name);
+                }
+                error
+            };
+            let pass = self.pass(index, view, iteration).map_err(locate)?;
+            if let Some(gradient) = pass.screen {
+                self.statistics.record(gradient, pass.radii);
+            }
+            loss += pass.loss;
+            sum = Some(match sum {
+                Some(sum) => sum.plus(pass.gradients),
+                None => pass.gradients,
+            });
+        }
+        let mut loss = [loss];
+        ranks::sum(&mut loss);
+        let views = batch.clone().count();
+        Ok(BatchPass {
+            gradients: ParameterGradients::mean(sum, views, &self.parameters)?,
+            loss: loss[0],
+        })
+    }
+
+    /// Checks now and then that all ranks have the same Gaussians.
+    pub(super) fn compare_ranks(&self) -> Result<()> {
+        let steps = self.iteration.div_ceil(self.config.building.batch());
+        if ranks::count() == 1 || !steps.is_multiple_of(COMPARED_EVERY) {
+            return Ok(());
+        }
+        let what = format!("the Gaussians after {} iterations", self.iteration);
+        ranks::expect_same(
+            &what,
+            format!("{:x}", digest_gaussians(&self.gaussians()?).finalize()),
+        )
+    }
+
     /// Colour behind the scene in `iteration`.
     fn background(&self, view: &View, iteration: usize) -> [f32; 3] {
         let random =

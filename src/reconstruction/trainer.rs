@@ -1,22 +1,25 @@
 //! Training of stage one.
 
-use super::densify::{Densified, GradientAccumulator};
+use super::densify::{Densified, GradientAccumulator, GradientStatistics};
 use super::initialization::initial_gaussians;
 use super::optimizer::Parameters;
 use super::schedule::{Schedule, center, extent};
 use super::state::TrainerState;
+use super::step::BatchPass;
 use crate::backend::device::read;
 use crate::config::Config;
 use crate::data::{Scene, Split, View, ViewCache};
-use crate::error::{Error, Result, ensure};
+use crate::error::{Result, ensure};
 use crate::metrics::ImageScores;
 use crate::ops::PhotometricTarget;
 use crate::progress::{CurvePoint, Event, Progress, Review};
 use crate::provenance::Provenance;
+use crate::ranks;
 use crate::raster::{Settings, rasterize};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 use glam::DVec3;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -27,12 +30,12 @@ const LR_SH_REST: f64 = 1.25e-4;
 const LR_SCALES: f64 = 5e-3;
 const LR_ROTATIONS: f64 = 1e-3;
 
-/// What one iteration did.
+/// What one step did.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepReport {
-    /// Its number, from 1.
+    /// Iterations until its end, each one view.
     pub iteration: usize,
-    /// Its loss, before the step.
+    /// Its mean loss, before the step.
     pub loss: f64,
     /// Gaussians afterwards.
     pub gaussians: usize,
@@ -46,9 +49,10 @@ pub struct StepReport {
 
 /// Trains Gaussians on the training views of a scene.
 ///
-/// An iteration renders one view and compares it with its photo (`(1 - w) L1 + w (1 - SSIM)`). It takes one Adam step on all
-/// parameters. It densifies, reviews or resets when the [`Schedule`] says so. The same scene, settings and seed give the same bits
-/// at any thread count, interrupted or not.
+/// An iteration renders one view and compares it with its photo (`(1 - w) L1 + w (1 - SSIM)`). After each iteration, or each
+/// `building.batch` of them, follows one Adam step on all parameters. It densifies, reviews or resets when the [`Schedule`] says so.
+/// The same scene, settings and seed give the same bits at any thread count, interrupted or not. [Ranks](crate::ranks) divide the
+/// views of a step, and all have the same Gaussians; how many there are and where they were interrupted changes results by rounding.
 pub struct Trainer<'a> {
     pub(super) config: Config,
     pub(super) settings: Settings,
@@ -75,7 +79,7 @@ impl<'a> Trainer<'a> {
     /// Starts from the points of the scene, or from points in the camera frusta where it has none.
     ///
     /// # Errors
-    /// As [`Trainer::from_state`], and [`Error::NonFinite`] for points that are not finite.
+    /// As [`Trainer::from_state`], and [`crate::Error::NonFinite`] for points that are not finite.
     pub fn new(scene: &'a Scene, config: &Config, device: &Device) -> Result<Self> {
         config.building.validate()?;
         let train: Vec<&View> = scene.split(Split::Train).collect();
@@ -87,8 +91,8 @@ impl<'a> Trainer<'a> {
     /// Continues from a state exactly as the run that it was taken from.
     ///
     /// # Errors
-    /// [`Error::Config`] for settings that cannot work or are not those of the state; [`Error::Input`] for the state of another
-    /// scene; [`Error::Argument`] for a scene without
+    /// [`crate::Error::Config`] for settings that cannot work or are not those of the state; [`crate::Error::Input`] for the state of another
+    /// scene; [`crate::Error::Argument`] for a scene without
     /// training views, or whose photos and masks have other sizes than their cameras; those of [`crate::data::Photo::pixels`].
     pub fn from_state(
         scene: &'a Scene,
@@ -102,6 +106,11 @@ impl<'a> Trainer<'a> {
         let train: Vec<&View> = scene.split(Split::Train).collect();
         let size = extent(&train, &scene.points);
         let device = device.clone().inner();
+        let statistics = match ranks::index() {
+            0 => state.stats,
+            // The first rank has those of all.
+            _ => GradientStatistics::new(state.gaussians.len()),
+        };
         Ok(Self {
             settings: Settings::from(&config.raster),
             schedule: Schedule::new(&config.building, train.len(), size),
@@ -112,7 +121,7 @@ impl<'a> Trainer<'a> {
             config: config.clone(),
             checkpoint: None,
             provenance,
-            statistics: GradientAccumulator::new(state.stats, &device),
+            statistics: GradientAccumulator::new(statistics, &device),
             device,
             train,
             test: scene.split(Split::Test).collect(),
@@ -154,7 +163,7 @@ impl<'a> Trainer<'a> {
     /// The Gaussians as they are now.
     ///
     /// # Errors
-    /// [`Error::Device`] when the device does not return them.
+    /// [`crate::Error::Device`] when the device does not return them.
     pub fn gaussians(&self) -> Result<Gaussians> {
         Ok(self.parameters.to_host()?.0)
     }
@@ -162,7 +171,7 @@ impl<'a> Trainer<'a> {
     /// Everything that a later run needs to continue.
     ///
     /// # Errors
-    /// [`Error::Device`] when the device does not return the parameters.
+    /// [`crate::Error::Device`] when the device does not return the parameters.
     pub fn state(&self) -> Result<TrainerState> {
         let (gaussians, first, second) = self.parameters.to_host()?;
         Ok(TrainerState {
@@ -180,45 +189,39 @@ impl<'a> Trainer<'a> {
         })
     }
 
-    /// One iteration. After an error nothing has changed, with one exception. Where a review, a densification or a reset fails, only the
-    /// last checkpoint can be used.
+    /// One step: the next iterations, as many as a batch has. After an error in a batch of one nothing has changed, with one exception.
+    /// Where a review, a densification or a reset fails, and in larger batches, only the last checkpoint can be used.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] naming tensor, row, view and iteration when the loss or a gradient is not finite; [`Error::Limit`]
-    /// and [`Error::Device`] where a GPU cannot go on; those of [`crate::data::Photo::pixels`].
+    /// [`crate::Error::NonFinite`] naming tensor, row, view and iteration when the loss or a gradient is not finite; [`crate::Error::Limit`]
+    /// and [`crate::Error::Device`] where a GPU cannot go on, or where ranks differ; those of [`crate::data::Photo::pixels`].
     pub fn step(&mut self) -> Result<StepReport> {
         let start = Instant::now();
-        let iteration = self.iteration + 1;
-        let index = self.schedule.view(self.config.seed, iteration);
-        let view = self.train[index];
-        let locate = |mut error| {
-            if let Error::NonFinite { context, .. } = &mut error {
-                *context = format!(", view {}, iteration {iteration}", view.name);
-            }
-            error
-        };
-        let pass = self.pass(index, view, iteration).map_err(locate)?;
-        if let Some(gradient) = pass.screen {
-            self.statistics.record(gradient, pass.radii);
-        }
+        let batch = self.batch();
+        let views = batch.clone().count();
+        let BatchPass { gradients, loss } = self.batch_pass(&batch)?;
+        let rates = self.rates(*batch.start(), views);
+        self.iteration = *batch.end();
         self.parameters
-            .step(pass.gradients, &self.rates(iteration), iteration as u32);
-        self.iteration = iteration;
-        self.losses.0 += pass.loss;
-        self.losses.1 += 1;
-        let reviews = self.schedule.reviews(iteration) && self.parameters.len() > 0;
+            .step(gradients, &rates, self.iteration, views);
+        self.losses.0 += loss;
+        self.losses.1 += views as u64;
+        let due =
+            |is_due: fn(&Schedule, usize) -> bool| batch.clone().any(|i| is_due(&self.schedule, i));
+        let [reviews, densifies, reset] =
+            [Schedule::reviews, Schedule::densifies, Schedule::resets].map(due);
+        let reviews = reviews && self.parameters.len() > 0;
         let review = reviews.then(|| self.review()).transpose()?;
-        let densifies = self.schedule.densifies(iteration);
         let densified = densifies.then(|| self.densify()).transpose()?;
-        let reset = self.schedule.resets(iteration);
         if reset {
             self.parameters.reset_opacity()?;
         }
+        self.compare_ranks()?;
         self.seconds += start.elapsed().as_secs_f64();
         let gaussians = self.parameters.len();
         Ok(StepReport {
-            iteration,
-            loss: pass.loss,
+            iteration: self.iteration,
+            loss: loss / views as f64,
             gaussians,
             review,
             densified,
@@ -226,19 +229,28 @@ impl<'a> Trainer<'a> {
         })
     }
 
+    /// The iterations of the next step.
+    fn batch(&self) -> RangeInclusive<usize> {
+        let first = self.iteration + 1;
+        let last = self.iteration + self.config.building.batch();
+        first..=last.min(self.config.building.iterations.max(first))
+    }
+
     /// Trains to the end of the run, or until `progress` stops it. Scores the held-out views and writes
     /// the checkpoint on schedule.
     ///
     /// # Errors
-    /// As [`Trainer::step`], and [`Error::Io`] from the checkpoint. The last checkpoint stays.
+    /// As [`Trainer::step`], and [`crate::Error::Io`] from the checkpoint. The last checkpoint stays.
     pub fn run(&mut self, progress: &mut dyn Progress) -> Result<()> {
         let iterations = self.config.building.iterations;
+        ranks::expect_same("the iterations done", self.iteration.to_string())?;
         progress.event(&Event::Started {
             stage: "building",
             done: self.iteration,
             iterations,
         });
         while self.iteration < iterations {
+            let before = self.iteration;
             let report = self.step()?;
             let iteration = report.iteration;
             progress.event(&Event::Step {
@@ -249,14 +261,15 @@ impl<'a> Trainer<'a> {
             if let Some(review) = report.review {
                 progress.event(&Event::Reviewed(review));
             }
-            if self.schedule.evaluates(iteration) {
+            let step = before + 1..=iteration;
+            if step.clone().any(|i| self.schedule.evaluates(i)) {
                 progress.event(&Event::Evaluated(self.evaluate()?));
             }
             if progress.wants_gaussians() {
                 progress.gaussians(&self.gaussians()?, None);
             }
-            let stop = progress.stop();
-            if stop || self.schedule.saves(iteration) {
+            let stop = ranks::any(progress.stop())?;
+            if stop || step.clone().any(|i| self.schedule.saves(i)) {
                 self.save()?;
             }
             if stop {
@@ -270,14 +283,10 @@ impl<'a> Trainer<'a> {
     /// Scores the held-out views and adds a point to the curve.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] when a parameter is not finite; those of [`crate::data::Photo::pixels`].
+    /// [`crate::Error::NonFinite`] when a parameter is not finite; those of [`crate::data::Photo::pixels`].
     pub fn evaluate(&mut self) -> Result<CurvePoint> {
         let start = Instant::now();
-        let scores: Vec<ImageScores> = self
-            .test
-            .iter()
-            .map(|view| self.score(view))
-            .collect::<Result<_>>()?;
+        let scores = ranks::divided(&self.test, |view| self.score(view))?;
         self.seconds += start.elapsed().as_secs_f64();
         let (sum, count) = std::mem::take(&mut self.losses);
         let point = CurvePoint {
@@ -304,25 +313,36 @@ impl<'a> Trainer<'a> {
         ImageScores::of_view(&image, view)
     }
 
-    fn save(&self) -> Result<()> {
-        match &self.checkpoint {
-            Some(path) => self.state()?.save(path),
-            None => Ok(()),
+    fn save(&mut self) -> Result<()> {
+        let Some(path) = self.checkpoint.clone() else {
+            return Ok(());
+        };
+        self.statistics = self.statistics.clone().of_all_ranks()?;
+        if ranks::index() == 0 {
+            self.state()?.save(&path)?;
+        } else {
+            // The first rank has the sum from now on.
+            let none = GradientStatistics::new(self.parameters.len());
+            self.statistics = GradientAccumulator::new(none, &self.device);
         }
+        Ok(())
     }
 
-    /// Learning rates of the parameters, in their order.
-    fn rates(&self, iteration: usize) -> [Vec<f64>; 5] {
+    /// Learning rates of the parameters, in their order, for a step of `views` from `iteration` on.
+    fn rates(&self, iteration: usize, views: usize) -> [Vec<f64>; 5] {
         let b = &self.config.building;
         let mut sh = vec![LR_SH_REST; 3 * (b.sh_degree + 1).pow(2)];
         sh[..3].fill(LR_SH_DC);
-        [
+        let rates = [
             vec![self.schedule.means_rate(iteration)],
             vec![LR_SCALES],
             vec![LR_ROTATIONS],
             vec![b.lr_opacity],
             sh,
-        ]
+        ];
+        // Grendel-GS (Zhao et al. 2024).
+        let factor = (views as f64).sqrt();
+        rates.map(|rates| rates.into_iter().map(|rate| rate * factor).collect())
     }
 }
 

@@ -30,6 +30,7 @@ impl Metrics {
                 labels: rows.map(|row| (row.variant, variant_scores(row))).collect(),
             },
             seconds: outcome.seconds,
+            ranks: outcome.traffic,
             peak_memory_bytes: peak_memory_bytes(),
             learnable_bytes: outcome.learnable_bytes().into_iter().collect(),
             spatial: outcome.spatial.clone(),

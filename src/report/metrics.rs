@@ -5,6 +5,7 @@ use crate::config::Variant;
 use crate::memory::proc_bytes;
 use crate::metrics::{ImageScores, InstanceScores, PixelScores, SemanticScores};
 use crate::pipeline::{AssociationCounts, HeldOutScores, Seconds};
+use crate::ranks::Traffic;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -25,6 +26,9 @@ pub struct Metrics {
     pub test: TestScores,
     /// Where the time went.
     pub seconds: Seconds,
+    /// What several ranks sent to each other.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ranks: Option<Traffic>,
     /// Peak resident memory of the process; `None` where the system does not report it.
     pub peak_memory_bytes: Option<u64>,
     /// Size of the learned parameters: `gaussians`, and each trained row by its name.
@@ -84,7 +88,7 @@ pub struct VariantScores {
     /// Scores of these objects against true classes, where their segments have classes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub semantic: Option<SemanticScores>,
-    /// Optimiser steps, for trained variants.
+    /// Views that it learned from, one for each optimiser step unless `segmentation.batch` says otherwise; for trained variants.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
     /// Learning rate, for trained variants.

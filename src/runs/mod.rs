@@ -21,5 +21,5 @@ pub use self::scene_file::{
     copy_cameras, features_beside, frame_with_pixel, named_frame, photos_of, read_scene,
     rendering_beside, scene_path,
 };
-pub use self::training::{RunOptions, Trained, check_folder, scene_name, train};
+pub use self::training::{RunOptions, Trained, check_folder, follow, scene_name, train};
 pub use self::vote::{check_vote, load_both, vote};

@@ -8,10 +8,12 @@ use crate::error::{Error, Result};
 use crate::files::{atomic, sha256};
 use crate::pipeline::{self, Outcome};
 use crate::progress::Progress;
+use crate::ranks;
 use crate::report::{Command, Metrics, Report, held_out_views};
 use crate::splat::ply;
 use crate::viewer::{MAX_PAGE_BYTES, Viewer};
 use burn::tensor::Device;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -54,6 +56,10 @@ impl RunOptions {
         }
         let mut config = Config::load_for(self.data.as_deref(), self.config.as_deref(), &sets)?;
         config.seed = self.seed.unwrap_or(config.seed);
+        if ranks::count() > 1 {
+            config.building.batch.get_or_insert(ranks::count());
+            config.segmentation.batch.get_or_insert(ranks::count());
+        }
         config.validate()?;
         let run = RunFolder::new(self.out.as_deref(), &scene_name(&config))?;
         Ok((run, config.with_absolute_paths()?))
@@ -94,7 +100,7 @@ pub struct Trained {
 }
 
 /// Trains or resumes in the folder `run`, which [`RunFolder::claim`] locked, and writes its files. `command` is what the report
-/// shows.
+/// shows. Other [ranks] call [`follow`].
 ///
 /// # Errors
 /// Those of [`pipeline::run`] and of writing. A new run whose training has not begun is removed. A run that was stopped has its
@@ -107,9 +113,13 @@ pub fn train(
     progress: &mut dyn Progress,
 ) -> Result<Trained> {
     let started = run.start(config, command)?;
-    let outcome = pipeline::run(config, run.path(), device, progress);
+    let outcome =
+        Job::share(run, config).and_then(|()| pipeline::run(config, run.path(), device, progress));
     match &outcome {
-        Ok(_) | Err(Error::Stopped) => started.write_commands()?,
+        Ok(_) | Err(Error::Stopped) => {
+            started.write_commands()?;
+            ranks::finish();
+        }
         Err(_) => started.remove_new(),
     }
     let outcome = outcome?;
@@ -119,6 +129,39 @@ pub fn train(
         outcome,
         page_bytes,
     })
+}
+
+/// A run that several [ranks] train.
+#[derive(Serialize, Deserialize)]
+struct Job {
+    run: PathBuf,
+    config: Config,
+}
+
+impl Job {
+    /// Tells the other ranks of the job of this one.
+    fn share(run: &RunFolder, config: &Config) -> Result<()> {
+        let path = run.path();
+        let job = Self {
+            run: std::path::absolute(path).map_err(|e| Error::io(path, "find", e))?,
+            config: config.clone(),
+        };
+        ranks::of_first(Some(job)).map(|_| ())
+    }
+}
+
+/// Trains the run that rank 0 trains by [`train`], as one of the other [ranks]. It reads the scene and the checkpoints by the same
+/// paths, and writes nothing.
+///
+/// # Errors
+/// Those of [`pipeline::run`].
+pub fn follow(device: &Device, progress: &mut dyn Progress) -> Result<()> {
+    let Job { run, config } = ranks::of_first(None)?;
+    let outcome = pipeline::run(&config, &run, device, progress);
+    if matches!(outcome, Ok(_) | Err(Error::Stopped)) {
+        ranks::finish();
+    }
+    outcome.map(|_| ())
 }
 
 /// Writes the labelled scene, its cameras and its page for the browser. Returns the size of that page, see [`Trained::page_bytes`].

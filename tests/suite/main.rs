@@ -11,6 +11,7 @@ mod metrics;
 mod objects;
 mod ops;
 mod pipeline;
+mod ranks;
 mod raster;
 mod reconstruction;
 mod report;

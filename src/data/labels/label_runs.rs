@@ -1,10 +1,11 @@
 //! Label maps compressed to runs of equal ids.
 
 use crate::data::LabelMap;
+use serde::{Deserialize, Serialize};
 
 /// A label map as runs of equal ids, `[H, W]` row-major. Neighbouring pixels mostly agree, and runs decode much faster than an
 /// image file. Where no neighbours agree, runs take twice the memory of the ids.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LabelRuns {
     width: usize,
     height: usize,

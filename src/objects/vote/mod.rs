@@ -14,6 +14,7 @@ use self::view_votes::ViewVotes;
 use crate::data::{Classes, View};
 use crate::error::Result;
 use crate::memory;
+use crate::ranks;
 use crate::raster::{Settings, SplatTensors};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
@@ -80,7 +81,7 @@ pub fn refined_vote<'a>(
 }
 
 /// Sums what the views with raw labels `cast`. With `shares`, a vote counts in the Gaussians of its pixel by these, see
-/// [`refined_vote`].
+/// [`refined_vote`]. [Ranks](crate::ranks) divide the views.
 fn collect<'a>(
     gaussians: &Gaussians,
     views: impl Iterator<Item = &'a View>,
@@ -101,9 +102,11 @@ fn collect<'a>(
     memory::check_scores(gaussians.len(), classes, 2)?;
     let splats = SplatTensors::new(gaussians, device);
     let mut tables = VoteTables::new(&splats, classes);
-    for view in views.filter(|view| view.raw.is_some()) {
+    for view in ranks::share(views.filter(|view| view.raw.is_some())) {
         let seen = splats.seen_by(&view.camera, settings);
         tables.add(&seen, &cast(view)?, shares.as_ref())?;
     }
-    tables.read()
+    let mut votes = tables.read()?;
+    ranks::sum(&mut votes.table);
+    Ok(votes)
 }

@@ -1,6 +1,6 @@
 //! The Adam step on slices.
 
-use super::{AdamStep, BETA1, BETA2, EPSILON, Updated};
+use super::{AdamStep, EPSILON, Updated};
 use crate::backend::simd::{multiply_add, wide_kernel};
 use crate::backend::{HostBackend, Real, device_of, real_kernel};
 use burn::backend::TensorMetadata;
@@ -22,6 +22,7 @@ impl AdamStep {
         let constants = Constants {
             rates: rates.map(|rate| E::of(rate / c1)).collect(),
             root: E::of(1.0 / c2.sqrt()),
+            betas: self.betas(),
         };
         let chunk = tile * CHUNK.div_ceil(tile);
         param
@@ -37,6 +38,8 @@ struct Constants<E> {
     rates: Vec<E>,
     /// Reciprocal root of the correction of the second moment.
     root: E,
+    /// What both moments keep.
+    betas: [f64; 2],
 }
 
 wide_kernel! {
@@ -52,8 +55,7 @@ fn update_body<E: Real, const FMA: bool>(
     v: &mut [E],
 ) {
     let tile = c.rates.len();
-    let [beta1, rest1] = [BETA1, 1.0 - BETA1].map(E::of);
-    let [beta2, rest2] = [BETA2, 1.0 - BETA2].map(E::of);
+    let [[beta1, rest1], [beta2, rest2]] = c.betas.map(|beta| [beta, 1.0 - beta].map(E::of));
     let epsilon = E::of(EPSILON);
     let tiles = p
         .chunks_mut(tile)

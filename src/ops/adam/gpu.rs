@@ -1,6 +1,6 @@
 //! The Adam step in one kernel, one unit for each scalar.
 
-use super::{AdamStep, BETA1, BETA2, EPSILON, Updated, cpu};
+use super::{AdamStep, EPSILON, Updated, cpu};
 use crate::backend::gpu::{Gpu, launch};
 use crate::ops::gpu::{covers, own};
 use burn::backend::tensor::FloatTensor;
@@ -61,6 +61,7 @@ pub fn adam_step(
     let first = own(first);
     let second = own(second);
     let (c1, c2) = step.corrections();
+    let [beta1, beta2] = step.betas();
     let rates: Vec<f32> = step.rates.iter().map(|rate| (rate / c1) as f32).collect();
     let rate = rates.first().copied().unwrap_or_default();
     // One rate for all travels with the launch.
@@ -71,7 +72,7 @@ pub fn adam_step(
     };
     launch!(gpu, adam, gpu.cubes_for(count);
         &param, &into_contiguous(grad), &first, &second, &rates;
-        count as u32, rate, BETA1 as f32, (1.0 - BETA1) as f32, BETA2 as f32, (1.0 - BETA2) as f32,
+        count as u32, rate, beta1 as f32, (1.0 - beta1) as f32, beta2 as f32, (1.0 - beta2) as f32,
         (1.0 / c2.sqrt()) as f32, EPSILON as f32, step.rates.len());
     (param, first, second)
 }

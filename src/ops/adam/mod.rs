@@ -20,26 +20,37 @@ const EPSILON: f64 = 1e-15;
 
 /// One step.
 ///
-/// With the gradient `g` and the step number `t`:
+/// With the mean gradient `g` of `B` views, `t` views so far, `b1 = 0.9^B` and `b2 = 0.999^B`:
 /// `m = b1 m + (1 - b1) g`, `v = b2 v + (1 - b2) g^2`,
-/// `p = p - rate (m / (1 - b1^t)) / (sqrt(v / (1 - b2^t)) + eps)`.
+/// `p = p - rate (m / (1 - 0.9^t)) / (sqrt(v / (1 - 0.999^t)) + eps)`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AdamStep {
     /// Learning rates: one for all scalars, or one for each column of the row-major scalars.
     pub rates: Vec<f64>,
-    /// Number of this step, from 1.
-    pub step: u32,
+    /// Views until the end of this step: its number, from 1, where steps have one view.
+    pub views: u32,
+    /// Views of this step.
+    pub batch: u32,
 }
 
 impl AdamStep {
-    /// Step `step` (from 1) with the constants of 3DGS: betas 0.9 and 0.999, epsilon 1e-15.
+    /// Step `step` (from 1), of one view, with the constants of 3DGS: betas 0.9 and 0.999, epsilon 1e-15.
     pub fn splatting(rates: Vec<f64>, step: u32) -> Self {
-        Self { rates, step }
+        Self {
+            rates,
+            views: step,
+            batch: 1,
+        }
+    }
+
+    /// What both moments keep in this step.
+    fn betas(&self) -> [f64; 2] {
+        [BETA1, BETA2].map(|beta| beta.powi(self.batch as i32))
     }
 
     /// `1 - beta^t` of both moments.
     fn corrections(&self) -> (f64, f64) {
-        let t = f64::from(self.step.max(1));
+        let t = f64::from(self.views.max(1));
         (1.0 - BETA1.powf(t), 1.0 - BETA2.powf(t))
     }
 }
@@ -115,8 +126,9 @@ pub fn adam_step_plain<const D: usize>(
     step: &AdamStep,
 ) -> AdamTensors<D> {
     let (c1, c2) = step.corrections();
-    let first = state.first * BETA1 + grad.clone() * (1.0 - BETA1);
-    let second = state.second * BETA2 + grad.clone() * grad * (1.0 - BETA2);
+    let [beta1, beta2] = step.betas();
+    let first = state.first * beta1 + grad.clone() * (1.0 - beta1);
+    let second = state.second * beta2 + grad.clone() * grad * (1.0 - beta2);
     let direction = first.clone() * (1.0 / c1) / ((second.clone() * (1.0 / c2)).sqrt() + EPSILON);
     let shape = direction.dims();
     let period = step.rates.len();

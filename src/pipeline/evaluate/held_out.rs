@@ -8,6 +8,7 @@ use crate::metrics::{
 };
 use crate::objects::{Identities, LabelMaps, has_truth};
 use crate::pipeline::segmentation_inputs::SegmentationInputs;
+use crate::ranks;
 use crate::raster::SplatTensors;
 
 /// Test views with truth.
@@ -80,12 +81,13 @@ impl<'a> HeldOut<'a> {
         let source = config.render;
         let coverage = config.min_coverage as f32;
         let maps = LabelMaps::new(identities, &inputs.scene.classes, source, coverage);
-        let map = |&view: &&'a View| {
+        let map = |view: &&View| {
             let seen = self.splats.seen_by(&view.camera, &inputs.settings);
-            Ok((view, LabelRuns::from(maps.of(&seen)?)))
+            Ok(LabelRuns::from(maps.of(&seen)?))
         };
-        let found: Vec<_> = self.views.iter().map(map).collect::<Result<_>>()?;
-        Ok(self.scores(&found))
+        let found = ranks::divided(&self.views, map)?;
+        let views = self.views.iter().copied();
+        Ok(self.scores(&views.zip(found).collect::<Vec<_>>()))
     }
 
     /// Scores of the raw labels of the views, and those against true labels with void predictions left out.

@@ -5,6 +5,7 @@ use crate::data::{LabelMap, Scene, Split, View};
 use crate::error::Result;
 use crate::metrics::ImageScores;
 use crate::objects::{LabelMaps, RenderOptions, Renderer};
+use crate::ranks;
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 
@@ -54,14 +55,12 @@ impl Pictures {
         Ok((rgb, scores, maps.collect::<Result<_>>()?))
     }
 
-    /// Mean scores of `views`.
+    /// Mean scores of `views`, which [ranks](crate::ranks) divide.
     ///
     /// # Errors
     /// As [`Pictures::of`].
     pub fn score<'v>(&self, views: impl Iterator<Item = &'v View>) -> Result<ImageScores> {
-        let scores: Vec<_> = views
-            .map(|view| Ok(self.of(view)?.1))
-            .collect::<Result<_>>()?;
+        let scores = ranks::divided(views, |view| Ok(self.of(view)?.1))?;
         Ok(ImageScores::mean(&scores))
     }
 }

@@ -112,7 +112,7 @@ pub fn distil(
         features: parameter(features, [count, CHANNELS], device),
         decoder: linear(CHANNELS, SCALES * dimensions, &mut rng, device),
     };
-    let mut adam = Adam::new(RATE, None);
+    let mut adam = Adam::new(RATE, 1, None);
     let iterations = config.segmentation.iterations;
     progress.event(&Event::Started {
         stage: "distillation",

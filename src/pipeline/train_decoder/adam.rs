@@ -17,34 +17,40 @@ const MEAN: &str = "mean";
 /// burn's Adam over all parameters of a module, and the mean of the parameters over the last steps.
 #[derive(Clone)]
 pub struct Adam {
-    /// Learning rate at its highest.
+    /// Learning rate at its highest, for steps of one view.
     pub rate: f64,
+    /// Views of a step.
+    batch: usize,
     steps: usize,
     /// Both moments, `[P]`; absent before the first step.
     state: Option<AdamState<1>>,
-    /// Step after which the parameters are averaged.
+    /// Steps after which the parameters are averaged.
     average_from: Option<usize>,
     mean: Option<Tensor<1>>,
 }
 
 impl Adam {
-    /// Fresh state at learning rate `rate`. Keeps the mean of the parameters over the steps after `average_from`
-    /// (Polyak and Juditsky 1992).
-    pub fn new(rate: f64, average_from: Option<usize>) -> Self {
+    /// Fresh state at learning rate `rate`, for steps of `batch` views. Keeps the mean of the parameters over the steps after
+    /// `average_from` views (Polyak and Juditsky 1992).
+    pub fn new(rate: f64, batch: usize, average_from: Option<usize>) -> Self {
         Self {
             rate,
+            batch,
             steps: 0,
             state: None,
-            average_from,
+            average_from: average_from.map(|views| views.div_ceil(batch)),
             mean: None,
         }
     }
 
-    /// Moves `module` against `gradient` `[P]` at `factor` times the learning rate.
+    /// Moves `module` against the mean `gradient` `[P]` of a batch at `factor` times the learning rate. Rate and decay follow from
+    /// those of one view as in Grendel-GS (Zhao et al. 2024).
     pub fn step<M: Module>(&mut self, module: M, gradient: Tensor<1>, factor: f64) -> M {
         self.steps += 1;
-        let adam = AdamConfig::new().with_epsilon(EPSILON).build();
-        let rate = self.rate * factor;
+        let [beta1, beta2] = [0.9_f32, 0.999].map(|beta| beta.powi(self.batch as i32));
+        let adam = AdamConfig::new().with_epsilon(EPSILON);
+        let adam = adam.with_beta_1(beta1).with_beta_2(beta2).build();
+        let rate = self.rate * factor * (self.batch as f64).sqrt();
         let (moved, state) = adam.step(rate, parameters(&module), gradient, self.state.take());
         self.state = state;
         self.average(&moved);

@@ -7,6 +7,7 @@
 
 use crate::backend::device::read;
 use crate::error::Result;
+use crate::ranks;
 use crate::segmentation::loss::Scores;
 use crate::segmentation::pixels::{LabelledPixels, NO_CLASS};
 
@@ -42,37 +43,80 @@ impl ClassRecall {
     /// # Errors
     /// Those of [`LabelledPixels::blend`] and of reading from the device.
     pub fn measure(
-        &mut self,
+        &self,
         scores: &Scores,
         pixels: &LabelledPixels,
         iteration: usize,
-    ) -> Result<()> {
-        if !iteration.is_multiple_of(INTERVAL) {
-            return Ok(());
-        }
+    ) -> Result<Measurement> {
         let classes = self.0.len();
+        let mut measured = Measurement::none(classes);
+        if !iteration.is_multiple_of(INTERVAL) {
+            return Ok(measured);
+        }
         let chosen = some_of_each(&pixels.labels, classes);
         if chosen.is_empty() {
-            return Ok(());
+            return Ok(measured);
         }
         let chosen_pixels = pixels.at(&chosen);
         let probabilities = scores.at(&chosen).probabilities(&chosen_pixels)?;
         let probabilities = read("class probabilities of pixels", probabilities)?;
-        let mut sums = vec![(0.0, 0.0); classes];
         for (row, &label) in probabilities
             .chunks_exact(classes)
             .zip(chosen_pixels.labels.iter())
         {
-            let (sum, count) = &mut sums[usize::from(label)];
-            *sum += f64::from(row[usize::from(label)]);
-            *count += 1.0;
+            measured.sums[usize::from(label)] += f64::from(row[usize::from(label)]);
+            measured.counts[usize::from(label)] += 1.0;
         }
-        for (recall, (sum, count)) in self.0.iter_mut().zip(sums) {
-            if count > 0.0 && f64::is_finite(sum) {
-                *recall += (count / MEMORY_PIXELS).min(MAX_SHARE) * (sum / count - *recall);
+        Ok(measured)
+    }
+
+    /// The means with what was `measured` after them.
+    pub fn after(&self, measured: &Measurement) -> Self {
+        let measured = measured.sums.iter().zip(&measured.counts);
+        let recalls = self.0.iter().zip(measured).map(|(&recall, (sum, count))| {
+            if *count > 0.0 && sum.is_finite() {
+                recall + (count / MEMORY_PIXELS).min(MAX_SHARE) * (sum / count - recall)
+            } else {
+                recall
             }
+        });
+        Self(recalls.collect())
+    }
+}
+
+/// Probabilities that a model gives to the labels of pixels, by class.
+#[derive(Clone, Debug)]
+pub struct Measurement {
+    sums: Vec<f64>,
+    counts: Vec<f64>,
+}
+
+impl Measurement {
+    /// No pixels.
+    pub fn none(classes: usize) -> Self {
+        Self {
+            sums: vec![0.0; classes],
+            counts: vec![0.0; classes],
         }
-        Ok(())
+    }
+
+    /// Adds the pixels of `other`.
+    pub fn add(&mut self, other: &Self) {
+        let pairs = [
+            (&mut self.sums, &other.sums),
+            (&mut self.counts, &other.counts),
+        ];
+        for (sums, values) in pairs {
+            sums.iter_mut()
+                .zip(values)
+                .for_each(|(sum, value)| *sum += value);
+        }
+    }
+
+    /// Adds the pixels of the other ranks.
+    pub fn sum_over_ranks(&mut self) {
+        ranks::sum(&mut self.sums);
+        ranks::sum(&mut self.counts);
     }
 }
 
@@ -141,7 +185,8 @@ mod tests {
         let mut learn = |logits: [f32; 3], steps: usize| {
             // Logits of the one Gaussian behind all pixels.
             let scores = Scores::Gaussians(Tensor::<2>::from_data([logits], &device));
-            (0..steps).for_each(|i| recall.measure(&scores, &pixels, i).unwrap());
+            (0..steps)
+                .for_each(|i| recall = recall.after(&recall.measure(&scores, &pixels, i).unwrap()));
             (
                 recall
                     .robustness(0.3)

@@ -1,7 +1,8 @@
 //! Stage two: identities are learned from raw labels while the geometry is frozen.
 //!
-//! [`Training::step`] is one iteration. It draws labelled pixels of a view, decodes the scores of the visible Gaussians (Eq. 7),
-//! blends them into the pixels (Eq. 3), takes the CoSeg loss (Eq. 8 to 10), and makes a step of Adam. [`Training::run`] repeats it.
+//! [`Training::step`] goes through the views of a batch, by default one. For each it draws labelled pixels, decodes the scores of the
+//! visible Gaussians (Eq. 7), blends them into the pixels (Eq. 3), and takes the CoSeg loss (Eq. 8 to 10). Then it makes a step of
+//! Adam. [`Training::run`] repeats it.
 
 mod adam;
 mod checkpoint;
@@ -10,12 +11,13 @@ mod decoder_model;
 mod per_gaussian;
 mod plan;
 mod sampling;
+mod step;
 mod view_input;
 mod views;
 
 pub use self::adam::Adam;
 pub(super) use self::adam::parameter_gradients;
-pub use self::class_recall::ClassRecall;
+pub use self::class_recall::{ClassRecall, Measurement};
 pub use self::decoder_model::{DecodedParts, DecoderModel, DecoderPlan, dropped_channels};
 pub use self::per_gaussian::{Logits, PerGaussian};
 pub use self::plan::TrainingPlan;
@@ -29,8 +31,7 @@ use crate::error::{Error, Result};
 use crate::objects::Identities;
 use crate::progress::{CurvePoint, Event, Progress};
 use crate::provenance::Provenance;
-use crate::random::{Purpose, stream};
-use crate::reconstruction::optimizer::finite_loss;
+use crate::ranks;
 use crate::segmentation::loss::{CoSegLoss, Scores};
 use burn::module::Module;
 use burn::tensor::{Gradients, Tensor};
@@ -197,85 +198,6 @@ impl<M: IdentityModel> Training<M> {
         4 * self.module.num_params()
     }
 
-    /// One iteration. Returns the loss, 0 for a view without labelled pixels.
-    ///
-    /// # Errors
-    /// [`Error::NonFinite`] naming view and iteration, [`Error::Limit`] and [`Error::Device`] where a GPU fails. The model is
-    /// unchanged then.
-    pub fn step(&mut self, views: &mut TrainingViews, plan: &TrainingPlan) -> Result<f32> {
-        let view = view_at(plan.seed, self.iteration, views.len());
-        let loss = self.step_on(view, views, plan);
-        let loss = loss.map_err(|error| match error {
-            Error::NonFinite { tensor, row, .. } => {
-                let name = views.name(view);
-                let iteration = self.iteration;
-                let context = format!(", view {name}, segmentation iteration {iteration}");
-                Error::NonFinite {
-                    tensor,
-                    row,
-                    context,
-                }
-            }
-            other => other,
-        })?;
-        self.iteration += 1;
-        Ok(loss)
-    }
-
-    fn step_on(
-        &mut self,
-        view: usize,
-        views: &mut TrainingViews,
-        plan: &TrainingPlan,
-    ) -> Result<f32> {
-        let mut rng = stream(plan.seed, Purpose::Pixels, self.iteration as u64);
-        let sample = views.sample(view, plan.config.pixel_share, &mut rng)?;
-        if sample.pixels.is_empty() {
-            return Ok(0.0);
-        }
-        let visible = &sample.visible;
-        let decoded = self
-            .model
-            .decode(&self.module, view, visible, self.iteration)?;
-        let scores = sample.blended(decoded.scores.clone(), plan.config.blend)?;
-        let coseg = self.coseg_loss(plan, &scores, &sample)?;
-        let rendered = Rendered {
-            view,
-            iteration: self.iteration,
-            sample: &sample,
-            scores,
-            regularisation: decoded.regularisation.clone(),
-        };
-        let loss = self.model.loss(&coseg, rendered)?;
-        let gradients = &mut loss.backward();
-        let gradient = self.model.gradient(&self.module, view, &decoded, gradients);
-        let named = [("the parameters", &gradient)];
-        let value = finite_loss("segmentation loss", loss.inner(), &named)?;
-        let factor = plan.rate_factor(self.iteration);
-        self.module = self.adam.step(self.module.clone(), gradient, factor);
-        Ok(value)
-    }
-
-    /// Eq. 10 in this iteration.
-    fn coseg_loss(
-        &mut self,
-        plan: &TrainingPlan,
-        scores: &Scores,
-        sample: &ViewSample,
-    ) -> Result<CoSegLoss> {
-        let mut robustness = Vec::new();
-        if plan.least_recall > 0.0 {
-            self.recall
-                .measure(scores, &sample.pixels, self.iteration)?;
-            robustness = self.recall.robustness(plan.least_recall);
-        }
-        Ok(CoSegLoss {
-            label: plan.label_loss(self.iteration),
-            lambda: plan.weights_of_means(sample.pixels.len()),
-            robustness,
-        })
-    }
-
     /// The identities to store. They come from the mean of the parameters where it is kept.
     ///
     /// # Errors
@@ -300,6 +222,7 @@ impl<M: IdentityModel> Training<M> {
     ) -> Result<()> {
         self.resume(plan, schedule)?;
         self.earlier_seconds = self.seconds;
+        ranks::expect_same("the iterations done", self.iteration.to_string())?;
         progress.event(&Event::Started {
             stage: schedule.variant,
             done: self.iteration,
@@ -308,19 +231,24 @@ impl<M: IdentityModel> Training<M> {
         let mut stop = false;
         while self.iteration < plan.config.iterations && !stop {
             let clock = Instant::now();
+            let before = self.iteration;
             let loss = f64::from(self.step(views, plan)?);
             self.seconds += clock.elapsed().as_secs_f64();
-            self.losses.sum += loss;
-            self.losses.count += 1.0;
             let iteration = self.iteration;
+            let batch = (iteration - before) as f64;
+            self.losses.sum += loss * batch;
+            self.losses.count += batch;
             progress.event(&Event::Step {
                 iteration,
                 loss,
                 gaussians: schedule.gaussians,
             });
-            stop = progress.stop();
+            stop = ranks::any(progress.stop())?;
             let end = iteration == plan.config.iterations;
-            let due = |every: usize| end || iteration.is_multiple_of(every.max(1));
+            let due = |every: usize| {
+                let crossed = iteration / every.max(1) > before / every.max(1);
+                end || crossed
+            };
             // A stop adds no point, so that the curve of a resumed run equals that of an uninterrupted one.
             if due(schedule.eval_every) {
                 let point = self.evaluated(schedule.gaussians, evaluate)?;
@@ -328,6 +256,7 @@ impl<M: IdentityModel> Training<M> {
             }
             if let Some(path) = &schedule.checkpoint
                 && (stop || due(schedule.checkpoint_every))
+                && ranks::index() == 0
             {
                 self.save(&schedule.provenance, path)?;
             }
@@ -335,6 +264,7 @@ impl<M: IdentityModel> Training<M> {
         if self.iteration < plan.config.iterations {
             return Err(Error::Stopped);
         }
+        self.compare_ranks(schedule.variant)?;
         progress.event(&Event::Finished);
         Ok(())
     }

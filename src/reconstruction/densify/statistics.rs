@@ -2,6 +2,7 @@
 
 use crate::backend::device::{indices, read, upload};
 use crate::error::Result;
+use crate::ranks;
 use burn::tensor::{Device, Tensor};
 
 /// Screen-space gradients since the last densification.
@@ -57,6 +58,19 @@ impl GradientAccumulator {
         let seen = radii.greater_elem(0.0).float();
         self.gradient = self.gradient.clone() + length * seen.clone();
         self.visible = self.visible.clone() + seen;
+    }
+
+    /// The sums of all ranks.
+    ///
+    /// # Errors
+    /// [`crate::Error::Device`] when the device does not return them.
+    pub fn of_all_ranks(self) -> Result<Self> {
+        let [gradient, visible] = [self.gradient, self.visible]
+            .map(|values| ranks::sum_tensor("screen-space gradients", values));
+        Ok(Self {
+            gradient: gradient?,
+            visible: visible?,
+        })
     }
 
     /// Keeps `rows`.

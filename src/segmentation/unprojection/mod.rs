@@ -29,6 +29,7 @@ use crate::config::{Normalisation, UnprojectionConfig};
 use crate::data::View;
 use crate::error::{Error, Result, invalid};
 use crate::features::{SCALES, ViewFeatures};
+use crate::ranks;
 use crate::raster::Settings;
 use crate::splat::Gaussians;
 use burn::tensor::Device;
@@ -77,6 +78,16 @@ impl<E: Real> Sums<E> {
     }
 }
 
+impl Sums<f32> {
+    /// Adds the views of the other ranks.
+    fn add_other_ranks(&mut self) {
+        let buffers = self.buffers.iter_mut().chain(&mut self.weights);
+        buffers.for_each(|values| ranks::sum(values));
+        self.counts.iter_mut().for_each(|counts| ranks::sum(counts));
+        ranks::sum(&mut self.pixels);
+    }
+}
+
 /// Features of every Gaussian.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unprojected {
@@ -86,9 +97,9 @@ pub struct Unprojected {
     pub keep: Vec<bool>,
 }
 
-/// Lifts `features` of `views` (the training views, in this order) onto `gaussians`, of the pixels that the views' masks use. The
-/// sums are made on `device`. The features of a view are dropped before the next ones are requested. Calls `advance` after each
-/// view.
+/// Lifts `features` of `views` (the training views of this [rank](crate::ranks), in this order) onto `gaussians`, of the pixels that
+/// the views' masks use. The sums are made on `device`, and are those of all ranks. The features of a view are dropped before the
+/// next ones are requested. Calls `advance` after each view.
 ///
 /// # Errors
 /// [`Error::Argument`] when views and features do not match, or a mask has another size than its view; what [`Sums::add`]
@@ -130,10 +141,11 @@ pub fn unproject<'a, F: Borrow<ViewFeatures>>(
         let expected = format!("{} or more", views.len() + 1);
         return Err(mismatch(format!("{} views", views.len()), expected));
     }
-    let sums = match lifted {
+    let mut sums = match lifted {
         Some(lifted) => lifted.finish()?,
         None => Sums::new(gaussians.len(), &[0; SCALES]),
     };
+    sums.add_other_ranks();
     Ok(Unprojected::new(sums, config))
 }
 
@@ -160,8 +172,8 @@ impl Unprojected {
 }
 
 /// Attendance pruning without features: which of `gaussians` are kept, `[N]`. These are the Gaussians that [`unproject`] of any
-/// features of `views` at `image` resolution keeps. At `feature` resolution the counted cells are those of the maps, which this
-/// does not know.
+/// features of `views`, those of this [rank](crate::ranks), at `image` resolution keeps. At `feature` resolution the counted cells are
+/// those of the maps, which this does not know.
 ///
 /// # Errors
 /// As [`crate::raster::Projected::new`]; [`Error::Config`] for a mask of another size than its view; [`Error::Device`] where a
@@ -187,6 +199,7 @@ pub fn attended<'a>(
             .for_each(|(sum, count)| *sum += count);
         sums.pixels[0] += pixels;
     }
+    sums.add_other_ranks();
     Ok(sums.attended(config))
 }
 

@@ -35,7 +35,11 @@ fn adam_steps_with_one_rate_and_with_one_a_column() {
                 state = adam_step(
                     state,
                     plain(&gradient, on),
-                    &Arc::new(AdamStep::splatting(rates.clone(), step)),
+                    &Arc::new(AdamStep {
+                        rates: rates.clone(),
+                        views: 2 * step,
+                        batch: 2,
+                    }),
                 );
             }
             // Somebody else held it: the step wrote elsewhere.

@@ -34,7 +34,7 @@ fn worst(a: Tensor<2>, b: Tensor<2>) -> f64 {
     worst / rms
 }
 
-fn compare(dtype: DType, tolerance: f64) {
+fn compare(dtype: DType, batch: u32, tolerance: f64) {
     let device = device();
     let shape = [1234, 7];
     let tensor = |v: Vec<f64>| Tensor::<2>::from_data(TensorData::new(v, shape), (&device, dtype));
@@ -48,7 +48,11 @@ fn compare(dtype: DType, tolerance: f64) {
     for step in 1..=20 {
         let gradient = tensor(wave(n, 0.1 * f64::from(step)));
         let rates = (1..=7).map(|k| 1e-3 * f64::from(k)).collect();
-        let step = Arc::new(AdamStep::splatting(rates, step));
+        let step = Arc::new(AdamStep {
+            rates,
+            views: step * batch,
+            batch,
+        });
         fused = adam_step(fused, gradient.clone(), &step);
         plain = adam_step_plain(plain, gradient, &step);
     }
@@ -64,8 +68,10 @@ fn compare(dtype: DType, tolerance: f64) {
 
 #[test]
 fn fused_step_equals_plain_tensors() {
-    compare(DType::F32, 2e-6);
-    compare(DType::F64, 1e-13);
+    for batch in [1, 4] {
+        compare(DType::F32, batch, 2e-6);
+        compare(DType::F64, batch, 1e-13);
+    }
 }
 
 /// With one constant gradient each bias-corrected step is the rate, whatever the gradient's size.

@@ -186,7 +186,7 @@ fn trained(
     scene: &Scene,
     steps: usize,
 ) -> Vec<(f32, Vec<f32>)> {
-    let mut adam = Adam::new(1e-2, None);
+    let mut adam = Adam::new(1e-2, 1, None);
     let step = |iteration| {
         let (loss, gradient) = step(&mut model, &decoder, scene, iteration);
         let device = crate::support::device();

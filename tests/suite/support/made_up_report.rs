@@ -208,6 +208,7 @@ pub fn metrics() -> Metrics {
             segmentation: 96.0,
             total: 262.0,
         },
+        ranks: None,
         peak_memory_bytes: Some(1_310_000_000),
         learnable_bytes: [
             ("gaussians".to_owned(), 9_735_000),
