@@ -55,7 +55,7 @@ impl Pictures {
         Ok((rgb, scores, maps.collect::<Result<_>>()?))
     }
 
-    /// Mean scores of `views`, which [ranks](crate::ranks) divide.
+    /// Mean scores of `views`, which [ranks] divide.
     ///
     /// # Errors
     /// As [`Pictures::of`].

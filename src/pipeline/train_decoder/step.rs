@@ -23,7 +23,7 @@ struct Pass {
 }
 
 impl<M: IdentityModel> Training<M> {
-    /// One step: the next iterations, as many as a batch has, divided among [ranks](crate::ranks). Returns their mean loss, 0 for views
+    /// One step: the next iterations, as many as a batch has, divided among [ranks]. Returns their mean loss, 0 for views
     /// without labelled pixels.
     ///
     /// # Errors

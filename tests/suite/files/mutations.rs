@@ -24,6 +24,7 @@ use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 use glam::DVec3;
 use serde_json::{Map, json};
+use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -39,9 +40,15 @@ const LONGEST: Duration = Duration::from_secs(10);
 /// When the process ends: a test cannot end a read that hangs.
 const HANGS: Duration = Duration::from_secs(60);
 
-/// Reads mutations of the file.
+/// Reads mutations of the file. With COSEG_CORPUS in the environment, a copy of it goes to a folder there by its extension, for `fuzz/`.
 pub fn survives<T>(path: &Path, read: impl Fn(&Path) -> T) {
     let whole = fs::read(path).expect("a file of the corpus");
+    if let Some(corpus) = std::env::var_os("COSEG_CORPUS") {
+        let folder = Path::new(&corpus).join(path.extension().unwrap_or_default());
+        fs::create_dir_all(&folder).expect("a folder");
+        let name = format!("{:x}", Sha256::digest(&whole));
+        fs::write(folder.join(name), &whole).expect("a copy");
+    }
     let mut damage = Damage::new(3);
     let begun = watchdog(path);
     for number in 0..MUTATIONS {
