@@ -61,6 +61,7 @@ Examples:
   coseg train --data scenes/fox --scene other/point_cloud.ply          stage two alone, on Gaussians of another trainer
   coseg train --data scenes/fox --scene other/point_cloud.ply --set building.iterations=2000      trained further first
   coseg train --data scenes/fox --view                                 shows the scene as it grows (feature `serve`)
+  mpirun -n 4 coseg train --data scenes/fox                            on four processes (feature `mpi`, docs/scale.md)
   coseg train --resume runs/fox
   coseg train --resume runs/fox --corrections edits.json               labels corrected in its page count as true
   coseg train --resume runs/fox --data elsewhere/fox                   its scene has moved";

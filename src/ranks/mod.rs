@@ -1,8 +1,8 @@
 //! Ranks: the processes of one `mpirun`, which train one run together.
 //!
-//! Each rank holds the whole scene and computes on its share of the views. What they find is summed or gathered, to the same bits on
-//! every rank, so all ranks take the same decisions. All of them have to call [`sum`], [`gather`], [`divided`] and [`any`] in the same
-//! order. A process that `mpirun` did not start is one rank alone; these functions then change nothing.
+//! Each rank holds the whole scene and computes on its share of the views. What they find is summed or gathered, to the same bits
+//! on every rank, so all ranks take the same decisions. All of them have to call [`sum`], [`gather`] and what uses these in the
+//! same order. A process that `mpirun` did not start is one rank alone; these functions then change nothing.
 
 #[cfg(feature = "mpi")]
 mod world;
