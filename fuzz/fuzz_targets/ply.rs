@@ -1,0 +1,9 @@
+//! A 3DGS PLY.
+
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| coseg_fuzz::read(
+    "scene.ply",
+    bytes,
+    coseg::splat::ply::read
+));
