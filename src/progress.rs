@@ -97,7 +97,7 @@ pub trait Progress {
     /// Called after each event.
     fn event(&mut self, event: &Event);
 
-    /// Whether to end the run with [`Error::Stopped`]. Called after each iteration, after each view of features, unprojection and
+    /// Whether to end the run with [`Error::Stopped`]. Called after each step of training, after each view of features, unprojection and
     /// association, and between the parts of a run. A resumed run continues training from a checkpoint, and repeats a stage that learns nothing.
     fn stop(&mut self) -> bool {
         false

@@ -299,7 +299,7 @@ fn summary(outcome: &Outcome) {
     }
     if let Some(traffic) = &outcome.traffic {
         terminal::say(&format!(
-            "{} ranks; each sent {:.1} MB in a step of stage one, {:.0} MB in all of it, and {:.0} MB afterwards",
+            "{} ranks; each put {:.1} MB into the sums of a step of stage one, {:.0} MB in all of it, and {:.0} MB afterwards",
             traffic.ranks,
             traffic.building_step_bytes as f64 / 1e6,
             traffic.building_bytes as f64 / 1e6,

@@ -74,7 +74,7 @@ pub struct Outcome {
     pub spatial: String,
     /// Where the time went.
     pub seconds: Seconds,
-    /// What several ranks sent to each other.
+    /// What several ranks put into sums and gathered values.
     pub traffic: Option<Traffic>,
     /// The settings as they ran, with the chosen variants where none were named.
     pub config: Config,

@@ -10,7 +10,7 @@ mod world;
 #[cfg(not(feature = "mpi"))]
 use self::alone as world;
 use crate::backend::device::{read, upload};
-use crate::error::{Error, Result, ensure};
+use crate::error::{Error, Result, bail, ensure};
 use burn::tensor::Tensor;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -40,10 +40,10 @@ pub fn start() -> Result<()> {
     if started < 2 {
         return Ok(());
     }
-    let joined = world::start();
-    ensure!(joined.is_some(), argument "mpirun"; found "{started} processes"; expected "a build that joins them";
-        help "build with `--features mpi`");
-    let (index, count) = joined.unwrap_or((0, 1));
+    let Some((index, count)) = world::start() else {
+        bail!(argument "mpirun"; found "{started} processes"; expected "a build that joins them";
+            help "build with `--features mpi`");
+    };
     ensure!(count == started, argument "mpirun"; found "{started} processes, of which {count} joined";
         expected "all"; help "use the mpirun of the MPI library that coseg was built with");
     INDEX.store(index, Ordering::Relaxed);

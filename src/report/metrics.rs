@@ -26,7 +26,7 @@ pub struct Metrics {
     pub test: TestScores,
     /// Where the time went.
     pub seconds: Seconds,
-    /// What several ranks sent to each other.
+    /// What several ranks put into sums and gathered values.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ranks: Option<Traffic>,
     /// Peak resident memory of the process; `None` where the system does not report it.

@@ -9,6 +9,8 @@ use burn::tensor::{Gradients, Tensor};
 
 /// Added to the root of the second moment.
 const EPSILON: f32 = 1e-8;
+/// What both moments keep in a step of one view.
+const BETAS: [f32; 2] = [0.9, 0.999];
 /// Names of the vectors in a checkpoint.
 const FIRST: &str = "first moment";
 const SECOND: &str = "second moment";
@@ -47,7 +49,7 @@ impl Adam {
     /// those of one view as in Grendel-GS (Zhao et al. 2024).
     pub fn step<M: Module>(&mut self, module: M, gradient: Tensor<1>, factor: f64) -> M {
         self.steps += 1;
-        let [beta1, beta2] = [0.9_f32, 0.999].map(|beta| beta.powi(self.batch as i32));
+        let [beta1, beta2] = BETAS.map(|beta| beta.powi(self.batch as i32));
         let adam = AdamConfig::new().with_epsilon(EPSILON);
         let adam = adam.with_beta_1(beta1).with_beta_2(beta2).build();
         let rate = self.rate * factor * (self.batch as f64).sqrt();

@@ -82,7 +82,7 @@ fn two_and_four_ranks_are_one_rank_with_the_same_batch() {
             return;
         };
         assert!(
-            said.contains(&format!("{batch} ranks; each sent ")),
+            said.contains(&format!("{batch} ranks; each put ")),
             "{said}"
         );
         let [alone, together] = [alone, together].map(|name| folder.join(name));
