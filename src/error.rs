@@ -115,9 +115,9 @@ pub enum Error {
         path: PathBuf,
         /// Line, field or tensor name within it.
         field: String,
-        /// What stands there.
+        /// What is there.
         found: String,
-        /// What should stand there.
+        /// What should be there.
         expected: String,
         /// What the user can do.
         help: String,
@@ -180,7 +180,7 @@ pub enum Error {
         /// What the user can do.
         help: String,
     },
-    /// [`Progress::stop`](crate::progress::Progress::stop) ended the work. Files of what is done stay; the same call continues.
+    /// [`Progress::stop`](crate::progress::Progress::stop) ended the work. Files of finished parts stay; the same call continues.
     #[error("stopped")]
     Stopped,
     /// The compute device is missing or refused the work.
@@ -198,7 +198,7 @@ pub enum Error {
 /// Characters of what was found that a message shows, at most.
 const MAX_FOUND: usize = 400;
 
-/// `text` without its end, where it is long: files may hold values of any length.
+/// `text`, cut off where it is long: files may hold values of any length.
 #[doc(hidden)]
 pub fn clipped(mut text: String) -> String {
     if let Some((end, _)) = text.char_indices().nth(MAX_FOUND) {

@@ -1,4 +1,4 @@
-//! The annotations that `coseg render` makes of label maps.
+//! The annotations that `coseg render` makes from label maps.
 
 use super::terminal;
 use clap::ValueEnum;
@@ -22,7 +22,7 @@ pub enum AnnotationFormat {
 /// The COCO file of all frames.
 const INSTANCES: &str = "instances.json";
 
-/// Annotations in all formats that are asked for. Those of single frames are written at once, the others by [`Annotations::finish`].
+/// Annotations in all requested formats. Files for single frames are written at once, the others by [`Annotations::finish`].
 pub struct Annotations<'a> {
     formats: &'a [AnnotationFormat],
     coco: CocoInstances,
@@ -38,7 +38,7 @@ pub struct Annotations<'a> {
 }
 
 impl<'a> Annotations<'a> {
-    /// Annotations without frames yet, for `folder`. `photos` are by the names of their frames.
+    /// Annotations for `folder`, without frames yet. `photos` has the names of their frames as keys.
     pub fn new(
         formats: &'a [AnnotationFormat],
         categories: &'a Categories,

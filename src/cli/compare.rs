@@ -1,4 +1,4 @@
-//! `coseg compare`: a table of variants on equal Gaussians, as a plan states it.
+//! `coseg compare`: a table of variants on the same Gaussians, from a plan.
 
 use super::progress::Bars;
 use super::train::{command_line, quoted};
@@ -15,7 +15,7 @@ const HELP: &str = "\
 A plan is a TOML file; docs/compare.md describes it, and configs/tables holds those of this crate.
 
 For each scene, stage one is trained once, into DIR/scenes. For each kind of labels, row and seed, stage two is trained on these
-Gaussians. A cell is stored as soon as it is done, and the next command keeps it: a table may be made in many parts. Cells of
+Gaussians. A cell is stored as soon as it is done, and the next command keeps it: a table can be made in many sittings. Cells with
 other settings, data or Gaussians, or of another commit of this program, are refused.
 
 DIR gets
@@ -45,7 +45,7 @@ pub struct CompareArgs {
     /// Take the Gaussians of this file or run as stage one of a scene; may be repeated
     #[arg(long, value_name = "SCENE=FILE.ply|RUN", value_parser = scene_and_file)]
     gaussians: Vec<(String, PathBuf)>,
-    /// Run only cells with this in their name scene/labels/row/seed
+    /// Run only cells whose name, scene/labels/row/seed, contains this
     #[arg(long, value_name = "TEXT", default_value = "")]
     only: String,
     /// Commit of this program, for the tables [default: as git says]

@@ -26,8 +26,8 @@ Examples:
   coseg data suggest scenes/living --count 6";
 
 const SUGGEST_HELP: &str = "\
-Each photo is the one that adds most to those before it. With --scene, the Gaussians are what the photos are to show. Without
-it, these are the initial points, taken as opaque and as large as their distances. A scene without initial points gets some
+Each photo is the one that adds most to those before it. With --scene, the photos are to show its Gaussians. Without
+it, they are to show the initial points, taken as opaque and as large as their distances. A scene without points gets some
 where its photos agree. Only training photos are named: nothing learns from held-out ones. A share of the scene is a share
 of the pixels of all training photos.
 

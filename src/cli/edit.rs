@@ -1,4 +1,4 @@
-//! `coseg edit`: objects of a labelled scene kept, removed, turned, moved and painted; edits of the viewer applied.
+//! `coseg edit`: keeps, removes, turns, moves and paints objects of a labelled scene, and applies edits of the viewer.
 
 use super::object_scene::EditedSceneArgs;
 use super::terminal;
@@ -21,7 +21,7 @@ copied beside it.
 --edits applies what was done in a page of `coseg view` and saved there: names, colours, labels of single Gaussians,
 deletions and moves (docs/edits.md). It belongs to one scene file, and no other is accepted.
 
-A scene has nothing where no photo looked, such as on the floor below a sofa that you remove.
+A scene is empty where no photo looked, such as on the floor below a sofa that you remove.
 
 Examples:
   coseg edit --scene runs/room/scene.ply --out without/scene.ply --remove sofa,table

@@ -69,7 +69,7 @@ enum FileFormat {
 }
 
 impl FileFormat {
-    /// The end of a file name, with its point, and the format, where this program writes it.
+    /// The end of a file name, with its dot, and the format, if this program writes it.
     fn parts(self) -> (&'static str, Option<Format>) {
         match self {
             Self::CompressedPly => (".compressed.ply", Some(Format::CompressedPly)),
@@ -222,11 +222,11 @@ impl ExportArgs {
         let has_table =
             !table.exists() || scene.classes.is_empty() || has_table(&table, &scene.classes)?;
         ensure!(has_table, &table, "classes"; found "those of {other}"; expected "those of the scene to export";
-            help "export into another folder, or write over them by --force");
+            help "export into another folder, or write over them with --force");
         let [from, to] = [&scene.path, out].map(|path| path.with_file_name(CAMERAS));
         let has_cameras = !from.is_file() || !to.is_file() || sha256(&from)? == sha256(&to)?;
         ensure!(has_cameras, &to, "cameras"; found "those of {other}"; expected "those of the scene to export";
-            help "export into another folder, or write over them by --force");
+            help "export into another folder, or write over them with --force");
         Ok(true)
     }
 }

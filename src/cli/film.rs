@@ -15,14 +15,14 @@ pub fn check(out: &Path) -> Result<()> {
     program::run(Command::new("ffmpeg").arg("-version"), MISSING, MISSING)
 }
 
-/// Writes a film of the pictures in the folder `out` whose names follow `pattern`, as of printf. Returns its name.
+/// Writes a film of the pictures in the folder `out` whose names follow `pattern`, as in printf. Returns its name.
 pub fn write(out: &Path, pattern: &str) -> Result<PathBuf> {
     let film = out.join(FILM);
     let failed = |e| Error::io(&film, "write", e);
     let folder = tempfile::tempdir().map_err(failed)?;
     let made = folder.path().join(FILM);
     let mut command = Command::new("ffmpeg");
-    // The folder is no part of the name, in which ffmpeg looks for patterns.
+    // ffmpeg looks for patterns in the whole name, so the folder is not a part of it.
     command.current_dir(out);
     command.args(["-nostdin", "-loglevel", "error", "-framerate", "30"]);
     command.args(["-i", pattern, "-pix_fmt", "yuv420p"]);
@@ -33,7 +33,7 @@ pub fn write(out: &Path, pattern: &str) -> Result<PathBuf> {
         "-movflags",
         "+faststart",
     ]);
-    let help = "the frames are there: make a film of them by another program";
+    let help = "the frames are there: make a film of them with another program";
     program::run(command.arg(&made), MISSING, help)?;
     atomic::write_bytes(&film, &std::fs::read(&made).map_err(failed)?)?;
     Ok(film)

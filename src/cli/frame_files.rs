@@ -41,7 +41,7 @@ impl FrameFiles<'_> {
     /// Writes depths, `[H, W]` world units.
     pub fn write_depth(&self, [width, height]: [usize; 2], depth: &[f32]) -> Result<()> {
         self.write_values("depth", &[height, width], depth, |path| {
-            // Casts end at 65,535.
+            // Casts saturate at 65,535.
             let ids = depth.iter().map(|v| (1000.0 * v).round() as u16).collect();
             LabelMap { width, height, ids }.write_wide(path)
         })

@@ -1,4 +1,4 @@
-//! `coseg from-photos`: a scene folder of photos without poses, or of a video.
+//! `coseg from-photos`: a scene folder from photos without poses, or from a video.
 
 use super::data::check;
 use super::label::{BEST, SegmenterArgs};
@@ -19,16 +19,16 @@ use std::path::{Path, PathBuf};
 const LABELS: &str = "labels_segmenter";
 
 const HELP: &str = "\
-Copies the photos, without their EXIF orientation, or takes the sharpest frames of a video by ffmpeg; finds their poses by
-COLMAP, taking all photos as those of one lens; checks the result as `coseg data check` does. COLMAP is the program `colmap` or
-the package pycolmap of python3; where both are there, the program if it has CUDA. The photos themselves stay as they are.
+Copies the photos, without their EXIF orientation, or takes the sharpest frames of a video with ffmpeg; finds their poses with
+COLMAP, which assumes one lens for all photos; checks the result as `coseg data check` does. COLMAP is the program `colmap` or
+the package pycolmap of python3; if both are there, the program if it has CUDA. The photos themselves stay as they are.
 Writes into a new folder
   images/           the photos or frames
   masks/            with --masks: a mask for each photo, white for a photo without one
   sparse/           COLMAP's models
   labels_segmenter/ with --segmenter: label maps, as `coseg label` writes them
   from-photos.json  what it was made from
-Ctrl-C stops; the same command continues. Steps that are done are not done again, but the photos must still be there.
+Ctrl-C stops; the same command continues. Finished steps are not repeated, but the photos must still be there.
 
 Examples:
   coseg from-photos photos --out scenes/living

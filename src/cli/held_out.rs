@@ -5,7 +5,7 @@ use coseg::data::Classes;
 use coseg::metrics::{ClassIou, PixelScores};
 use coseg::pipeline::HeldOutScores;
 
-/// Prints a line for each kind of score that is there, with `what` at its front.
+/// Prints a line for each kind of score that is there. Each line starts with `what`.
 pub fn print(scores: &HeldOutScores, what: &str) {
     let line = |kind: &str, figures: &[(&str, Option<f64>)]| {
         let figures: Vec<String> = figures

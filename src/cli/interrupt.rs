@@ -14,7 +14,7 @@ pub fn stop_requested() -> bool {
     STOP_REQUESTED.load(Ordering::Relaxed)
 }
 
-/// Says how a run that was stopped goes on, and gives its exit code.
+/// Says how to continue a run that was stopped, and returns its exit code.
 pub fn stopped(how: &str) -> ExitCode {
     terminal::note(&format!("stopped; {how}"));
     ExitCode::from(EXIT)
@@ -41,7 +41,7 @@ pub fn watch() {
 #[cfg(unix)]
 fn keeping_nohup(set: impl FnOnce()) {
     let mut action = std::mem::MaybeUninit::<libc::sigaction>::zeroed();
-    // SAFETY: without a new action this only writes the present one, plain numbers for which zeros are valid too.
+    // SAFETY: without a new action this only stores the present one in `action`: plain numbers, for which zeros are valid too.
     let action = unsafe {
         libc::sigaction(libc::SIGHUP, std::ptr::null(), action.as_mut_ptr());
         action.assume_init()

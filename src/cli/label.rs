@@ -9,7 +9,7 @@ use coseg::files::lock::Lock;
 use coseg::segmenter::{ClassFile, Contract, Job, Labelled, Network, label_scene};
 use std::path::{Path, PathBuf};
 
-/// Classes of each cell that scores keep.
+/// Classes that the scores of a cell keep.
 pub const BEST: usize = 5;
 
 const HELP: &str = "\
@@ -105,7 +105,7 @@ impl SegmenterArgs {
     pub fn expect_none(&self) -> Result<()> {
         ensure!(self.contract.is_none() && self.classes.is_none(),
             argument "--contract, --classes"; found "no segmenter";
-            expected "--segmenter FILE.onnx, which they are about"; help "name it, or leave them out");
+            expected "--segmenter FILE.onnx, to which they belong"; help "name it, or leave them out");
         Ok(())
     }
 }

@@ -50,7 +50,7 @@ impl LabelledArgs {
         let path = scene_path(&self.scene)?;
         ensure!(!atomic::same_file(&path, &self.out.join(SCENE)),
             argument "--out"; found "{}", self.out.display();
-            expected "another folder than that of the scene, which would be written over"; help "name a new folder");
+            expected "a folder other than that of the scene, which would be written over"; help "name a new folder");
         for name in [SCENE, CLASSES, CAMERAS] {
             own::check(self.out.join(name))?;
         }

@@ -7,7 +7,7 @@ use coseg::runs::{Merged, merge};
 use std::path::PathBuf;
 
 const HELP: &str = "\
-Takes the runs of all blocks of one split, in any order. Of each block it keeps the Gaussians whose centres lie in its core.
+Takes the runs of all blocks of one split, in any order. Keeps the Gaussians of each block whose centres lie in its core.
 Labels that are classes stay as they are. Objects that association found in each block get common ids: two of neighbouring
 blocks are one if most of their Gaussians lie in the same places where the blocks overlap. Writes scene.ply, classes.json,
 cameras.json, identities.safetensors and config.toml, which names the whole scene: `coseg eval` scores it on the held-out views.

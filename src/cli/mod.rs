@@ -82,7 +82,7 @@ Examples:
   coseg train                                  the built-in room, both stages, into runs/builtin
   coseg train --data scenes/living --out runs/living
   coseg label --data scenes/living --model segmenter.onnx --out labels/living
-  coseg from-photos photos --out scenes/living a scene folder of photos without poses, or of a video
+  coseg from-photos photos --out scenes/living a scene folder from photos without poses, or a video
   coseg data check scenes/living               all problems of a folder at once
   coseg train --resume runs/living             continue a run that was stopped
   coseg eval runs/living                       its scores on the held-out views
@@ -99,7 +99,7 @@ Examples:
   coseg export --scene runs/living --out living.spz
   coseg prune --scene runs/living --data scenes/living --out small --within 0.1
   coseg split --data scenes/house --blocks 3x2 blocks of a scene that is larger than a machine
-  coseg merge --out runs/house runs/?_?        one scene of their runs
+  coseg merge --out runs/house runs/?_?        one scene from their runs
   coseg bench --run runs/living                speed on this machine
   coseg compare configs/tables/table1.toml --data-root scenes --out runs/table1
 
@@ -112,9 +112,9 @@ Exit code: 0 success, 1 an error that says what to do, 2 options or settings tha
 pub enum Command {
     /// Turn photos and raw label maps into a segmented Gaussian scene
     Train(train::TrainArgs),
-    /// Label photos by a 2D segmenter: label maps, scores, classes
+    /// Label photos with a 2D segmenter: label maps, scores, classes
     Label(label::LabelArgs),
-    /// Make a scene folder of photos or a video: finds the poses
+    /// Make a scene folder from photos or a video: finds the poses
     FromPhotos(from_photos::FromPhotosArgs),
     /// Check a scene folder, or describe it
     Data(data::DataArgs),
@@ -132,7 +132,7 @@ pub enum Command {
     Objects(objects::ObjectsArgs),
     /// Make an object of the thing that a few pixels show, with or without labels
     Select(select::SelectArgs),
-    /// Find what a text says in a scene, by feature maps of CLIP; makes an object of it
+    /// Find what a text describes in a scene, by feature maps of CLIP; makes an object of it
     Query(query::QueryArgs),
     /// Split a label into objects that do not touch
     Separate(separate::SeparateArgs),
@@ -144,11 +144,11 @@ pub enum Command {
     Prune(prune::PruneArgs),
     /// Split a scene into overlapping blocks that are trained one by one
     Split(split::SplitArgs),
-    /// Put the trained blocks of a scene together
+    /// Merge the trained blocks of a scene
     Merge(merge::MergeArgs),
     /// Measure speed, error and memory on this machine
     Bench(bench::BenchArgs),
-    /// Make a table of variants on equal Gaussians, as a plan states it
+    /// Make a table of variants on the same Gaussians, from a plan
     Compare(compare::CompareArgs),
     /// Print a script that completes commands and options in a shell
     Completions(completions::CompletionsArgs),
@@ -211,7 +211,7 @@ const INPUTS: [&str; 11] = [
     "config",
 ];
 
-/// Most inputs that the message names.
+/// Number of inputs that the message names, at most.
 const NAMED: usize = 3;
 
 /// Prints what the command is about to read: that may take long, and progress bars are drawn on terminals only.

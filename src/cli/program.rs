@@ -4,10 +4,11 @@ use coseg::error::{Error, Result, clipped};
 use std::io;
 use std::process::{Command, Output};
 
-/// Last lines of what a program says that an error quotes.
+/// Number of last lines that an error quotes from a program.
 const QUOTED: usize = 5;
 
-/// Runs `command` to its end. The help of errors: what to do where the program is `missing`, and where it fails.
+/// Runs `command` to its end. `missing` and `failed` are the help of errors: what to do if there is no such program, and if it
+/// fails.
 pub fn run(command: &mut Command, missing: &str, failed: &str) -> Result<()> {
     let done = output(command, missing)?;
     expect_success(command, &done, failed)
@@ -22,7 +23,7 @@ pub fn output(command: &mut Command, missing: &str) -> Result<Output> {
     })
 }
 
-/// The error of `command` where it was `done` without success, with the last lines that it said. `failed`: what to do about it.
+/// An error with the last lines of `command`, if it is `done` without success. `failed`: what to do about it.
 pub fn expect_success(command: &Command, done: &Output, failed: &str) -> Result<()> {
     if done.status.success() {
         return Ok(());

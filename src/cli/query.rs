@@ -1,4 +1,4 @@
-//! `coseg query`: where a scene is what a text says, by image features of CLIP.
+//! `coseg query`: finds what a text describes in a scene, by image features of CLIP.
 
 use super::export::safe;
 use super::frame_files::{Format, FrameFiles, write_npy};
@@ -28,10 +28,10 @@ const LIFTED_BYTES: usize = 1 << 29;
 const HELP: &str = "\
 Lifts feature maps in the space of CLIP (of LSeg, OpenSeg or CLIP itself, all channels) onto the Gaussians, and compares
 them with texts as LERF does: the relevancy of a Gaussian is the share of --text in a softmax with each --negative, the
-smallest of these shares. 0.5 is neither. For each text, the scale with the highest relevancy is used.
+smallest of these shares. 0.5 means neither. For each text, the scale with the highest relevancy is used.
 
-The Gaussians above --threshold become an object with the text as its name, as with `coseg select`; where several texts
-apply, of the most relevant one. For each text TEXT the output folder gets
+The Gaussians above --threshold become an object with the text as its name, as with `coseg select`. Where several texts
+apply, the most relevant one counts. For each text TEXT the output folder gets
   scene.ply, classes.json, cameras.json   the scene with these objects
   TEXT/relevancy.npy                      [N] float32, in the order of scene.ply; 0 for Gaussians without features
   TEXT/STEM.relevancy.png                 held-out views, or those of --frame: grey up to 0.5, bright at the largest relevancy of a
@@ -138,7 +138,7 @@ impl QueryArgs {
         self.draw(&renderer, &cameras, &relevancies)
     }
 
-    /// The settings given, or else those of the run that the scene `path` is of, with what the options say.
+    /// The settings given, or else those of the run that the scene `path` belongs to, with what the options say.
     fn config(&self, path: &Path) -> Result<Config> {
         let beside = path.with_file_name(CONFIG);
         let mut settings = self.settings.clone();
@@ -148,7 +148,7 @@ impl QueryArgs {
         let mut config = settings.load(self.data.as_ref())?;
         let is_of_run = self.settings.config.is_none() && settings.config.is_some();
         ensure!(config.data.dir.is_some() || is_of_run, argument "--data"; found "nothing";
-            expected "the scene folder, as no run is around {}", path.display(); help "give the folder of the photos");
+            expected "the scene folder, as {} is in no run folder", path.display(); help "give the folder of the photos");
         if let Some(folder) = &self.features {
             config.features.source = FeatureSource::Import(folder.clone());
         }
@@ -160,7 +160,7 @@ impl QueryArgs {
         let FeatureSource::Import(folder) = &config.features.source else {
             return Err(
                 invalid!(argument "--features"; found "nothing"; expected "a folder of feature maps";
-                help "give it, or a run with features.source.import; features of other sources know no text"),
+                help "give it, or a run with features.source.import; features of other sources cannot be compared with a text"),
             );
         };
         let help = "give the folder of the feature maps";
@@ -173,7 +173,7 @@ impl QueryArgs {
     /// Refuses texts that would share a folder, and outputs that would harm the scene folder.
     fn check(&self, config: &Config) -> Result<()> {
         let names: Vec<String> = self.texts.iter().map(|text| safe(text)).collect();
-        // Some file systems do not tell small letters from large ones.
+        // Some file systems ignore case.
         let different: BTreeSet<String> = names.iter().map(|name| name.to_lowercase()).collect();
         ensure!(different.len() == names.len() && !different.contains(LIFTED), argument "--text"; found "{}", self.texts.join(", ");
             expected "texts that differ in the letters and digits of their first 50 characters, and none called {LIFTED}";
@@ -231,13 +231,13 @@ impl QueryArgs {
         let named = TextEncoder::activation_beside(&self.weights)?;
         if named.is_none() {
             terminal::note(
-                "note: no config.json is beside the weights: --activation quick-gelu, that of OpenAI, is assumed",
+                "note: no config.json is beside the weights; --activation quick-gelu, OpenAI's, is assumed",
             );
         }
         Ok(named.unwrap_or(Activation::QuickGelu))
     }
 
-    /// The phrases that the text of this number is compared with: a text that is a negative too is not compared with itself.
+    /// The phrases that text number `text` is compared with. A text that is a negative too is not compared with itself.
     fn others(&self, text: usize, phrases: &[Vec<f32>]) -> Vec<usize> {
         let others = self.texts.len()..phrases.len();
         others

@@ -35,8 +35,8 @@ For each frame, with STEM its file name without extension, the output folder get
                                  segmentation.min_coverage, or 0.5; 8-bit grey, or 16-bit where ids exceed 255
                  STEM.label_color.png  the same in colours, with a legend, where classes.json is beside the scene
   --features pca STEM.features.png (npy: [H, W, 3] float32)  the three main components of the image features that
-                 `coseg train` lifted onto the Gaussians, as red, green and blue, blended over the background: like
-                 colours are like features. Needs feature_colors.safetensors beside the scene
+                 `coseg train` lifted onto the Gaussians, as red, green and blue, blended over the background: similar
+                 colours mean similar features. Needs feature_colors.safetensors beside the scene
   --depth        STEM.depth.png  16-bit grey, thousandths of a world unit along the viewing direction; npy: [H, W] float32,
                  world units. The mean of the Gaussians that a pixel shows; 0 where alpha is below the run's
                  segmentation.min_coverage, or 0.5
@@ -58,7 +58,7 @@ Cameras
 
 Where the config.toml of a run is beside the scene, its raster settings apply, and the pictures equal those in the run's
 renders folder. Label maps show the PLY's label of each Gaussian. Only a run with segmentation.render = \"scores\", as in
-the preset \"paper\", has other ones: those of blended scores.
+the preset \"paper\", has other ones, from blended scores.
 
 Paths: frames path_0000, path_0001, ... and their cameras as cameras.json.
   --path              sway where the cameras look one way, as at a wall, else orbit
@@ -67,7 +67,7 @@ Paths: frames path_0000, path_0001, ... and their cameras as cameras.json.
   --path orbit        once around the point that the cameras look at, at their median distance and height, with the lens
                       of the first one; lower --radius in rooms, where furniture and walls may be in the way
   --object OBJECT     around the box of one object, closer to a small one; `coseg edit --keep OBJECT` isolates it
-  --film              film.mp4 of the frames, by ffmpeg
+  --film              film.mp4 of the frames, with ffmpeg
 
 Examples:
   coseg render --scene runs/room --out pictures --split test --labels
@@ -220,7 +220,7 @@ impl RenderArgs {
         self.conclude(&times)
     }
 
-    /// The settings of the run that the scene `path` is of, with those of the command line.
+    /// The settings of the run that the scene `path` belongs to, with those of the command line.
     fn config(&self, path: &Path) -> Config {
         let mut config = rendering_beside(path);
         let raster = &mut config.raster;

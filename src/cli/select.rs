@@ -11,12 +11,12 @@ use coseg::runs::{ObjectScene, cameras_path, features_beside, frame_with_pixel, 
 use std::path::PathBuf;
 
 const HELP: &str = "\
-Point at a thing in one or more views. The selection begins at the Gaussian that gives most of each pixel and grows over its
+Point at a thing in one or more views. The selection begins at the Gaussian that contributes most to each pixel and grows over its
 neighbours, those that are most alike in colour, surface and image features first (features of a run that lifted some). It
-ends where what it has stands out most, or at --threshold: a lower one takes fewer Gaussians. Give --frame and --pixel once
+ends where it stands out most from the rest, or at --threshold: a lower one takes fewer Gaussians. Give --frame and --pixel once
 for each pixel, in the same order. Points far apart on the thing help most. The scene needs neither labels nor its photos.
 
-The Gaussians become an object called --name. Where the scene has an object or a class of that name, they join it. Those of
+The Gaussians become an object called --name. Where the scene has an object or a class of that name, they join it. Gaussians of
 other objects change over. classes.json and cameras.json are written beside the new file.
 
 Examples:
@@ -100,7 +100,7 @@ impl SelectArgs {
             let [x, y] = pixel;
             seed(pixel, &projected).ok_or_else(|| {
                 invalid!(argument "--pixel"; found "{x},{y} of {name}, which shows the background";
-                    expected "a pixel that Gaussians cover by half"; help "point at the middle of the thing")
+                    expected "a pixel at least half covered by Gaussians"; help "point at the middle of the thing")
             })
         };
         self.frames

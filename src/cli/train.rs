@@ -228,7 +228,8 @@ impl TrainArgs {
         }
     }
 
-    /// The command line that resumes `run`. The settings of `--set` belong to a resumed run only once it is done again.
+    /// The command line that resumes `run`. A resumed run stores settings of `--set` only when it is done, so the line repeats
+    /// them.
     fn resume_line(&self, run: &RunFolder) -> String {
         let mut words = ["coseg", "train", "--resume"].map(str::to_owned).to_vec();
         words.push(run.path().display().to_string());
@@ -269,7 +270,7 @@ fn viewer_line(run: &RunFolder, page_bytes: usize) -> String {
     format!("viewer: left out, as it takes {megabytes} MB; `coseg view --scene {folder}` writes it")
 }
 
-/// This command line, quoted where a shell would need it. What is no Unicode is shown as U+FFFD.
+/// This command line, quoted where a shell would need it. What is not Unicode is shown as U+FFFD.
 pub fn command_line() -> String {
     let words = std::env::args_os().skip(1);
     std::iter::once("coseg".to_owned())

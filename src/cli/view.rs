@@ -22,7 +22,7 @@ const HELP: &str = "\
 The page works offline and needs WebGL 2. It takes some 120 bytes for each Gaussian of SH degree 3. It shows colours, labels,
 or both. Click on an object to choose it; hide it, show it alone, turn it or move it. Edit labels: name, colour, merge
 and delete objects, and select things by clicks, or Gaussians by brush, lasso or box, for another object or a new one.
-A scene without labels gets its first ones so. Save them: the page downloads edits.json, and shows the command that
+A scene without labels gets its first ones in this way. Save them: the page downloads edits.json, and shows the command that
 writes the result as a new file.
 
   FILE.html#view=NAME&mode=labels   starts at the view NAME, percent-encoded; modes are colour, both and labels

@@ -11,7 +11,7 @@ use coseg::splat::ply;
 const HELP: &str = "\
 Each Gaussian takes the class of most of its pixels: the one with the largest sum of blending weights (alpha' T) over the raw
 labels of the training views. Writes scene.ply with a label column, and classes.json. Where test views have true labels,
-prints the scores. Ids must mean the same in every view: for instance masks use `coseg associate`.
+prints the scores. Ids must mean the same in every view; if they do not, as in instance masks, use `coseg associate`.
 
 Example:
   coseg vote --scene scene.ply --data scenes/living --out runs/voted --set data.raw_labels=labels_raw";

@@ -10,7 +10,7 @@ use toml::{Table, Value};
 pub(super) struct Assignment<'a> {
     /// Dotted.
     pub key: String,
-    /// What the value may mean: the first that the key can hold counts.
+    /// What the value may mean. The first one that the key can hold counts.
     pub readings: Vec<Value>,
     /// The file and its text; `None` for `--set`.
     pub file: Option<(&'a Path, &'a str)>,
@@ -83,7 +83,7 @@ impl Assignment<'_> {
             let wants_list = ["expected a sequence", "expected an array"]
                 .iter()
                 .any(|list| refusal.contains(list));
-            // A list can fill a section too, which nobody means.
+            // A list can fill a section too, which nobody intends.
             if value.is_array() && !refusal.is_empty() && !wants_list {
                 continue;
             }
@@ -147,9 +147,9 @@ impl Assignment<'_> {
         let elsewhere = values.into_iter().map(|(key, _)| key);
         let beside = known.map(|name| format!("{section}{name}"));
         let last = |key: &str| key.rsplit('.').next().unwrap_or_default().to_owned();
-        // A key that is less like another one is no misspelling of it.
+        // Keys that are less alike are not misspellings of each other.
         const ALIKE: f64 = 0.8;
-        // The whole key may be misspelt, or only its last part be right and the section be missing or wrong.
+        // The whole key may be misspelt, or its last part may be right and its section missing or wrong.
         let score = |k: &String| {
             strsim::jaro_winkler(k, &key).max(strsim::jaro_winkler(&last(k), unknown) - 0.05)
         };

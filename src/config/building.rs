@@ -17,13 +17,14 @@ pub enum SizeRule {
     /// The distance from the mean camera, or the extent where that is longer.
     #[default]
     Distance,
-    /// The extent alone, from the first reset of opacities on: 3DGS. Its limit on screen has no effect in its own program either.
+    /// The extent alone, from the first reset of opacities on: 3DGS. The limit on screen has no effect in the program of 3DGS
+    /// either.
     Extent,
 }
 
 /// Stage one (3DGS): 0.8 L1 + 0.2 (1 - SSIM), Adam, adaptive density control. The fields marked `serde(skip)` have the values
-/// of 3DGS (Kerbl et al. 2023). No key sets them; tests with short runs change them. A learning rate of 0 freezes its parameter, but
-/// for densification and resets.
+/// of 3DGS (Kerbl et al. 2023). No key sets them; tests with short runs change them. A learning rate of 0 freezes its parameter,
+/// except for densification and resets.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
 #[serde(default, deny_unknown_fields)]
 pub struct BuildingConfig {
@@ -52,7 +53,7 @@ pub struct BuildingConfig {
     /// Gaussians with a larger mean screen-space gradient |(dL/du W/2, dL/dv H/2)| are cloned or split; absent: 8e-4, or 2e-4
     /// without `absgrad`.
     pub gradient_threshold: Option<f32>,
-    /// Above which size Gaussians are pruned.
+    /// The size above which Gaussians are pruned.
     pub size_limit: SizeRule,
     /// Each step until densification ends has another background colour instead of `raster.background`, so that surfaces of
     /// that colour become opaque. Photos with transparent pixels keep `raster.background`.

@@ -10,7 +10,7 @@ use std::path::{Component, Path, PathBuf};
 /// Value of [`DataConfig::masks`] that turns masks off.
 pub const NO_MASKS: &str = "none";
 
-/// Whether two names mean one folder as written, as `masks`, `./masks` and `masks/` do.
+/// Whether two names, as written, mean the same folder, as `masks`, `./masks` and `masks/` do.
 pub(crate) fn same_folder(a: &str, b: &str) -> bool {
     let parts = |name| {
         Path::new(name)
@@ -29,7 +29,7 @@ pub struct DataConfig {
     pub dir: Option<PathBuf>,
     /// How the folder is laid out.
     pub layout: Layout,
-    /// File within `dir` that lists frames, of layout `transforms`. Where the usual one is not there, `transforms_train.json` and
+    /// File within `dir` that lists frames, of layout `transforms`. If the usual one is missing, `transforms_train.json` and
     /// `transforms_test.json` (else `transforms_val.json`) are read together.
     #[default("transforms.json".into())]
     pub transforms: String,

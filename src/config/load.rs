@@ -16,7 +16,7 @@ impl Config {
     /// # Errors
     /// [`Error::Io`] when the file cannot be read; [`Error::Input`] for a fault in the file (syntax, unknown key, wrong
     /// type, value out of range), naming line and key; [`Error::Config`] for the same in `sets`, and
-    /// [`Error::Argument`] for one of these that is no `section.key=value`.
+    /// [`Error::Argument`] for one of these that is not a `section.key=value`.
     pub fn load(file: Option<&Path>, sets: &[String]) -> Result<Self> {
         Self::load_over(file, sets, |preset, _| Self::preset(preset))
     }
@@ -63,7 +63,7 @@ impl Config {
     }
 
     /// The settings that a run whose settings file is at `path` rendered with: its section `[raster]` and its
-    /// `segmentation.min_coverage`, over its preset. The defaults where the file has no such section, as files of other
+    /// `segmentation.min_coverage`, over its preset. The defaults where the file has no such section, as in files of other
     /// programs. Other sections are ignored, so that unknown keys there do no harm.
     ///
     /// # Errors
@@ -186,7 +186,7 @@ mod tests {
         }
     }
 
-    /// Keys that labels of a network and labels by hand need; the bound is on all others.
+    /// Keys for labels of a network and labels by hand. The bound holds for all others.
     const LABELS: [&str; 3] = [
         "data.labels_by",
         "segmentation.prior_exponent",

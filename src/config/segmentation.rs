@@ -6,7 +6,7 @@ use crate::error::{Result, bail, ensure};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 
-/// Smallest and largest exponent of the GCE loss; at the first the loss is cross-entropy within f32's digits.
+/// Smallest and largest exponent of the GCE loss. At the smallest, the loss is cross-entropy to the precision of f32.
 pub const GCE_EXPONENTS: [f64; 2] = [1e-6, 1.0];
 
 /// Weight of the label loss in Eq. 10 (the paper's). No key sets it, because Adam follows the ratio of the weights alone.
