@@ -33,7 +33,7 @@ pub(crate) fn sealed<'a>(
 /// [`crate::Error::Input`].
 pub(crate) fn check(bytes: &[u8], path: &Path, help: &str) -> Result<()> {
     let intact = place(bytes).is_some_and(|place| bytes[place.clone()] == digest(bytes, &place));
-    ensure!(intact, path, "checksum"; found "other bytes than were written"; expected "a whole file of this version of coseg";
+    ensure!(intact, path, "checksum"; found "bytes other than those written"; expected "a whole file of this version of coseg";
         help "{help}");
     Ok(())
 }

@@ -126,7 +126,7 @@ impl WeightFile {
     /// Reads the bytes of a safetensors file; `origin` names them in messages.
     ///
     /// # Errors
-    /// [`Error::Input`] when the bytes are truncated or are no safetensors file.
+    /// [`Error::Input`] when the bytes are truncated or are not a safetensors file.
     pub fn from_safetensors(bytes: &[u8], origin: impl AsRef<Path>) -> Result<Self> {
         Self::selected(bytes, origin.as_ref(), |_| true)
     }
@@ -204,7 +204,7 @@ impl WeightFile {
     /// The tensor `name`, its trailing extents of 1 dropped (1x1 convolutions are linear maps).
     ///
     /// # Errors
-    /// [`Error::Input`] when it is missing, has another shape than `shape`, or holds a value that is not finite.
+    /// [`Error::Input`] when it is missing, has a different shape than `shape`, or holds a value that is not finite.
     pub fn get(&self, name: &str, shape: &[usize]) -> Result<&[f32]> {
         let tensor = self
             .tensors

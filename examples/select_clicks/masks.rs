@@ -93,7 +93,7 @@ fn is_inside([x, y]: [f64; 2], polygon: &[[f64; 2]]) -> bool {
     crosses.count() % 2 == 1
 }
 
-/// Things are clicked in training views and judged in held-out ones. Instance 0 is no thing.
+/// Things are clicked in training views and judged in held-out ones. Instance 0 is not a thing.
 fn instances(folder: &Path, cameras: &[NamedCamera]) -> Result<Vec<Thing>, Box<dyn Error>> {
     let map = |camera: &NamedCamera| -> Result<Vec<u16>, Box<dyn Error>> {
         let file = folder.join(format!("{}.png", camera.name));

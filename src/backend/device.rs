@@ -333,7 +333,7 @@ fn adapter() -> &'static std::result::Result<Option<Adapter>, String> {
     })
 }
 
-/// The reason to choose another backend than `name` with its `device`, if there is one.
+/// The reason to choose a backend other than `name` with its `device`, if there is one.
 fn unsuited(name: BackendName, device: &Device) -> Option<String> {
     let software = software_adapter(name)
         .map(|adapter| format!("the only adapter is {adapter}, a software one"));

@@ -50,7 +50,7 @@ pub(super) fn frames(
     // Equal times, so that ffmpeg repeats and drops none.
     let filter = format!("select='{}',setpts=N/(30*TB),showinfo", is_any_of(&chosen));
     let mut write = ffmpeg(video);
-    // The folder is no part of the name, in which ffmpeg looks for patterns.
+    // ffmpeg looks for patterns in the whole name, so the folder is not a part of it.
     write.current_dir(out).args(["-vf", &filter]);
     write.args(["-r", "30", "-q:v", "2", "-f", "image2", "frame_%04d.jpg"]);
     let mut viewing = Viewing::begin(progress, "frames", chosen.len());

@@ -65,7 +65,7 @@ impl PathArgs {
             ("--radius", self.radius.is_some()),
         ] {
             let orbits = matches!(kind, PathKind::Auto | PathKind::Orbit);
-            ensure!(!is_given || orbits, argument "{flag}"; found "a path that is no orbit";
+            ensure!(!is_given || orbits, argument "{flag}"; found "a path that is not an orbit";
                 expected "--path orbit"; help "leave one of them out");
         }
         let file = out.join(CAMERAS);

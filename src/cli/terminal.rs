@@ -152,7 +152,7 @@ pub fn draws_bars() -> bool {
     io::stderr().is_terminal()
 }
 
-/// A bar of `steps`; hidden when standard error is no terminal.
+/// A bar of `steps`; hidden when standard error is not a terminal.
 pub fn bar(name: &str, steps: u64) -> ProgressBar {
     let bar = BARS.add(ProgressBar::new(steps));
     let template = "{prefix:>14} {bar:28} {pos}/{len} {elapsed_precise} left {eta_precise} {msg}";

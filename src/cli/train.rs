@@ -125,7 +125,7 @@ impl TrainArgs {
             .inspect_err(|_| own::remove_empty(run.path()))
     }
 
-    /// Trains as another rank than the first, which reads the options, writes the files and prints.
+    /// Trains as a rank other than the first, which reads the options, writes the files and prints.
     fn follow(self) -> Result<ExitCode> {
         let device = self.backend.open()?;
         interrupt::watch();

@@ -3,7 +3,7 @@
 use num_traits::Float;
 
 /// The two cells beside the coordinate `at` of an axis with `cells` cells, and the share of the second one. A coordinate outside,
-/// or one that is no number, takes the border.
+/// or one that is not a number, takes the border.
 pub(crate) fn beside(at: f64, cells: usize) -> (usize, usize, f64) {
     let last = cells.saturating_sub(1);
     let at = at.max(0.0).min(last as f64);

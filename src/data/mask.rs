@@ -104,7 +104,7 @@ impl Mask {
         None
     }
 
-    /// Refuses a mask of another size than `view` has.
+    /// Refuses a mask of a different size than `view` has.
     pub(crate) fn expect_size(&self, view: &str, width: usize, height: usize) -> Result<()> {
         ensure!((self.width, self.height) == (width, height),
             argument "data"; found "a mask of {}x{} pixels in {view}", self.width, self.height;

@@ -51,7 +51,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// [`crate::Error::Missing`], [`crate::Error::Input`], [`crate::Error::Io`] or [`crate::Error::Limit`] naming file and
-/// field: malformed, missing or damaged files, sizes that disagree, poses that are no rotations, camera models that are
+/// field: malformed, missing or damaged files, sizes that disagree, poses that are not rotations, camera models that are
 /// no pinhole after undistortion, unknown label ids, repeated names, no training view.
 pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
     let listing = notices::list_sound(dir, options)?;
@@ -281,7 +281,7 @@ impl View {
         Ok(values.map(|&v| f32::from(v) / 255.0).collect())
     }
 
-    /// Refuses a mask of another size than the photo.
+    /// Refuses a mask of a different size than the photo.
     pub(crate) fn check_mask(&self) -> Result<()> {
         let (width, height) = (self.image.width(), self.image.height());
         self.mask

@@ -31,14 +31,14 @@ impl ViewPhoto {
     /// The file without its EXIF orientation: label maps are of the pixels as they are stored, and some programs turn photos by it.
     ///
     /// # Errors
-    /// [`crate::Error::Io`]; [`crate::Error::Input`] where the file is no complete PNG or JPEG; [`crate::Error::Limit`].
+    /// [`crate::Error::Io`]; [`crate::Error::Input`] where the file is not a complete PNG or JPEG; [`crate::Error::Limit`].
     pub fn without_orientation(&self) -> Result<Vec<u8>> {
         ImageFile::open(&self.file)?.without_orientation(false)
     }
 }
 
-/// The photos of the scene in folder `dir` that are there, by the names of their views. Empty where `dir` is no scene folder: faults
-/// are reported where a scene is loaded.
+/// The photos of the scene in folder `dir` that are there, by the names of their views. Empty where `dir` is not a scene folder:
+/// faults are reported where a scene is loaded.
 pub fn view_photos(dir: &Path, options: &LoadOptions) -> BTreeMap<String, ViewPhoto> {
     let Ok(listing) = layout::list(dir, options, &mut Problems::default()) else {
         return BTreeMap::new();

@@ -67,7 +67,8 @@ impl FeatureColors {
     /// Reads what [`FeatureColors::write`] wrote for a scene of `gaussians`.
     ///
     /// # Errors
-    /// [`crate::Error::Io`]; [`crate::Error::Input`] for another file, another number of Gaussians, or values that are no colours.
+    /// [`crate::Error::Io`]; [`crate::Error::Input`] for another file, another number of Gaussians, or values that are not
+    /// colours.
     pub fn read(path: &Path, gaussians: usize) -> Result<Self> {
         const HELP: &str = "give the run folder that `coseg train` wrote, with its own scene.ply";
         let mut file = WeightFile::open_sealed(path)?;

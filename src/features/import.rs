@@ -139,7 +139,7 @@ fn read_bundle(path: &Path, least: usize) -> Result<Vec<FeatureMap>> {
     Ok(maps)
 }
 
-/// Refuses the header of an NPY file that is no dictionary of plain values, before the parser sees it: a header can claim
+/// Refuses the header of an NPY file that is not a dictionary of plain values, before the parser sees it: a header can claim
 /// gigabytes, which the parser would allocate, and it takes time exponential in the depth of nested brackets.
 fn vet_header(bytes: &[u8]) -> Result<(), String> {
     // Magic and version, then the length, which has two bytes in version 1.

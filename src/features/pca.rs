@@ -214,7 +214,8 @@ impl Pca {
     /// `what` names the map in errors.
     ///
     /// # Errors
-    /// [`crate::Error::Argument`] when the map has another number of channels than the fit; [`crate::Error::NonFinite`] on bad values.
+    /// [`crate::Error::Argument`] when the map has a different number of channels than the fit; [`crate::Error::NonFinite`] on
+    /// bad values.
     pub fn apply(&self, map: &FeatureMap, what: &str) -> Result<FeatureMap> {
         map.check(what)?;
         check_channels(what, map.channels, self.channels)?;

@@ -23,7 +23,7 @@ impl Tap {
     ///
     /// # Errors
     /// As [`Contract::find`] and [`Network::load`]; [`crate::Error::Input`] for a name that the network does not have, listing
-    /// the nearest ones, and for a tensor that is no map.
+    /// the nearest ones, and for a tensor that is not a map.
     pub fn load(file: &Path, tensor: &str) -> Result<Self> {
         let contract = Contract::find(file, None)?;
         let network = Network::open(file, contract, Some(tensor))?;

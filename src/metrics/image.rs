@@ -24,7 +24,7 @@ impl ImageScores {
     /// pixels, SSIM over the windows that hold no other pixel. See [`psnr`] and [`ssim`] for `None`.
     ///
     /// # Errors
-    /// As [`crate::data::Photo::pixels`]; [`crate::Error::Argument`] for a mask of another size than the photo.
+    /// As [`crate::data::Photo::pixels`]; [`crate::Error::Argument`] for a mask of a different size than the photo.
     pub fn of_view(image: &[f32], view: &View) -> Result<Self> {
         view.check_mask()?;
         let photo = view.rgb()?;

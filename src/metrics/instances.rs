@@ -109,7 +109,7 @@ struct ClassMatches {
 /// Counts segments towards [`Quality`], image by image.
 ///
 /// As in panopticapi, segments of one class match above an IoU of 0.5. Pixels without truth (id 0) do not count in unions. An
-/// unmatched prediction is no false positive if more than half of it lies on such pixels.
+/// unmatched prediction is not a false positive if more than half of it lies on such pixels.
 #[derive(Clone, Debug, Default)]
 pub struct PanopticQuality(BTreeMap<u16, ClassMatches>);
 
@@ -171,8 +171,8 @@ impl PanopticQuality {
     }
 }
 
-/// Scores `views` of (true instance ids, predicted object ids), each `[H, W]`, one after the other. Id 0 is no instance. Pixels
-/// whose truth is 0 are left out.
+/// Scores `views` of (true instance ids, predicted object ids), each `[H, W]`, one after the other. Id 0 is not an instance.
+/// Pixels whose truth is 0 are left out.
 pub fn instance_scores(
     views: impl IntoIterator<Item = (impl AsRef<[u16]>, impl AsRef<[u16]>)>,
 ) -> InstanceScores {

@@ -4,7 +4,7 @@ use super::{ClassIou, mean};
 use crate::data::Classes;
 use serde::{Deserialize, Serialize};
 
-/// How a labelled pixel counts whose prediction is void: the ignored id, or an id that is no class.
+/// How a labelled pixel counts whose prediction is void: the ignored id, or an id that is not a class.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Void {
     /// A wrong prediction of no class.

@@ -30,7 +30,7 @@ pub(crate) fn load_initial_scene(
     device: &Device,
 ) -> Result<Gaussians> {
     ensure!(!atomic::same_file(path, scene_file), setting "building.gaussians"; found "{}", path.display();
-        expected "another file than the run's own scene.ply, which is written over";
+        expected "a file other than the run's own scene.ply, which is written over";
         help "let the run write into another folder");
     scene.expect_training_views()?;
     let ply = formats::read(path)?;

@@ -202,7 +202,7 @@ mod tests {
             ..RasterConfig::default()
         };
         let mut scene = PrunedScene::new(&gaussians, &raster, device);
-        // A pixel that ends early is no affine function of what it does not reach.
+        // A pixel that ends early is not an affine function of what it does not reach.
         scene.settings.t_min = 0.0;
         scene
     }

@@ -93,7 +93,7 @@ impl<'a> Trainer<'a> {
     /// # Errors
     /// [`crate::Error::Config`] for settings that cannot work or are not those of the state; [`crate::Error::Input`] for the state of another
     /// scene; [`crate::Error::Argument`] for a scene without
-    /// training views, or whose photos and masks have other sizes than their cameras; those of [`crate::data::Photo::pixels`].
+    /// training views, or whose photos and masks differ in size from their cameras; those of [`crate::data::Photo::pixels`].
     pub fn from_state(
         scene: &'a Scene,
         config: &Config,

@@ -129,7 +129,8 @@ impl Report<'_> {
     /// `report.html` as text. `path` only serves error messages.
     ///
     /// # Errors
-    /// [`crate::Error::Io`] when a picture cannot be encoded, [`crate::Error::Limit`] when one has another size than its photo.
+    /// [`crate::Error::Io`] when a picture cannot be encoded, [`crate::Error::Limit`] when one has a different size than its
+    /// photo.
     pub fn html(&self, path: &Path) -> Result<String> {
         Ok(page::page(self, path)?.into_string())
     }

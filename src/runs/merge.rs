@@ -128,7 +128,7 @@ fn check_complete(parts: &[Part]) -> Result<()> {
     for part in parts {
         let run = part.run.display();
         ensure!(part.scene == first.scene && part.block.grid == first.block.grid && part.block.reading == first.block.reading,
-            argument "RUN"; found "{run}, a run on a block of another split than {}", first.run.display();
+            argument "RUN"; found "{run}, a run on a block of a different split than {}", first.run.display();
             expected "blocks of one split"; help "name the runs of one split");
         if let Some(other) = found.insert(part.block.index, &part.run) {
             bail!(argument "RUN"; found "{} and {run}, two runs on block {}", other.display(), part.block.name();

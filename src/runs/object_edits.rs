@@ -20,7 +20,7 @@ pub struct ObjectEdits {
     pub moves: Vec<(String, DVec3)>,
 }
 
-/// The turn by `degrees` about `axis`, counter-clockwise as seen from its tip; `None` where these are no axis or angle.
+/// The turn by `degrees` about `axis`, counter-clockwise as seen from its tip; `None` where these are not an axis and an angle.
 pub fn turn(axis: DVec3, degrees: f64) -> Option<DQuat> {
     let axis = axis.try_normalize()?;
     let degrees = degrees.is_finite().then_some(degrees)?;

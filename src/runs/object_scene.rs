@@ -69,10 +69,10 @@ pub fn check_output(
     let names = out.with_file_name(CLASSES);
     if table.is_some_and(|table| atomic::same_file(table, out)) || out == names {
         bail!(argument "--out"; found "{}", out.display();
-            expected "another file than the scene and its classes.json"; help "name a new file");
+            expected "a file other than the scene and its classes.json"; help "name a new file");
     }
     ensure!(force || !atomic::same_file(path, out), argument "--out"; found "{}", out.display();
-        expected "another file than the scene"; help "name a new file, or write over the scene by --force");
+        expected "a file other than the scene"; help "name a new file, or write over the scene by --force");
     let folder = out.parent().unwrap_or_else(|| Path::new(""));
     check_output_file("--out", out, (folder, &LoadOptions::default()))?;
     if force {

@@ -149,7 +149,7 @@ impl Decoder {
     /// Decodes `pyramid` from global to local. Gradients flow to the parameters, and to features that track them.
     ///
     /// # Panics
-    /// If `pyramid` has fewer levels or other widths than the decoder was made for.
+    /// If `pyramid` has fewer levels or widths other than those the decoder was made for.
     pub fn forward(&self, pyramid: &Pyramid) -> Decoded {
         let fused = self.fuse(pyramid, 0);
         let hidden = fused.first().unwrap_or(&pyramid.top).clone();

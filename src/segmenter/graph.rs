@@ -26,8 +26,8 @@ fn not_onnx(file: &Path, found: &str) -> Error {
 /// the output's name.
 ///
 /// # Errors
-/// [`Error::Input`] for bytes that are no ONNX, weights that lie in other files or do not fill their shapes, operators that the
-/// library lacks, and an input or output of another name or shape than the contract says.
+/// [`Error::Input`] for bytes that are not ONNX, weights that lie in other files or do not fill their shapes, operators that the
+/// library lacks, and an input or output of a different name or shape than the contract says.
 pub(super) fn read(
     file: &Path,
     bytes: &[u8],

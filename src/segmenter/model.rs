@@ -79,7 +79,7 @@ impl Network {
     /// The output for an input of the contract's shape: [`Network::map_shape`], row-major.
     ///
     /// # Errors
-    /// [`Error::Input`] where the network fails, and for an output of another shape than the contract says;
+    /// [`Error::Input`] where the network fails, and for an output of a different shape than the contract says;
     /// [`Error::NonFinite`].
     pub(crate) fn output(&self, input: &[f32]) -> Result<Vec<f32>> {
         let shape = self.contract.input_shape();

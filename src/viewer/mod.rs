@@ -222,7 +222,7 @@ impl Viewer<'_> {
             "up": up,
             // The box of the scene without the outermost 1 % on each side.
             "extent": {"low": all.low, "high": all.high},
-            // The longest move that `coseg edit` accepts; 0 is no limit.
+            // The longest move that `coseg edit` accepts; 0 is not a limit.
             "farthest": farthest(self.gaussians),
             "start": camera_entry("", Split::Train, &start),
             "objects": objects.iter().map(entry).collect::<Vec<_>>(),

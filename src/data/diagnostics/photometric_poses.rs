@@ -39,7 +39,7 @@ const MIN_FOUND: f64 = 0.45;
 const MIN_FOUND_RATIO: f64 = 1.4;
 const MIN_SHOWN: f64 = 0.25;
 
-/// A notice if neighbouring photos fit better in another convention than in that of the layout.
+/// A notice if neighbouring photos fit better in a different convention than in that of the layout.
 pub(super) fn better_convention(listing: &Listing) -> Option<String> {
     let frames = listing
         .frames

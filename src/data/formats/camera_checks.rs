@@ -83,7 +83,7 @@ pub(crate) fn is_coordinate(value: f64) -> bool {
 /// The camera that `with_pose` makes of a camera-to-world matrix in axes of its own, which `field` of the file `path` gave.
 ///
 /// # Errors
-/// [`Error::Input`] where the matrix has numbers that are no coordinates, has a last row other than 0, 0, 0, 1, or is no
+/// [`Error::Input`] where the matrix has numbers that are not coordinates, has a last row other than 0, 0, 0, 1, or is no
 /// rotation and translation.
 pub(crate) fn posed(
     path: &Path,

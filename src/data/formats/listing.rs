@@ -34,7 +34,7 @@ pub(crate) struct Listing {
     pub raw: RawLabels,
     /// Which cameras the label maps belong to, where their folders say so.
     pub geometries: MapGeometries,
-    /// Label maps of another size than their photos are resampled.
+    /// Label maps of a different size than their photos are resampled.
     pub resample_labels: bool,
     /// The initial cloud.
     pub cloud: Cloud,

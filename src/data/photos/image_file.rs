@@ -27,7 +27,7 @@ const SIZE_HELP: &str = "scale the photo to that size, or correct the size with 
 const PIXEL_BYTES: u64 = 16;
 /// Quality of photos that are written anew.
 const JPEG_QUALITY: u8 = 98;
-/// Bytes for all parts of a file that are no pixels.
+/// Bytes for all parts of a file that are not pixels.
 const EXTRA_BYTES: u64 = 16 << 20;
 const DAMAGED_HELP: &str = "copy or export it again";
 
@@ -89,7 +89,7 @@ impl ImageFile {
         Sha256::digest(&self.bytes).into()
     }
 
-    /// Refuses a photo or label map of another size than `whose` expects.
+    /// Refuses a photo or label map of a different size than `whose` expects.
     pub fn expect_size(&self, size: (usize, usize), whose: &str) -> Result<()> {
         if self.size == size {
             return Ok(());

@@ -162,7 +162,7 @@ impl Undistortion {
         })
     }
 
-    /// The photo's label map as the pinhole sees it, nearest. `labels` may have another size than the photo.
+    /// The photo's label map as the pinhole sees it, nearest. `labels` may have a different size than the photo.
     pub fn labels(&self, labels: &LabelMap) -> LabelMap {
         let (width, height) = (self.photo.width, self.photo.height);
         labels.sampled(width, height, |u, v| {

@@ -96,7 +96,7 @@ pub(super) struct Overlaps {
 
 impl Overlaps {
     /// IoU of a segment with the group as the view shows it, over what is known. Unknown pixels count a little, so that a
-    /// sliver of a new object is no match.
+    /// sliver of a new object is not a match.
     fn iou(&self, segment: usize, total: f64, group: u32, claimed: f64) -> f64 {
         let known = self.known[segment];
         let visible = self.visible.get(&group).copied().unwrap_or(0.0);

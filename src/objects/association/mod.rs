@@ -67,7 +67,7 @@ impl Association {
     /// take [`Semantics`](super::Semantics) before. [`View::instances`] stays, for the scores.
     ///
     /// # Panics
-    /// If the scene has another number of views than the one that was associated.
+    /// If the scene has a different number of views than the one that was associated.
     pub fn apply(self, scene: &mut Scene) {
         let views = (self.maps.len(), scene.views.len());
         assert_eq!(views.0, views.1, "association of another scene");
@@ -93,7 +93,7 @@ impl Association {
 /// [`crate::Error::Config`] when no training view has raw labels, and when no group is left of them; those of `progress`.
 ///
 /// # Panics
-/// If raw labels have another size than their view's camera.
+/// If raw labels have a different size than their view's camera.
 pub fn associate(
     gaussians: &Gaussians,
     scene: &Scene,

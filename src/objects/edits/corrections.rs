@@ -189,7 +189,7 @@ impl Corrections {
     /// Reads what [`Self::write`] wrote; `None` where there is no such file.
     ///
     /// # Errors
-    /// As [`Checkpoint::load`] and [`Checkpoint::take`]; [`crate::Error::Input`] for a label that is no class.
+    /// As [`Checkpoint::load`] and [`Checkpoint::take`]; [`crate::Error::Input`] for a label that is not a class.
     pub fn read(path: &Path) -> Result<Option<Self>> {
         if !path.is_file() {
             return Ok(None);

@@ -147,7 +147,7 @@ impl Separation {
         Ok((places.len(), pieces))
     }
 
-    /// The components that are no strays with their ranks by area. A component is named by its first member.
+    /// The components that are not strays with their ranks by area. A component is named by its first member.
     fn ranked(&self, ellipsoids: &[Ellipsoid], components: &[u32]) -> BTreeMap<u32, u32> {
         let mut sizes: BTreeMap<u32, Size> = BTreeMap::new();
         for (component, ellipsoid) in components.iter().zip(ellipsoids) {

@@ -64,7 +64,7 @@ impl PhotometricTarget {
     /// and their gradient is exactly zero.
     ///
     /// # Panics
-    /// If the mask has another size than the photo.
+    /// If the mask has a different size than the photo.
     pub fn new(mut pixels: Arc<RgbImage>, mask: Option<Mask>) -> Self {
         if let Some(mask) = &mask {
             let size = (pixels.width() as usize, pixels.height() as usize);
@@ -176,7 +176,7 @@ mod autodiff {
 /// [`photometric_loss_plain`].
 ///
 /// # Panics
-/// If `image` has another size than `target`.
+/// If `image` has a different size than `target`.
 pub fn photometric_loss(
     image: Tensor<3>,
     target: &Arc<PhotometricTarget>,

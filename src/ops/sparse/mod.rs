@@ -54,7 +54,7 @@ mod autodiff {
 /// `W x` with gradients to `x`: `x` is `[columns, channels]`, the result `[rows, channels]`.
 ///
 /// # Panics
-/// If `x` has another number of rows than the matrix has columns.
+/// If `x` has a different number of rows than the matrix has columns.
 pub fn sparse_apply(x: Tensor<2>, matrix: Arc<SparseMatrix>) -> Tensor<2> {
     assert_eq!(
         x.dims()[0],

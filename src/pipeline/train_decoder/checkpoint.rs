@@ -48,7 +48,7 @@ impl<M: IdentityModel> Training<M> {
         self.recall = ClassRecall(checkpoint.take("recall", &[self.recall.0.len()])?);
         self.curve = checkpoint.get("curve")?;
         if !schedule.provenance.renders_as(&stored) {
-            // These scores were rendered by another rule than this run's.
+            // These scores were rendered by a different rule than this run's.
             self.curve.iter_mut().for_each(|point| point.miou = None);
         }
         Ok(())

@@ -102,9 +102,9 @@ pub(super) fn view_colours<B: HostBackend>(
     })
 }
 
-/// The error for a view that was projected on another device than `tensors` live on, or in another precision.
+/// The error for a view that was projected on a different device than `tensors` live on, or in another precision.
 pub(super) fn other_kernels() -> Error {
-    invalid!(argument "tensors of a view"; found "another device or float type than the Gaussians have";
+    invalid!(argument "tensors of a view"; found "a different device or float type than the Gaussians have";
         expected "those of the Gaussians"; help "move or cast the tensors")
 }
 

@@ -156,7 +156,7 @@ impl SplatView {
     /// `W^T y`, `[N, C]`, of an image `y`, `[H, W, C]`: the adjoint of [`SplatView::blend`], without autodiff.
     ///
     /// # Errors
-    /// [`crate::Error::Argument`] for an image of another size than the camera has; as [`SplatView::blend`].
+    /// [`crate::Error::Argument`] for an image of a different size than the camera has; as [`SplatView::blend`].
     pub fn blend_adjoint(&self, image: Tensor<3>) -> Result<Tensor<2>> {
         let camera = self.camera();
         let [height, width, _] = image.dims();

@@ -232,6 +232,6 @@ fn assert_labels(labels: &[u16], rows: usize, classes: usize) {
     let known = |&label: &u16| label == NO_CLASS || usize::from(label) < classes;
     assert!(
         labels.iter().all(known),
-        "label loss: a label is no class index below {classes}"
+        "label loss: a label is not a class index below {classes}"
     );
 }

@@ -18,7 +18,7 @@ impl RandlaEncoder {
     /// Reads the encoder of a checkpoint. Widths and inputs follow its tensors. Layers past the fourth are unused.
     ///
     /// # Errors
-    /// [`crate::Error::Input`] naming the tensor that is missing, has another shape than its neighbours ask for, or is not
+    /// [`crate::Error::Input`] naming the tensor that is missing, has a different shape than its neighbours ask for, or is not
     /// finite.
     pub fn load(weights: &WeightFile, device: &Device) -> Result<Self> {
         let loader = Loader { weights, device };

@@ -102,7 +102,7 @@ pub struct Unprojected {
 /// next ones are requested. Calls `advance` after each view.
 ///
 /// # Errors
-/// [`Error::Argument`] when views and features do not match, or a mask has another size than its view; what [`Sums::add`]
+/// [`Error::Argument`] when views and features do not match, or a mask has a different size than its view; what [`Sums::add`]
 /// returns; those of `features` and `advance`.
 pub fn unproject<'a, F: Borrow<ViewFeatures>>(
     gaussians: &Gaussians,
@@ -176,8 +176,8 @@ impl Unprojected {
 /// those of the maps, which this does not know.
 ///
 /// # Errors
-/// As [`crate::raster::Projected::new`]; [`Error::Config`] for a mask of another size than its view; [`Error::Device`] where a
-/// device does not return its counts.
+/// As [`crate::raster::Projected::new`]; [`Error::Config`] for a mask of a different size than its view; [`Error::Device`] where
+/// a device does not return its counts.
 pub fn attended<'a>(
     gaussians: &Gaussians,
     views: impl Iterator<Item = &'a View>,

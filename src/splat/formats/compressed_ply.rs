@@ -180,7 +180,7 @@ pub(in crate::splat) fn read(path: &Path) -> Result<PlyScene> {
         if !has_colors {
             cells[15..].fill(1.0);
         }
-        ensure!(cells.iter().all(|v| v.is_finite()), path, "element chunk, row {row}"; found "a bound that is no finite number";
+        ensure!(cells.iter().all(|v| v.is_finite()), path, "element chunk, row {row}"; found "a bound that is not finite";
             expected "finite numbers"; help "export the file again");
         bounds.push(cells);
         Ok(())

@@ -1,4 +1,4 @@
-//! Files of Gaussians in other formats than 3DGS PLY, and files of labels beside them.
+//! Files of Gaussians in formats other than 3DGS PLY, and files of labels beside them.
 //!
 //! These formats round the values, and order the rows anew. None of them holds labels, so a file `NAME.labels.json` beside `NAME`
 //! does: `{"sha256": .., "labels": [..]}` has the SHA-256 of `NAME` and one class id for each of its rows.
@@ -167,7 +167,7 @@ fn labels_beside(path: &Path, rows: usize) -> Result<Option<Vec<u16>>> {
 fn scene_of(path: &Path, gaussians: Gaussians) -> Result<PlyScene> {
     match gaussians.check(None) {
         Err(Error::NonFinite { tensor, row, .. }) => Err(
-            invalid!(path, "row {row}"; found "a value of {tensor} that is no finite number"; expected "finite numbers";
+            invalid!(path, "row {row}"; found "a value of {tensor} that is not finite"; expected "finite numbers";
                 help "remove this Gaussian (splat-transform --filter-nan)"),
         ),
         other => other.map(|()| ply::with_origin(gaussians)),

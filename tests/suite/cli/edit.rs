@@ -286,7 +286,7 @@ fn mistakes_about_objects_say_what_there_is() {
             &names[0],
             &names[1],
         ];
-        assert!(fails(&arguments, 1).contains("another file than the scene"));
+        assert!(fails(&arguments, 1).contains("a file other than the scene"));
     }
     let moves = ["red=1,2", "red=1,2,inf"].map(|wrong| ["--move", wrong]);
     let turns = [

@@ -205,7 +205,7 @@ fn what_cannot_be_written_is_refused() {
         let message = fails(&arguments, 1);
         assert!(message.contains(expected), "{message}");
     };
-    refused(&scene, &[], "another file than the scene");
+    refused(&scene, &[], "a file other than the scene");
     refused(
         folder.path(),
         &[],

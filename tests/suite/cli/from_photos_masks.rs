@@ -180,7 +180,7 @@ fn masks_that_fit_no_photo_are_refused() {
         &given,
         &["--masks", "no mask of any photo", "a.jpg.png"],
     );
-    // The photos themselves are no masks.
+    // The photos themselves are not masks.
     let of_photos = ["--masks", utf8(&photos)];
     place.fails(&photos, &of_photos, &["--masks", "no mask of any photo"]);
     let video = place.path("walk.mp4");

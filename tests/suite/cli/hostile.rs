@@ -25,7 +25,7 @@ fn one_process_at_a_time_writes_a_run_folder() {
         "{message}"
     );
     drop(held);
-    // A file of that name that is no lock stays as it is.
+    // A file of that name that is not a lock stays as it is.
     fs::write(run.join(".coseg-lock"), "a text of mine").unwrap();
     let message = fails(&train, 1);
     assert!(message.contains(".coseg-lock: content"), "{message}");

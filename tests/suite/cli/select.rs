@@ -222,7 +222,7 @@ fn refusals_name_what_is_wrong() {
         &["--frame", "v2", "--pixel", &green, "--name", "plate"],
     );
     let message = fails(&arguments.iter().map(String::as_str).collect::<Vec<_>>(), 1);
-    assert!(message.contains("another file than the scene"), "{message}");
+    assert!(message.contains("a file other than the scene"), "{message}");
 }
 
 #[test]

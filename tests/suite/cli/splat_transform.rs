@@ -115,7 +115,7 @@ fn other_failures_are_told_without_stack_lines() {
         ),
         "{message}"
     );
-    // A name with `gpu` in it is no missing GPU.
+    // A name with `gpu` in it is not a missing GPU.
     assert_eq!(place.log().len(), 1);
     assert!(!place.path("room.sog").exists());
 }

@@ -100,7 +100,7 @@ fn a_run_folder_stands_for_its_files() {
         ],
         1,
     );
-    assert!(message.contains("another file than the scene"), "{message}");
+    assert!(message.contains("a file other than the scene"), "{message}");
 }
 
 #[test]

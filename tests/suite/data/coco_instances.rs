@@ -21,7 +21,7 @@ fn runs(covers: impl Fn(usize, usize) -> bool) -> Vec<u64> {
     counts
 }
 
-/// As CVAT writes it: three annotations on v1, a box on v3, one on an image that is no photo of the scene.
+/// As CVAT writes it: three annotations on v1, a box on v3, one on an image that is not a photo of the scene.
 fn coco() -> Value {
     let square =
         |x: f64, y: f64, side: f64| json!([[x, y, x + side, y, x + side, y + side, x, y + side]]);

@@ -1,4 +1,4 @@
-//! Poses written in another convention than the layout's are found by the initial cloud, and right ones never are.
+//! Poses written in a different convention than the layout's are found by the initial cloud, and right ones never are.
 
 use crate::support::capture::{
     CONVENTIONS, Capture, Convention, matrix, name, one_problem, suspected, without_cloud,

@@ -173,7 +173,7 @@ fn what_datasets_leave_out_is_unlabelled_unless_a_class_has_that_id() {
     fs::write(&classes, text).expect("written");
     assert!(
         raw(255)
-            .expect_err("4 is no class now")
+            .expect_err("4 is not a class now")
             .to_string()
             .contains("label id 4")
     );

@@ -252,7 +252,7 @@ fn nested_keys_and_prefixes_load_to_the_same_network() {
     };
     let (a, b) = (scales(&path), scales(&other));
     assert!(a == b);
-    // 37 x 51 is no multiple of anything: sizes round up, as PyTorch's do.
+    // 37 x 51 is not a multiple of anything: sizes round up, as PyTorch's do.
     let sizes: Vec<&[usize]> = a.iter().map(|(shape, _)| &shape[2..]).collect();
     assert_eq!(sizes, [[10, 13], [5, 7], [3, 4], [2, 2]]);
 }

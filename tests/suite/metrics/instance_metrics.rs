@@ -76,7 +76,7 @@ fn an_object_that_changes_its_id_is_two() {
     let truth = runs(&[(1, 4)]);
     let [a, b] = [runs(&[(3, 4)]), runs(&[(9, 4)])];
     let scores = instance_scores([(&truth[..], &a[..]), (&truth[..], &b[..])]);
-    // Perfect in each view; of all views half the pixels, and an IoU of a half is no match.
+    // Perfect in each view; of all views half the pixels, and an IoU of a half is not a match.
     near(scores.panoptic, [1.0, 1.0, 1.0]);
     near(scores.scene, [0.0, 0.0, 0.0]);
     assert_eq!((scores.accuracy, scores.miou), (Some(0.5), Some(0.5)));

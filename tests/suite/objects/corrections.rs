@@ -20,7 +20,7 @@ fn corrected(scene: &Scene, gaussians: &Gaussians, labels: &[u16]) -> Correction
     let red = editing.rows(RED);
     editing.assign(&red, WALL);
     editing.remove(&red[..5]);
-    // Unlabelled is no correction.
+    // Unlabelled is not a correction.
     editing.assign(&[60], scene.classes.ignore);
     let mut corrections = Corrections::none(gaussians, &scene.classes);
     corrections.add(&editing);

@@ -100,7 +100,7 @@ fn parents_come_after_their_parts_and_are_as_high() {
         assert!(parent as usize > region);
         assert!(regions.heights[region] <= regions.heights[parent as usize]);
     }
-    // More than half of the scene is no thing.
+    // More than half of the scene is not a thing.
     assert_eq!(regions.prominences[*root as usize], 0.0);
 }
 

@@ -108,7 +108,7 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
             least_recall: 1.0,
         }
     });
-    // What a row does not read is no obstacle to it, but to the next.
+    // What a row does not read is not an obstacle to it, but to the next.
     let message = named("features.dimensions", "8", "64", &|c| {
         c.features.dimensions = 8
     });

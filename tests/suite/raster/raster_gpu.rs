@@ -161,7 +161,7 @@ fn a_gpu_runs_its_own_kernels() {
         let out = rasterize(input, &camera, &Settings::default(), [0.1; 3]).expect("valid");
         values(out.image)
     };
-    // The GPU's kernels compute geometry in f32, and so with other last digits than the CPU's.
+    // The GPU's kernels compute geometry in f32, and so with last digits other than those of the CPU.
     assert_ne!(render(&gpu), render(&crate::support::device()));
 }
 

@@ -231,7 +231,10 @@ fn all_blocks_of_one_split_are_asked_for_once() {
             (&scene().1, &table, Association::None),
         );
         let mixed = [&runs[1..], &[run]].concat();
-        assert_names(&merge(&mixed).unwrap_err(), &[name, "another split", "1_0"]);
+        assert_names(
+            &merge(&mixed).unwrap_err(),
+            &[name, "a different split", "1_0"],
+        );
     }
     // A run on a whole scene.
     let run = at("run of the hall");
@@ -247,7 +250,7 @@ fn all_blocks_of_one_split_are_asked_for_once() {
         &merge(&mixed).unwrap_err(),
         &["run of the hall", "no block.json", "`coseg split`"],
     );
-    // A folder that is no run, and a run that was not finished.
+    // A folder that is not a run, and a run that was not finished.
     assert_names(
         &merge(&[at("hall")]).unwrap_err(),
         &["config.toml", "a run folder"],
@@ -269,7 +272,7 @@ fn a_run_belongs_to_the_split_that_it_was_trained_on() {
     planned.block.write(&again).unwrap();
     assert_eq!(merge(&runs).unwrap().gaussians, before.gaussians);
     fs::copy(again.join("block.json"), runs[0].join("block.json")).unwrap();
-    assert_names(&merge(&runs).unwrap_err(), &["another split"]);
+    assert_names(&merge(&runs).unwrap_err(), &["a different split"]);
 }
 
 #[test]
@@ -285,7 +288,7 @@ fn tables_that_contradict_each_other_are_refused() {
         &merge(&runs).unwrap_err(),
         &["2_0", "id 2", "window", "door"],
     );
-    // A class that only one block has is no contradiction.
+    // A class that only one block has is not a contradiction.
     let table = |block| {
         Classes::from_names(
             0,

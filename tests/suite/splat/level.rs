@@ -121,7 +121,7 @@ fn where_levelness_says_nothing_the_cameras_own_up_does() {
         .map(|i| down(f64::from(i % 2) * std::f64::consts::PI))
         .collect();
     assert!(degrees(&around) < 1e-3 && degrees(&rows) < 1e-3);
-    // Nothing; opposites, of which the first counts; and what is no rotation.
+    // Nothing; opposites, of which the first counts; and what is not a rotation.
     assert!(level_up(&[]).distance(DVec3::Z) < 1e-12);
     assert!(
         degrees(&[

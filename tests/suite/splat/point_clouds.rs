@@ -1,4 +1,4 @@
-//! Point clouds of Gaussians, read back by other readers than the ones that wrote them.
+//! Point clouds of Gaussians, read back by readers other than the writers.
 
 use crate::support::rounding::gaussians;
 use coseg::splat::Gaussians;

@@ -10,8 +10,8 @@ pub struct Glb {
     pub binary: Vec<u8>,
 }
 
-/// The centres as vertices, with x and y turned as splat-transform turns them, and colours. The binary data is no multiple of four
-/// bytes long, and padded.
+/// The centres as vertices, with x and y turned as splat-transform turns them, and colours. The binary data is not a multiple of
+/// four bytes long, and padded.
 pub fn glb(gaussians: &Gaussians, origin: DVec3) -> Vec<u8> {
     let turned = |mean: &[f32; 3]| {
         let [x, y, z] = (DVec3::from(mean.map(f64::from)) + origin)

@@ -23,7 +23,7 @@ impl Place {
         self.0.path().join(name)
     }
 
-    /// Six photos of the plates, in a folder whose name is no plain word, and their model in `model`.
+    /// Six photos of the plates, in a folder whose name is not a plain word, and their model in `model`.
     pub fn photos(&self) -> PathBuf {
         let all = self.path("all");
         let photos = self.path("Küche 1");

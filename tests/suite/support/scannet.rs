@@ -44,7 +44,7 @@ pub fn scene() -> TempDir {
         .write(&at(format!("label-filt/{i}.png")))
         .expect("labels");
     }
-    // Depth of one frame, of another size than the photo.
+    // Depth of one frame, of a different size than the photo.
     let depth = LabelMap {
         width: 8,
         height: 6,

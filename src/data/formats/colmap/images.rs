@@ -91,7 +91,7 @@ impl PosedImage {
         })?;
         let [w, x, y, z] = self.rotation;
         let norm = DQuat::from_xyzw(x, y, z, w).length();
-        // Text files round; anything farther off is no rotation.
+        // Text files round; anything farther off is not a rotation.
         ensure!((0.99..1.01).contains(&norm),
             images, "{place}: QW QX QY QZ"; found "{:?} of length {norm:.4}", self.rotation;
             expected "a quaternion of length 1"; help "{DAMAGED_HELP}");

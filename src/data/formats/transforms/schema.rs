@@ -189,7 +189,7 @@ impl Transforms {
                 expected "PINHOLE, OPENCV, SIMPLE_RADIAL or RADIAL"; help "{UNDISTORT}");
         }
         ensure!(fields.is_fisheye != Some(true),
-            path, "{place}.is_fisheye"; found "true"; expected "a lens that is no fisheye"; help "{UNDISTORT}");
+            path, "{place}.is_fisheye"; found "true"; expected "a lens that is not a fisheye"; help "{UNDISTORT}");
         // Tools differ on the meaning of what follows k3: a further power of the radius, or a denominator.
         let beyond = [("k4", fields.k4), ("k5", fields.k5), ("k6", fields.k6)];
         for (name, k) in beyond {

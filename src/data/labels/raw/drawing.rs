@@ -103,7 +103,7 @@ impl Drawing {
         Ok(id)
     }
 
-    /// Refuses outlines of another picture than a photo of the size `photo`, and more points than can be filled.
+    /// Refuses outlines of a picture other than a photo of the size `photo`, and more points than can be filled.
     fn check(&self, photo: (usize, usize)) -> Result<(f64, f64)> {
         let (width, height) = self.size.unwrap_or(photo);
         if width == 0 || height == 0 || !proportional((width, height), photo) {

@@ -112,7 +112,7 @@ pub(super) fn drawings<'a>(
         help "give images the file names of the photos");
     if others > 0 {
         let file = path.display();
-        let other = format!("{others} labelled images of {file} are no photos of the scene");
+        let other = format!("{others} labelled images of {file} are not photos of the scene");
         let notice = vocabulary.notice.take();
         vocabulary.notice =
             Some(notice.map_or(other.clone(), |notice| format!("{notice}; {other}")));

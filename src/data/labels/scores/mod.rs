@@ -91,7 +91,7 @@ impl ViewScores {
 #[derive(Clone, Debug)]
 pub struct LabelProbabilities {
     map: ScoreMap,
-    /// Class index of each of the map's ids; `None` where it is no class of the scene.
+    /// Class index of each of the map's ids; `None` where it is not a class of the scene.
     indices: Vec<Option<u16>>,
     placement: Placement,
 }
