@@ -90,7 +90,7 @@ pub struct TrainArgs {
     /// Train again on labels that you corrected in the page of this run; see docs/edits.md
     #[arg(long, value_name = "FILE.json", requires = "resume")]
     corrections: Option<PathBuf>,
-    /// Serve a page on which a browser of this machine watches the run; its address is printed
+    /// Serve a page on which a browser on this machine watches the run; its address is printed
     #[cfg(feature = "serve")]
     #[arg(long)]
     view: bool,

@@ -56,7 +56,7 @@ pub struct ViewArgs {
     /// Which way is up in the world, such as 0,0,1 [default: that of the cameras, or 0,-1,0]
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_direction, allow_hyphen_values = true)]
     up: Option<DVec3>,
-    /// Serve the page to a browser of this machine instead: it draws while it loads, and saves edits itself
+    /// Serve the page to a browser on this machine instead: it draws while it loads, and saves edits itself
     #[cfg(feature = "serve")]
     #[arg(long, conflicts_with = "out")]
     serve: bool,

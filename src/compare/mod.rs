@@ -1,4 +1,4 @@
-//! Tables of variants of stage two on equal Gaussians, features and labels: `coseg compare`.
+//! Tables of variants of stage two on the same Gaussians, features and labels: `coseg compare`.
 //!
 //! A [`Plan`] states a table completely. [`run`] trains stage one once for each scene, then every missing [`Cell`] on its
 //! Gaussians. Each cell has a file of its own, so a table can be made in several parts. [`Tables`] holds the means and spreads of

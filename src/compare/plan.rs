@@ -264,7 +264,7 @@ impl Plan {
         }
         if let Some(section) = shared.iter().find(|section| has(section)) {
             bail!(&self.path, "{place}, {section}"; found "a setting of its own";
-                expected "the same {section} for all rows, so that they compare over equal Gaussians and labels";
+                expected "the same {section} for all rows, so that they compare over the same Gaussians and labels";
                 help "put it into [settings] or, of data, into the settings of [[labels]]");
         }
         Ok(())

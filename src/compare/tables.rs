@@ -291,7 +291,7 @@ impl<'a> Tables<'a> {
         self.plan.rows.iter().map(point).collect()
     }
 
-    /// The IoU of each class of a scene in each row, in the mean over seeds.
+    /// The IoU of each class of a scene in each row, averaged over seeds.
     fn class_iou(&self, labels: &str, scene: &str) -> Vec<ClassRow<'_>> {
         let of_row = |row: &TableRow| {
             let mut by_class: BTreeMap<_, Vec<f64>> = BTreeMap::new();

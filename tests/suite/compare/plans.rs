@@ -106,7 +106,7 @@ fn faults_are_named() {
         (
             "unprojection.normalisation = \"count\"",
             "building.iterations = 3",
-            &["rows \"ours, count\", building", "equal Gaussians"],
+            &["rows \"ours, count\", building", "the same Gaussians"],
         ),
         (
             "unprojection.normalisation = \"count\"",
