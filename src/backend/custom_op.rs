@@ -46,8 +46,8 @@ pub(crate) type AutodiffTensor<B, C> = FloatTensor<Autodiff<B, C>>;
 /// Declares the backend trait of an operation and implements it for every backend.
 ///
 /// Each function `f` of the trait calls `cpu::f` on backends in host memory, `gpu::f` on a GPU, and `autodiff::f` in the
-/// autodiff graph. Functions under `backward` have no gradient themselves. With `no_gradient` in place of `backward { .. }`
-/// none has. An argument that is a struct of tensors has the attribute `#[extension_type]`.
+/// autodiff graph. Functions under `backward` have no gradient themselves. With `no_gradient` in place of `backward { .. }`, no
+/// function has one. An argument that is a struct of tensors has the attribute `#[extension_type]`.
 macro_rules! custom_op {
     (
         $(#[$meta:meta])*

@@ -1,4 +1,4 @@
-//! Which burn device a run uses. Order when several are compiled in: wgpu (where there is an adapter), flex, ndarray;
+//! Which burn device a run uses. The order when several are compiled in: wgpu (where there is an adapter), flex, ndarray;
 //! `--backend` overrides the order. Only `--backend cuda` selects cuda, which has never been run.
 
 use crate::error::{Error, Result, invalid};
@@ -219,7 +219,7 @@ pub(crate) fn indices(rows: &[u32], device: &Device) -> Tensor<1, Int> {
 /// The row-major values of a tensor of f32, on the host; `what` names it.
 ///
 /// # Errors
-/// [`Error::Device`] when the device does not return them, also for errors since it was last read, such as a lack of memory.
+/// [`Error::Device`] when the device does not return them, also for errors since the last read, such as a lack of memory.
 pub(crate) fn read<const D: usize>(what: &str, tensor: Tensor<D>) -> Result<Vec<f32>> {
     let data = host_data(what, tensor)?;
     data.into_vec().map_err(|e| unreadable(what, &e))
@@ -231,7 +231,7 @@ fn host_data<const D: usize>(what: &str, tensor: Tensor<D>) -> Result<TensorData
 
 fn unreadable(what: &str, reason: &dyn std::fmt::Debug) -> Error {
     let reason = format!("reading {what} back failed: {reason:?}");
-    let help = "see whether the device has memory left, or choose a CPU backend";
+    let help = "check whether the device has memory left, or choose a CPU backend";
     unusable("in use", reason, help)
 }
 
@@ -311,7 +311,7 @@ struct Adapter {
     software: bool,
 }
 
-/// Acquires the adapter of the default wgpu device once. Returns its properties, or why there is none.
+/// Acquires the adapter of the default wgpu device, only once. Returns its properties, or why there is none.
 #[cfg(feature = "wgpu")]
 fn adapter() -> &'static std::result::Result<Option<Adapter>, String> {
     use burn::tensor::wgpu::{WgpuInitError, wgpu::DeviceType};

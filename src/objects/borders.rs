@@ -6,7 +6,7 @@ use crate::segmentation::neighbours::PointIndex;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use union_find::{QuickUnionUf, UnionBySize, UnionFind};
 
-/// Two objects are one when more than this part of the pairs of Gaussians that have either has both. Above one half each
+/// Two objects are one when more than this part of the pairs of Gaussians with either object has both. Above one half each
 /// object has one partner in a block at most.
 const MIN_OVERLAP: f64 = 0.5;
 /// Fewer pairs say nothing.

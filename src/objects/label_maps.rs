@@ -58,8 +58,8 @@ impl<'a> LabelMaps<'a> {
     /// What `view` shows of the identities: at each pixel the class with the largest blended score (`argmax` of Eq. 3), or the
     /// class whose Gaussians have the largest summed alpha' T.
     ///
-    /// Pixels that are barely covered, or where nothing is known (of Gaussians that have most of the pixel), take the ignored id.
-    /// All views must be of Gaussians on one device.
+    /// Pixels that are barely covered, or where nothing is known of the Gaussians that have most of the pixel, take the ignored
+    /// id. All views must be of Gaussians on one device.
     ///
     /// # Errors
     /// As [`SplatView::blend`]; [`crate::Error::Device`] when the device does not return the map.

@@ -18,7 +18,8 @@ use std::iter::repeat;
 const NORMALS: f64 = 0.3;
 /// Weight of the image features beside the colours.
 const FEATURES: f64 = 0.8;
-/// Numbers of an appearance: a colour (sRGB in 0..1), n n^T of a normal n, which has no sense, and main components of image features.
+/// Numbers of an appearance: a colour (sRGB in 0..1), n n^T of a normal n, whose sign means nothing, and main components of image
+/// features.
 const WIDTH: usize = 12;
 /// Lower heights count as this one where a region stands out: parts of things stand out from these too.
 const LEAST_HEIGHT: f64 = 4.0;

@@ -1,11 +1,11 @@
-//! How much each Gaussian is what a text says: LERF's relevancy (Kerr et al. 2023, section 3.4).
+//! How well each Gaussian matches a text: LERF's relevancy (Kerr et al. 2023, section 3.4).
 
 use crate::error::{Result, ensure};
 use rayon::prelude::*;
 
 /// LERF's canonical phrases: what a text is compared with.
 pub const CANONICAL: [&str; 4] = ["object", "things", "stuff", "texture"];
-/// Relevancy of a Gaussian that is as much another phrase as the text.
+/// Relevancy of a Gaussian that matches another phrase as well as the text.
 pub const NEUTRAL: f32 = 0.5;
 /// LERF's inverse temperature of the softmax.
 const SHARPNESS: f32 = 10.0;
@@ -55,7 +55,7 @@ impl Similarities {
     }
 
     /// Relevancy of each Gaussian to the phrase `text`, 0 to 1: the share of the text in a softmax with each of the phrases
-    /// `others`, the smallest of these shares; 1 without others. 0.5 is neither the one nor the other. 0 for a Gaussian without
+    /// `others`, the smallest of these shares; 1 without others. 0.5 favours neither. 0 for a Gaussian without
     /// features, or with one that is not finite. Phrases are counted from 0, and have length 1.
     ///
     /// # Panics

@@ -22,8 +22,8 @@ pub struct Growth {
 
 impl Growth {
     /// Grows a selection from the Gaussians `seeds`, at least one. It proposes the height of the region that stands out most of
-    /// those that hold all seeds and at most half of the scene, or else of the smallest that holds them all. Of seeds that
-    /// nothing connects it is the largest height that one proposes alone.
+    /// those that hold all seeds and at most half of the scene, or else of the smallest that holds them all. For seeds that
+    /// nothing connects, it proposes the largest height that one seed proposes alone.
     ///
     /// # Panics
     /// If there is no seed, or one is not below N.
@@ -90,8 +90,8 @@ impl Regions {
     }
 }
 
-/// The Gaussian that gives most of the pixel (column, row) of the image of `projected`. None where the Gaussians cover less than
-/// half of it.
+/// The Gaussian that contributes most to the pixel (column, row) of the image of `projected`. None where the Gaussians cover less
+/// than half of it.
 ///
 /// # Panics
 /// If the pixel is outside the image.

@@ -60,7 +60,7 @@ impl SurfaceGraph {
         Self { normals, edges }
     }
 
-    /// The normal at each Gaussian, without a sense.
+    /// The normal at each Gaussian, up to its sign.
     pub(super) fn normals(&self) -> &[DVec3] {
         &self.normals
     }

@@ -34,8 +34,8 @@ pub struct Associated {
     pub semantics: Option<Semantics>,
 }
 
-/// Makes the objects that the segments of `scene` show its raw labels and its classes. Nothing is stored: a resumed run finds the
-/// same objects again.
+/// Finds the objects that the segments of `scene` show. They become its raw labels and its classes. Nothing is stored: a resumed
+/// run finds the same objects again.
 ///
 /// # Errors
 /// As [`objects::associate`].

@@ -36,7 +36,7 @@ pub(crate) fn load_initial_scene(
     let ply = formats::read(path)?;
     let mut gaussians = ply.gaussians;
     ensure!(!gaussians.is_empty(), path, "element vertex"; found "no Gaussian"; expected "one or more";
-        help "name a scene that holds something");
+        help "name a scene that is not empty");
     if config.building.iterations > 0
         && let Some(most) = config.building.max_gaussians.limit()
         && gaussians.len() > most

@@ -14,7 +14,7 @@ use crate::splat::{Gaussians, rows_where};
 use burn::tensor::Device;
 use std::time::Instant;
 
-/// A larger share of pruned Gaussians is warned of; trained scenes lose a thousandth.
+/// A larger share of pruned Gaussians gives a warning; trained scenes lose a thousandth.
 const MAX_PRUNED_SHARE: f64 = 0.05;
 
 /// Image features lifted onto the Gaussians that enough pixels show.

@@ -5,9 +5,9 @@
 //! ```
 //!
 //! [`run`] calls the steps in order; each has a file of its name. `variants` trains and scores the lines of the label table,
-//! `rivals` has the methods of other papers among them, `evaluate` holds the scores, `initial_scene` reads Gaussians of another trainer,
-//! `requirements` checks what stage two needs before stage one starts, `resolve` decides what the scene decides, `corrections` has labels
-//! that a person corrected, `segmentation_inputs` is what all of stage two works on.
+//! `rivals` has the methods of other papers, `evaluate` holds the scores, `initial_scene` reads Gaussians of another trainer,
+//! `requirements` checks what stage two needs before stage one starts, `resolve` fills in settings that follow from the scene,
+//! `corrections` has labels that a person corrected, `segmentation_inputs` is what all of stage two works on.
 
 pub mod train_decoder;
 

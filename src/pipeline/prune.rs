@@ -8,7 +8,7 @@ use crate::reconstruction::pruning::{PrunedScene, ascending, cheapest_first};
 use crate::splat::Gaussians;
 use burn::tensor::Device;
 
-/// Most training views whose PSNR judges the result. Gaussians are measured in all training views.
+/// Number of training views whose PSNR judges the result, at most. Gaussians are measured in all training views.
 const JUDGES: usize = 16;
 /// A round leaves out at most one in this many Gaussians. Then all are measured again: each of two similar Gaussians adds little
 /// until the other is gone.

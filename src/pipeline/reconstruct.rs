@@ -34,13 +34,13 @@ pub(crate) struct Reconstruction {
     pub reviews: Vec<Review>,
     /// Seconds of stage one, earlier parts of a resumed run included.
     pub seconds: f64,
-    /// The share of `seconds` of earlier parts.
+    /// The share of `seconds` that earlier parts took.
     pub earlier: f64,
     /// Whether the stage came to its end; otherwise `progress` stopped it.
     pub complete: bool,
     /// Optimiser steps of this part of the run.
     pub steps: usize,
-    /// Whether this part of the run trained or took them.
+    /// Whether this part of the run made the Gaussians.
     new: bool,
 }
 

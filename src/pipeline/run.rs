@@ -329,7 +329,7 @@ mod tests {
     #[test]
     fn objects_side_by_side_get_colours_that_differ() {
         let classes = Classes::from_names(0, [(1, "object 1"), (256, "object 256")]);
-        assert_eq!(classes.color(1), classes.color(256), "the palette is over");
+        assert_eq!(classes.color(1), classes.color(256), "the palette repeats");
         let gaussians = Gaussians {
             means: (0..18).map(|i| [i as f32, 0.0, 0.0]).collect(),
             ..Gaussians::default()

@@ -29,7 +29,7 @@ pub struct VariantOutcome {
     pub fine_tuning_steps: Option<usize>,
     /// Seconds of training.
     pub seconds: f64,
-    /// The share of them of earlier parts of a resumed run.
+    /// The share of them that earlier parts of a resumed run took.
     pub earlier_seconds: f64,
 }
 

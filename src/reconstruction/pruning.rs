@@ -1,10 +1,11 @@
 //! Which Gaussians a scene can do without: what each adds to the pictures, and how many of them some views need.
 //!
-//! The colour of a pixel is an affine function of the alpha of each Gaussian, but for pixels that end early. Leaving Gaussian `i` out
-//! changes it by `dC = -alpha_i dC/d(alpha_i)`, in terms of the logit `o` of the opacity `-dC/do / sigmoid(-o)`. So the backward pass of the
-//! rasterizer gives sums of `-dC` over the pixels, weighted by the gradient that it is given. With random signs as that gradient, the
-//! square of the sum is an unbiased estimate of the sum of `|dC|^2` (Hutchinson 1989). This is the sensitivity that PUP-3DGS (Hanson et al.
-//! 2025) and Speedy-Splat (Hanson et al. 2025) approximate, without an approximation in the alpha.
+//! The colour of a pixel is an affine function of the alpha of each Gaussian, except in pixels that end early. Leaving Gaussian
+//! `i` out changes it by `dC = -alpha_i dC/d(alpha_i)`, or `-dC/do / sigmoid(-o)` in terms of the logit `o` of the opacity. So
+//! the backward pass of the rasterizer gives sums of `-dC` over the pixels, weighted by the gradient that it is given. With
+//! random signs as that gradient, the square of the sum is an unbiased estimate of the sum of `|dC|^2` (Hutchinson 1989). This is
+//! the sensitivity that PUP-3DGS (Hanson et al. 2025) and Speedy-Splat (Hanson et al. 2025) approximate, without an approximation
+//! in the alpha.
 
 use super::optimizer::{Parameters, zero_moments};
 use crate::backend::device::{read, upload};

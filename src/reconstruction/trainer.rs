@@ -49,10 +49,11 @@ pub struct StepReport {
 
 /// Trains Gaussians on the training views of a scene.
 ///
-/// An iteration renders one view and compares it with its photo (`(1 - w) L1 + w (1 - SSIM)`). After each iteration, or each
-/// `building.batch` of them, follows one Adam step on all parameters. It densifies, reviews or resets when the [`Schedule`] says so.
-/// The same scene, settings and seed give the same bits at any thread count, interrupted or not. [Ranks](crate::ranks) divide the
-/// views of a step, and all have the same Gaussians; how many there are and where they were interrupted changes results by rounding.
+/// An iteration renders one view and compares it with its photo (`(1 - w) L1 + w (1 - SSIM)`). One Adam step on all parameters
+/// follows each iteration, or each `building.batch` of them. It densifies, reviews or resets when the [`Schedule`] says so. The
+/// same scene, settings and seed give the same bits at any thread count, interrupted or not. [Ranks](crate::ranks) divide the
+/// views of a step, and all have the same Gaussians; how many there are and where they were interrupted changes results by
+/// rounding.
 pub struct Trainer<'a> {
     pub(super) config: Config,
     pub(super) settings: Settings,
@@ -88,7 +89,7 @@ impl<'a> Trainer<'a> {
         Self::from_state(scene, config, device, state)
     }
 
-    /// Continues from a state exactly as the run that it was taken from.
+    /// Continues from a state exactly as the run that it was taken from would.
     ///
     /// # Errors
     /// [`crate::Error::Config`] for settings that cannot work or are not those of the state; [`crate::Error::Input`] for the state of another

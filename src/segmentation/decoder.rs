@@ -19,7 +19,7 @@ use rand_chacha::ChaCha8Rng;
 pub const WIDTHS: [usize; 4] = [64, 64, 128, 256];
 /// Channels of the hidden features that are blended; the last FC maps them to classes.
 pub const HIDDEN: usize = WIDTHS[0];
-/// Purpose of the random stream of the first weights.
+/// Purpose of the random stream of the initial weights.
 const INIT_STREAM: u64 = 0x6465_636f;
 
 /// Shape of a [`Decoder`].
@@ -34,7 +34,7 @@ pub struct DecoderConfig {
     /// Whether LayerNorm follows each linear map.
     #[config(default = false)]
     pub layer_norm: bool,
-    /// Seed of the first weights.
+    /// Seed of the initial weights.
     #[config(default = 0)]
     pub seed: u64,
 }
@@ -48,7 +48,7 @@ impl DecoderConfig {
         Self::new(features, channels(&pyramid.top), classes)
     }
 
-    /// A decoder with seeded first weights, uniform in +-1/sqrt(inputs of the layer).
+    /// A decoder with seeded initial weights, uniform in +-1/sqrt(inputs of the layer).
     pub fn init(&self, device: &Device) -> Decoder {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(INIT_STREAM);

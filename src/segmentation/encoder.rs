@@ -18,7 +18,7 @@ use rand_chacha::ChaCha8Rng;
 use sha2::{Digest, Sha256};
 use std::sync::Arc;
 
-/// Radius in metres that a camera path is taken to have when nothing says how large a scene is.
+/// Radius of a camera path that is assumed when nothing says how large a scene is, metres.
 const ASSUMED_EXTENT: f64 = 2.0;
 /// Stem width and block widths of encoders made here; a block's features are twice as wide.
 const WIDTHS: [usize; 1 + LAYERS] = [8, 16, 32, 64, 128];

@@ -1,7 +1,7 @@
-//! Linear layers: their random first weights, and maps of many rows, computed in blocks of them.
+//! Linear layers: their random initial weights, and maps of many rows, computed in blocks of rows.
 //!
-//! The gradients of a weight and of a bias are sums over all rows. A GPU computes such a product, of few outputs and a long
-//! sum, within one workgroup. In blocks it has a workgroup for each of them, and then adds up their sums.
+//! The gradients of a weight and of a bias are sums over all rows. A GPU computes such a product, of few outputs and a long sum,
+//! within one workgroup. With blocks, each has a workgroup, and their sums are added up.
 
 use super::randla::parameter;
 use crate::random::uniform;
@@ -12,12 +12,12 @@ use rand_chacha::ChaCha8Rng;
 /// Rows of a block.
 pub const BLOCK: usize = 256;
 
-/// The first weights of a layer are uniform in +-1 / sqrt(`inputs`): this bound.
+/// The initial weights of a layer are uniform in +- this, 1 / sqrt(`inputs`).
 pub(super) fn bound(inputs: usize) -> f32 {
     1.0 / (inputs.max(1) as f32).sqrt()
 }
 
-/// A linear map of `inputs` to `outputs` channels with random first weights.
+/// A linear map of `inputs` to `outputs` channels with random initial weights.
 pub(crate) fn linear(
     inputs: usize,
     outputs: usize,

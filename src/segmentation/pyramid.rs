@@ -207,8 +207,8 @@ impl Dependencies {
 
 /// Per-channel mean and spread of a pyramid's frozen features.
 ///
-/// Image features are unit vectors, and spatial features grow with depth. Brought to one scale, the decoder learns in far fewer
-/// steps. The paper does not mention this; `standardise = false` leaves the features as they are.
+/// Image features are unit vectors, and spatial features grow with depth. When they are brought to one scale, the decoder learns
+/// in far fewer steps. The paper does not mention this; `standardise = false` leaves the features as they are.
 #[derive(Clone, Debug)]
 pub struct Standardisation {
     /// `[1, C]` mean and reciprocal spread of each level, then of the set below them; `None` where there are no features. The

@@ -156,7 +156,7 @@ impl Block {
         atomic::write_json(dir.join(BLOCK), &block)
     }
 
-    /// The folder of the whole scene, where this block is that of the folder `dir`.
+    /// The folder of the whole scene that this block, which lies in the folder `dir`, belongs to.
     ///
     /// # Errors
     /// [`Error::Missing`] where there is none; [`Error::Input`] for one that is a block itself.

@@ -144,7 +144,8 @@ impl Editing {
         motion.apply(&mut self.gaussians, rows);
     }
 
-    /// The entry of a label in the class table. Where there is no table yet, all labels get an entry but 0, which means unlabelled.
+    /// The entry of a label in the class table. Where there is no table yet, all labels get an entry except 0, which means
+    /// unlabelled.
     pub fn entry(&mut self, id: u16) -> &mut Class {
         if self.classes.is_empty() {
             self.classes.ignore = 0;

@@ -52,7 +52,7 @@ impl Edits {
         Self::parse(path, &files::text(path)?)
     }
 
-    /// Edits of a `text`, which is or shall be that of the file at `path`.
+    /// Edits of a `text`, which is or will be that of the file at `path`.
     ///
     /// # Errors
     /// As [`Self::read`].
@@ -85,7 +85,7 @@ impl Edits {
     ///
     /// # Errors
     /// [`crate::Error::Input`] naming the field: the edits belong to another scene, or name a Gaussian, a label or a place that it does not
-    /// have. `editing` is then of no use.
+    /// have. `editing` is unusable then.
     pub fn apply(&self, editing: &mut Editing, scene: &str, origin: DVec3) -> Result<()> {
         ensure!(self.scene == scene, &self.path, "scene"; found "{}", shown(&Value::from(self.scene.as_str()));
             expected "the SHA-256 of the scene file, {scene}";

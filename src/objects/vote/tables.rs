@@ -205,7 +205,7 @@ mod tests {
                     |class: usize| whole.table.iter().skip(class).step_by(classes).sum::<f32>();
                 assert!((0..classes).all(|class| sum(class) > 1.0), "{device:?}");
                 for width in [1, 2, 3, 5] {
-                    // Sums of another number of channels are rounded otherwise.
+                    // Sums of another number of channels are rounded differently.
                     let votes = votes(width, shares.as_ref());
                     assert_eq!(votes.table.len(), whole.table.len());
                     let pairs = votes.table.iter().zip(&whole.table);

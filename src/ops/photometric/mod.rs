@@ -132,7 +132,7 @@ impl PhotometricTarget {
 custom_op! {
     /// Backend side of [`photometric_loss`].
     pub(crate) trait PhotometricBackend {
-        /// The loss `[1]`. The mask is not looked at.
+        /// The loss `[1]`. The mask is ignored.
         fn photometric_loss(
             image: FloatTensor<Self>,
             target: Arc<PhotometricTarget>,

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 /// Share of the pixels that are scored.
 const SCORED_SHARE: f64 = 1.0 / 16.0;
-/// Most features that are scored, 200 MB of them: fewer pixels are drawn where these would be more.
+/// Number of features that are scored, at most: 200 MB of them. Fewer pixels are drawn where there would be more.
 const MAX_FEATURES: f64 = 5e7;
 
 /// How well a feature field separates the true classes, and what it took.

@@ -26,7 +26,7 @@ use std::time::Instant;
 
 /// Channels of a Gaussian's feature.
 const CHANNELS: usize = 64;
-/// First features are uniform in +- this.
+/// Initial features are uniform in +- this.
 const INITIAL_RANGE: f32 = 0.1;
 /// Learning rate of features and decoder.
 const RATE: f64 = 1e-2;

@@ -17,7 +17,7 @@ use burn::tensor::{Device, Tensor};
 
 /// Channels of a code.
 const CODE_CHANNELS: usize = 16;
-/// First codes are uniform in +- this: the original's spherical harmonics of random colours.
+/// Initial codes are uniform in +- this: the original's spherical harmonics of random colours.
 const INITIAL_RANGE: f32 = 1.77;
 /// Gaussians whose neighbours the 3D loss reads in an iteration, and neighbours of each.
 const SAMPLES: usize = 1_000;

@@ -13,7 +13,7 @@ use super::segmentation_inputs::SegmentationInputs;
 use crate::random::{Purpose, stream};
 use rand_chacha::ChaCha8Rng;
 
-/// The random numbers of first parameters.
+/// The random numbers of initial parameters.
 fn first_parameters(inputs: &SegmentationInputs) -> ChaCha8Rng {
     stream(inputs.config.seed, Purpose::RivalParameters, 0)
 }

@@ -13,7 +13,7 @@ use crate::segmentation::pixels::{LabelledPixels, NO_CLASS};
 
 /// Steps between two measurements.
 const INTERVAL: usize = 5;
-/// Most pixels of a class in a measurement.
+/// Pixels of a class in a measurement, at most.
 const PIXELS: usize = 256;
 /// Number of pixels that would replace the running mean, were there no [`MAX_SHARE`].
 const MEMORY_PIXELS: f64 = 500.0;

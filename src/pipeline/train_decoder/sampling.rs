@@ -9,9 +9,9 @@ pub fn view_at(seed: u64, iteration: usize, views: usize) -> usize {
     in_epochs(views, seed, Purpose::SegmentationViews, iteration)
 }
 
-/// A stratified sample of the numbers below `count`: one of each run of `1 / share` of them, ascending. Where `1 / share` is
-/// no whole number, runs of two lengths alternate so that the share is exact. They start at a random offset then, so that
-/// each number is as likely.
+/// A stratified sample of the numbers below `count`: one of each run of `1 / share` of them, ascending. Where `1 / share` is not
+/// a whole number, runs of two lengths alternate so that the share is exact. They start at a random offset then, so that each
+/// number is equally likely.
 pub(in crate::pipeline) fn stratified_sample(
     count: usize,
     share: f64,
@@ -74,7 +74,7 @@ mod tests {
                 );
             }
         }
-        // Each number is as likely, but for the ends, where runs are cut.
+        // Each number is equally likely, except at the ends, where runs are cut.
         let mut rng = ChaCha8Rng::seed_from_u64(4);
         let mut drawn = [0; 700];
         (0..1_000)

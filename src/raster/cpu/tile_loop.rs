@@ -6,7 +6,7 @@ use crate::backend::Real;
 use crate::backend::simd::{Lanes, prefetch};
 use rayon::prelude::*;
 
-/// List entries between two looks at which rows are still live.
+/// List entries between two checks of which rows are still live.
 pub(super) const LIVE_CHECK_INTERVAL: usize = 16;
 /// Bytes of per-entry sums held at once. They are few, so that they stay in the cache. There are never more than [`BANDS`] bands,
 /// because each band looks at all Gaussians.

@@ -93,7 +93,7 @@ fn read_report(gpu: &Gpu, report: &CubeTensor) -> Result<[u32; 2]> {
     let words = read_words(gpu, report)?;
     match words[..] {
         [non_finite, entries, ..] => Ok([non_finite, entries]),
-        _ => Err(device_error(gpu, "a readback came short".into())),
+        _ => Err(device_error(gpu, "a readback was too short".into())),
     }
 }
 
@@ -101,7 +101,7 @@ fn device_error(gpu: &Gpu, reason: String) -> Error {
     Error::Device {
         device: gpu.client.name().into(),
         reason,
-        help: "see whether the device has memory left, or choose a CPU backend".into(),
+        help: "check whether the device has memory left, or choose a CPU backend".into(),
     }
 }
 

@@ -17,7 +17,7 @@ const CULLED: u32 = 0xffff_ffff;
 const NORMAL: f32 = 1.175_494_4e-38;
 
 /// `a / b`, corrected by what is left of `a` where `fma` is fused: WGSL and SPIR-V allow a division to be off by 2.5 units in the
-/// last place, which a small Gaussian near the edge of a wide image feels.
+/// last place, which matters for a small Gaussian near the edge of a wide image.
 #[cube]
 fn quotient(a: f32, b: f32) -> f32 {
     let q = a / b;

@@ -1,4 +1,4 @@
-//! The operations by the GPU's kernels, or by the CPU's where the GPU's do not reach.
+//! The operations by the GPU's kernels, or by the CPU's where the GPU's do not suffice.
 
 use super::cpu;
 use super::tensors::{
@@ -14,7 +14,7 @@ use burn_cubecl::kernel::{cast, into_contiguous};
 use burn_cubecl::tensor::CubeTensor;
 use std::sync::Arc;
 
-/// Whether the GPU's kernels take this call. They have sums of absolute screen-space gradients for few channels. Without a
+/// Whether the GPU's kernels take this call. They have sums of absolute screen-space gradients only for few channels. Without a
 /// Gaussian or a channel there is no buffer to bind.
 fn on_device(tensors: &RasterTensors<CubeBackend>, call: &RasterCall) -> bool {
     let channels = call.colours() + tensors.features.meta.shape()[1];

@@ -7,7 +7,7 @@ use burn::tensor::{Tensor, TensorData};
 
 /// Keeps the logarithm of a blended probability finite.
 pub(super) const MIN_PROBABILITY: f64 = 1e-8;
-/// Keeps the logarithm finite of a mixture of two distributions that both lack a class. What it is multiplied by is 0 then.
+/// Keeps the logarithm finite of a mixture of two distributions that both lack a class. Its factor is 0 then.
 const MIN_MIXTURE: f64 = 1e-30;
 /// Logarithm of a label's zeros in [`LabelLoss::NceRce`] (Ma et al. 2020).
 const LOG_ZERO: f64 = -4.0;
@@ -35,8 +35,8 @@ pub enum LabelLoss {
         /// The exponent, in (0, 1].
         q: f64,
     },
-    /// Jensen-Shannon (Eq. 8), divided by Z = -(1 - pi) ln(1 - pi). It tends to [`LabelLoss::Ce`] for `pi` to 0 and to
-    /// [`LabelLoss::Mae`] for `pi` to 1.
+    /// Jensen-Shannon (Eq. 8), divided by Z = -(1 - pi) ln(1 - pi). It tends to [`LabelLoss::Ce`] as `pi` goes to 0 and to
+    /// [`LabelLoss::Mae`] as `pi` goes to 1.
     Js {
         /// Weight of the raw label, in (0, 1).
         pi: f64,

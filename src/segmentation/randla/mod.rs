@@ -1,8 +1,8 @@
 //! RandLA-Net's encoder (Hu et al. 2020), as burn modules.
 //!
 //! Features are `[rows, channels]` throughout. A tensor over the `K` neighbours of `R` points has `K R` rows, first those of
-//! the first neighbours: sums over neighbours then add long contiguous arrays. 1x1 convolutions are linear layers. Key names and wiring are those of the PyTorch port
-//! whose checkpoints are published.
+//! the first neighbours: sums over neighbours then add long contiguous arrays. 1x1 convolutions are linear layers. Key names and
+//! wiring are those of the PyTorch port whose checkpoints are published.
 
 mod neighbourhood;
 mod weights;

@@ -171,9 +171,9 @@ impl Unprojected {
     }
 }
 
-/// Attendance pruning without features: which of `gaussians` are kept, `[N]`. These are the Gaussians that [`unproject`] of any
-/// features of `views`, those of this [rank](crate::ranks), at `image` resolution keeps. At `feature` resolution the counted cells are
-/// those of the maps, which this does not know.
+/// Attendance pruning without features: which of `gaussians` are kept, `[N]`. These are the Gaussians that [`unproject`] keeps at
+/// `image` resolution, for any features of `views`, those of this [rank](crate::ranks). At `feature` resolution the counted cells
+/// are those of the maps, which this does not know.
 ///
 /// # Errors
 /// As [`crate::raster::Projected::new`]; [`Error::Config`] for a mask of a different size than its view; [`Error::Device`] where
