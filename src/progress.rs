@@ -97,8 +97,9 @@ pub trait Progress {
     /// Called after each event.
     fn event(&mut self, event: &Event);
 
-    /// Whether to end the run with [`Error::Stopped`]. Called after each step of training, after each view of features, unprojection and
-    /// association, and between the parts of a run. A resumed run continues training from a checkpoint, and repeats a stage that learns nothing.
+    /// Whether to end the run with [`Error::Stopped`]. Called after each step of training, after each view of features,
+    /// unprojection and association, and between the parts of a run. A resumed run continues training from a checkpoint, and
+    /// repeats a stage that learns nothing.
     fn stop(&mut self) -> bool {
         false
     }
@@ -111,7 +112,8 @@ pub trait Progress {
         false
     }
 
-    /// Called where [`Progress::wants_gaussians`] says so, after lifting, and after each variant: the Gaussians as they are now, relative to the origin of the scene, and a label id of each once they have labels.
+    /// Called where [`Progress::wants_gaussians`] says so, after lifting, and after each variant: the Gaussians as they are now,
+    /// relative to the origin of the scene, and a label id of each once they have labels.
     fn gaussians(&mut self, _gaussians: &Gaussians, _labels: Option<&[u16]>) {}
 }
 

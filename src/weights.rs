@@ -71,7 +71,7 @@ impl WeightFile {
     /// `model_state_dict`, `state_dict`, `model` or not at all.
     ///
     /// # Errors
-    /// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is truncated, or is no such file.
+    /// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is truncated, or is not such a file.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         Self::open_where(path, |_| true)
     }

@@ -67,7 +67,7 @@ pub(super) fn measure(bench: &Bench, gaussians: &Gaussians) -> Result<Vec<Figure
     };
     let mut points = points(&configured, &exact, gaussians.sh_degree);
     let found = subject(&bench.device, DType::F32);
-    // Round by round, so that a slow moment of the machine meets all points alike. The first round is the warm-up.
+    // Round by round, so that a slow moment of the machine affects all points alike. The first round is the warm-up.
     for round in 0..=bench.repeats {
         for point in &mut points {
             let seconds = [found.seconds(point, false)?, found.seconds(point, true)?];

@@ -33,7 +33,7 @@ pub struct Figures {
     pub gaussians: usize,
     /// What was measured and how; one line each.
     pub notes: Vec<String>,
-    /// What the errors of the figures are of.
+    /// What the errors of the figures measure.
     #[serde(skip_serializing_if = "<[_]>::is_empty")]
     pub error_names: &'static [&'static str],
     /// The figures.

@@ -42,7 +42,7 @@ impl Masks {
         Ok(Self(found))
     }
 
-    /// Reads the masks of `photos` before anything is written. A warning tells of masks that may be turned.
+    /// Reads the masks of `photos` before anything is written. Warns of masks that may be turned.
     ///
     /// # Errors
     /// [`Error::Input`] for a mask of other proportions, or one that cannot be read; [`Error::Io`]; [`Error::Stopped`].
@@ -63,8 +63,8 @@ impl Masks {
             .filter(|(photo, _)| photo.turns_without_trace());
         if let [(first, _), ..] = untraced.collect::<Vec<_>>()[..] {
             tracing::warn!(
-                "{}: its EXIF orientation turns it, but its size does not tell; its mask is taken to lie as the photo is stored, \
-                 and so are those of other such photos",
+                "{}: its EXIF orientation turns it, but its size does not show that; its mask is assumed to lie as \
+                 the photo is stored, and so are those of other such photos",
                 first.path.display()
             );
         }

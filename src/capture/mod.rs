@@ -18,12 +18,12 @@ use sha2::{Digest, Sha256};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Says what the scene folder was made from, and how far that came.
+/// Says what the scene folder was made from, and how far that got.
 const RECORD: &str = "from-photos.json";
 /// Files of ffmpeg and COLMAP, below the scene folder until it is done.
 const WORK: &str = ".from-photos";
 
-/// What to make a scene folder of.
+/// What to make a scene folder from.
 #[derive(Clone, Copy, Debug)]
 pub struct Capture<'a> {
     /// A folder of photos, or a video.
@@ -63,7 +63,7 @@ struct Room {
 
 impl Capture<'_> {
     /// Makes the scene folder `out`: photos without EXIF orientation in `images`, or frames of the video, their masks in `masks`, and
-    /// COLMAP models in `sparse`. A folder that was begun is continued: steps that are done are not done again.
+    /// COLMAP models in `sparse`. A folder that was begun is continued: finished steps are not repeated.
     ///
     /// # Errors
     /// [`Error::Missing`] for the source or a program that is not there; [`Error::Argument`] for a folder with other files, or one
@@ -135,7 +135,7 @@ impl Capture<'_> {
         };
         let Some(photos) = photos else {
             bail!(argument "--masks"; found "masks of a video"; expected "masks of photos";
-                help "make photos of the video by `coseg from-photos` without masks, and then give its folder images");
+                help "take photos from the video with `coseg from-photos` without masks, and then give its folder images");
         };
         Masks::list(dir, photos).map(Some)
     }

@@ -1,4 +1,4 @@
-//! Photos as all programs read them alike: of one size and without an EXIF orientation.
+//! Photos in a form that all programs read alike: of one size and without an EXIF orientation.
 
 use super::masks::Masks;
 use crate::data::photos::image_file::{ImageFile, proportional};

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// What to do without ffmpeg, or where it fails.
-const HELP: &str = "videos are read by ffmpeg (apt-get install ffmpeg, brew install ffmpeg); it takes a video that it can play";
+const HELP: &str = "videos are read by ffmpeg (apt-get install ffmpeg, brew install ffmpeg); give it a video that it can play";
 /// Marks each frame by how sharp it is: `YAVG` is the mean of the positive part of the Laplacian of its luma, of at most 1280 pixels
 /// across.
 const SHARPNESS: &str = "scale=w='min(1280,iw)':h=-2,format=yuv420p,convolution=0 -1 0 -1 4 -1 0 -1 0,signalstats,\

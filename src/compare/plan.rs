@@ -9,9 +9,9 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use toml::Table;
 
-/// Most cells of a plan.
+/// Cells of a plan, at most.
 const MAX_CELLS: u64 = 10_000;
-/// Most bytes of a name, which is part of file names.
+/// Bytes of a name, which is part of file names, at most.
 const MAX_BYTES: usize = 60;
 
 /// The scene of this name is the built-in room.

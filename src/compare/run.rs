@@ -30,7 +30,7 @@ pub struct Options {
     pub device: String,
     /// Finished cells of other commits are kept.
     pub keep_cells: bool,
-    /// Only cells are run whose name `scene/labels/row/seed` has this in it.
+    /// Only cells whose name `scene/labels/row/seed` contains this are run.
     pub only: String,
     /// 3DGS PLY files to take as stage one, by the names of their scenes.
     pub gaussians: BTreeMap<String, PathBuf>,

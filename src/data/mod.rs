@@ -245,7 +245,8 @@ pub struct View {
     pub raw: Option<LabelRuns>,
     /// Where the class probabilities of [`View::raw`] are, if the segmenter's scores lie beside the map.
     pub scores: Option<ViewScores>,
-    /// Labels that a person corrected in a finished run, the ignored id elsewhere. They go before the raw labels in training.
+    /// Labels that a person corrected in a finished run, the ignored id elsewhere. They take precedence over the raw labels in
+    /// training.
     pub corrected: Option<LabelRuns>,
     /// The known segments of [`View::raw`], where its ids are segments of this view, not classes.
     pub segments: Vec<Segment>,

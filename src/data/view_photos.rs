@@ -1,4 +1,4 @@
-//! The photos that the views of a scene folder are of.
+//! The photos of the views of a scene folder.
 
 use super::LoadOptions;
 use super::formats::folder::Problems;

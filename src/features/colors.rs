@@ -5,7 +5,7 @@ use crate::error::{Result, ensure};
 use crate::weights::{HostTensor, WeightFile};
 use std::path::Path;
 
-/// Most Gaussians that the components are fitted on.
+/// Gaussians that the components are fitted on, at most.
 const FITTED_GAUSSIANS: usize = 20_000;
 /// Gaussians that are projected at once.
 const BLOCK: usize = 4_096;

@@ -48,7 +48,7 @@ pub fn write(
         .map_err(|e| failed("write")(e.into_error()))?;
     file.sync_all().map_err(failed("sync"))?;
     drop(file);
-    // Before the file is there: a process that is killed now leaves no file of its own that it does not know.
+    // Before the file is there: a process that is killed now leaves no file without a record.
     own::note(path, &format!("{:x}", hash.finalize()))?;
     temporary
         .persist(path)

@@ -3,11 +3,11 @@
 use crate::error::{Result, ensure};
 use std::path::Path;
 
-/// Most frames of one scene.
+/// Frames of one scene, at most.
 pub const MAX_VIEWS: u64 = 65_536;
-/// Most pixels of one image.
+/// Pixels of one image, at most.
 pub const MAX_IMAGE_PIXELS: u64 = 1 << 27;
-/// Most rows of a point cloud or Gaussian file.
+/// Rows of a point cloud or Gaussian file, at most.
 pub const MAX_POINTS: u64 = 1 << 28;
 
 /// Refuses more than [`MAX_VIEWS`] frames in the file at `path`.

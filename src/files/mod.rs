@@ -59,7 +59,7 @@ pub fn absolute(path: &Path) -> Result<PathBuf> {
     std::path::absolute(path).map_err(|e| Error::io(path, "find", e))
 }
 
-/// SHA-256 of the content of a file, 64 hexadecimal digits in small letters.
+/// SHA-256 of the content of a file, 64 hexadecimal digits in lower case.
 ///
 /// # Errors
 /// [`Error::Io`].
@@ -112,7 +112,7 @@ pub fn file_name(path: &Path) -> Option<String> {
     Some(path.file_name()?.to_string_lossy().into_owned())
 }
 
-/// The extension of a path in small letters; empty where it has none.
+/// The extension of a path in lower case; empty where it has none.
 pub fn extension(path: &Path) -> String {
     let extension = path.extension().unwrap_or_default();
     extension.to_string_lossy().to_lowercase()

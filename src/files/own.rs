@@ -1,8 +1,8 @@
 //! Records which files this program wrote, so that it overwrites no others.
 //!
-//! The program calls [`guard`]; the library alone writes where it is told to. Then each folder that is written into has a record,
-//! [`RECORD`]: a line for each file with the SHA-256 of its content, the command, and its name. A file is own as long as its content
-//! is what such a line says.
+//! The program calls [`guard`]; the library by itself writes wherever it is told to. With the guard, each folder that is written
+//! into has a record, [`RECORD`]: a line for each file with the SHA-256 of its content, the command, and its name. A file is own
+//! as long as its content is what such a line says.
 
 use super::lock;
 use crate::error::{Error, Result, bail, ensure};

@@ -23,7 +23,7 @@ pub enum Purpose {
     Regularisation = 6,
     /// Channels that a prediction does without; index = 2 iteration + prediction.
     Dropout = 8,
-    /// First parameters of rivals; index 0.
+    /// Initial parameters of rivals; index 0.
     RivalParameters = 11,
     /// Cells that a PCA is fitted on; index = 4 * training view + scale.
     PcaCells = 32,

@@ -92,9 +92,9 @@ impl<'a> Trainer<'a> {
     /// Continues from a state exactly as the run that it was taken from would.
     ///
     /// # Errors
-    /// [`crate::Error::Config`] for settings that cannot work or are not those of the state; [`crate::Error::Input`] for the state of another
-    /// scene; [`crate::Error::Argument`] for a scene without
-    /// training views, or whose photos and masks differ in size from their cameras; those of [`crate::data::Photo::pixels`].
+    /// [`crate::Error::Config`] for settings that cannot work or are not those of the state; [`crate::Error::Input`] for the
+    /// state of another scene; [`crate::Error::Argument`] for a scene without training views, or whose photos and masks differ in
+    /// size from their cameras; those of [`crate::data::Photo::pixels`].
     pub fn from_state(
         scene: &'a Scene,
         config: &Config,

@@ -21,7 +21,7 @@ const METRICS: &str = "metrics.json";
 pub const REPORT: &str = "report.html";
 /// The folder of held-out views.
 pub const RENDERS: &str = "renders";
-/// The files of a run folder, those in its folders aside.
+/// The files of a run folder, except those in its folders.
 const FILES: [&str; 11] = [
     BLOCK,
     CAMERAS,
@@ -121,7 +121,7 @@ impl RunFolder {
         Ok(started)
     }
 
-    /// Writes the settings, and the block of a larger scene that they name: that scene may be split anew.
+    /// Writes the settings, and the block of a larger scene that they name: that scene may be split again.
     fn write_start(&self, config: &Config) -> Result<()> {
         let block = config.data.dir.as_ref().map(|dir| dir.join(BLOCK));
         if let Some(block) = block.filter(|file| file.is_file()) {

@@ -41,7 +41,7 @@ struct Part {
     cameras: Vec<NamedCamera>,
 }
 
-/// A scene that was put together.
+/// A merged scene.
 #[derive(Clone, Debug)]
 pub struct Merged {
     /// The Gaussians of all cores, in the order of blocks.
@@ -64,7 +64,7 @@ pub struct Merged {
     pub joined: Option<usize>,
 }
 
-/// Puts the scenes of `runs` together, which were trained on all blocks of one split, each on one. Each block gives the Gaussians
+/// Merges the scenes of `runs`, which were trained on all blocks of one split, each on one. Each block gives the Gaussians
 /// whose centres lie in its core. Ids that association gave are joined over the borders, see [`join_objects`].
 ///
 /// # Errors
@@ -294,7 +294,7 @@ fn objects(parts: &[Part], kept: &[Vec<u32>]) -> Result<JoinedObjects> {
     join_objects(&of_parts.collect::<Vec<_>>(), &shared)
 }
 
-/// The scores of the Gaussians `kept` for `classes`. A class that a block does not know is as unlikely as its unlikeliest.
+/// The scores of the Gaussians `kept` for `classes`. A class that a block does not know is as unlikely as its least likely one.
 fn identities(parts: &[Part], kept: &[Vec<u32>], classes: &Classes) -> Option<Identities> {
     let mut scores = Vec::new();
     for (part, rows) in parts.iter().zip(kept) {

@@ -72,7 +72,7 @@ pub fn check_output(
             expected "a file other than the scene and its classes.json"; help "name a new file");
     }
     ensure!(force || !atomic::same_file(path, out), argument "--out"; found "{}", out.display();
-        expected "a file other than the scene"; help "name a new file, or write over the scene by --force");
+        expected "a file other than the scene"; help "name a new file, or write over the scene with --force");
     let folder = out.parent().unwrap_or_else(|| Path::new(""));
     check_output_file("--out", out, (folder, &LoadOptions::default()))?;
     if force {
@@ -86,7 +86,7 @@ pub fn check_output(
         &names, "classes"; found "another class table"; expected "that of the scene's labels, or no file";
         help "write into another folder, or add --force where there are no photos beside it");
     ensure!(own::check(out).is_ok(), argument "--out"; found "{}, which this command did not write", out.display();
-        expected "a new file, or one that this command wrote"; help "name another file, or write over it by --force");
+        expected "a new file, or one that this command wrote"; help "name another file, or write over it with --force");
     Ok(())
 }
 
@@ -118,7 +118,7 @@ pub fn write_scene(
     copy_cameras(from, out)
 }
 
-/// Makes the file `names` say what the labels of a new scene mean. Without `classes` an older file goes.
+/// Makes the file `names` say what the labels of a new scene mean. Without `classes` an older file is removed.
 ///
 /// # Errors
 /// As [`Classes::read`]; [`Error::Io`].

@@ -80,7 +80,7 @@ pub fn classes_beside(scene: &Path, table: Option<&Path>) -> Result<Classes> {
 }
 
 /// Main components of the image features of each of `gaussians`, of the scene.ply beside which a run wrote some; none for other
-/// scenes. A file that is damaged or of another number of Gaussians is passed over with a warning.
+/// scenes. A file that is damaged or of another number of Gaussians is ignored with a warning.
 pub fn features_beside(scene: &Path, gaussians: usize) -> Vec<[f32; 3]> {
     let file = scene.with_file_name(FEATURE_COLORS);
     if !file.is_file() || scene.file_name().is_none_or(|name| name != SCENE) {
@@ -200,8 +200,8 @@ pub fn rendering_beside(scene: &Path) -> Config {
     })
 }
 
-/// Copies the cameras beside the scene `from` beside the scene `to`. Without any, those of an earlier scene go. Cameras that this
-/// program did not write stay.
+/// Copies the cameras beside the scene `from` beside the scene `to`. Without any, those of an earlier scene are removed. Cameras
+/// that this program did not write stay.
 ///
 /// # Errors
 /// [`Error::Io`].

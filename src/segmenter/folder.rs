@@ -17,7 +17,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Mutex;
 
-/// Bytes of memory that photos in work take at most, the network's weights aside.
+/// Bytes of memory that photos in work take at most, apart from the network's weights.
 const MAX_PHOTO_BYTES: usize = 700 << 20;
 /// Bytes for each pixel of a photo: decoded, its label map, and both while they are encoded.
 const PIXEL_BYTES: usize = 12;

@@ -91,7 +91,7 @@ impl Index {
         let found = if self.content.files.contains_key(name) {
             "a file that was changed since it was written"
         } else {
-            "a file of somebody else"
+            "somebody else's file"
         };
         bail!(self.folder.join(name), "content"; found "{found}"; expected "a file as `coseg label` wrote it";
             help "move it away, or name another folder");

@@ -16,7 +16,7 @@ use tract_onnx::prelude::{
     TypedFact, TypedModel, TypedRunnableModel, tvec,
 };
 
-/// Most values of a tensor within a network: 4 GB.
+/// Values of a tensor within a network, at most: 4 GB.
 const MAX_TENSOR_VALUES: u128 = 1 << 30;
 
 /// A network that was read and prepared for one size of input.
@@ -44,7 +44,7 @@ impl fmt::Debug for Network {
 impl Network {
     /// Reads the ONNX file and prepares the network for the input of `contract`.
     ///
-    /// # Errors [`Error::Io`]; [`Error::Input`] naming tensor or operator, where the file is cut off or no ONNX, weights lie in
+    /// # Errors [`Error::Io`]; [`Error::Input`] naming tensor or operator, where the file is cut off or not ONNX, weights lie in
     /// other files or do not fill their shapes, an operator is not implemented, or inputs and outputs differ from the contract in
     /// name, type or shape; [`Error::Limit`] for tensors of more than 4 GB.
     pub fn load(file: &Path, contract: Contract) -> Result<Self> {

@@ -34,7 +34,7 @@ struct Mapped<'a> {
     /// Its values are logits or probabilities, `[height, width, channels]`.
     logits: Logits,
     /// Probabilities of the classes that are not dropped, `[height, width, channels]`. They add up to 1, or are all 0 where those
-    /// of the listed classes are nil.
+    /// of the listed classes are 0.
     probabilities: Vec<f32>,
     /// Probability of all classes that are not dropped, `[height, width]`.
     listed: Vec<f32>,

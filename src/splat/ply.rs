@@ -129,7 +129,7 @@ pub fn read(path: &Path) -> Result<PlyScene> {
         };
         let opacity = 9 + 3 * rest;
         let mut cells = *cells;
-        // Other programs write an opacity of 0 or 1 so.
+        // Other programs write an opacity of 0 or 1 in this way.
         if cells[opacity].is_infinite() {
             let byte = if cells[opacity] > 0.0 { 255 } else { 0 };
             cells[opacity] = f64::from(formats::logit(byte));

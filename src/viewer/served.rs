@@ -25,9 +25,9 @@ use std::thread;
 use std::time::Duration;
 use tokio::sync::watch;
 
-/// Bytes of edits at most: all Gaussians of a scene of 10 million, some times over.
+/// Bytes of edits at most: all Gaussians of a scene of 10 million, several times over.
 const MAX_EDITS: usize = 1 << 28;
-/// How often the server looks whether it is to end.
+/// How often the server checks whether it is to end.
 const PAUSE: Duration = Duration::from_millis(50);
 
 /// A page of a scene, its server, and its file of edits.

@@ -30,8 +30,8 @@ pub struct PlannedBlock {
     pub points: usize,
 }
 
-/// Splits the scene in folder `dir` into `counts` columns and rows of blocks. Photos are not decoded, unless the initial cloud has
-/// to be made of depth images.
+/// Splits the scene in folder `dir` into `counts` columns and rows of blocks. Photos are not decoded, unless the initial cloud
+/// has to be made from depth images.
 ///
 /// # Errors
 /// As [`crate::data::load`] for the list of frames and the cloud; [`crate::Error::Argument`] for a folder that is a block itself, and

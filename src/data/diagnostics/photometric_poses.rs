@@ -23,7 +23,7 @@ const BLOCK_PIXELS: usize = 8;
 /// Depths, from infinity evenly in their inverse to the nearest one, in distances between the two cameras.
 const DEPTHS: usize = 24;
 const NEAREST_DEPTH: f64 = 1.5;
-/// Standard deviation of a block, of white, below which it looks like any other.
+/// Standard deviation of a block, as a share of white, below which it looks like any other.
 const MIN_DEVIATION: f64 = 0.02;
 /// Correlation from which two blocks are alike.
 const MIN_CORRELATION: f64 = 0.8;

@@ -6,8 +6,8 @@ use crate::data::LoadOptions;
 use crate::data::labels::raw::{ShapeFile, labelme};
 use std::path::{Path, PathBuf};
 
-/// Where the file of a photo may lie in a folder: its path with `.png` for its extension or behind it, the name of its view, or its
-/// stem.
+/// Where the file of a photo may lie in a folder: its path with `.png` instead of its extension or after it, the name of its
+/// view, or its stem.
 pub(crate) fn names(folder: &Path, photo: &Path) -> [PathBuf; 4] {
     let png = |name: &str| folder.join(format!("{name}.png"));
     [

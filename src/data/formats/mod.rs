@@ -1,7 +1,7 @@
 //! Scene folders: the layouts that are read, and what they share.
 //!
 //! `layout::list` finds the layout of a folder and asks its module for a `listing::Listing`: frames with cameras,
-//! photos and label files, and the initial cloud. `listing::Listing::load` makes the scene of it, the same way for all.
+//! photos and label files, and the initial cloud. `listing::Listing::load` makes the scene from it, the same way for all.
 //! Nothing here knows the diagnostics.
 
 pub(crate) mod camera_checks;

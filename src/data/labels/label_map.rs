@@ -115,8 +115,8 @@ impl LabelMap {
         sides.into_iter().flatten()
     }
 
-    /// The pixels of each region, breadth first from its first pixel, in the order of these first pixels. A region is what is
-    /// connected by sides of pixels that are `alike`.
+    /// The pixels of each region, breadth first from its first pixel, in the order of these first pixels. Pixels of a region are
+    /// `alike` and connected by their sides.
     pub(crate) fn regions(&self, alike: impl Fn(usize, usize) -> bool) -> Vec<Vec<usize>> {
         let mut seen = vec![false; self.ids.len()];
         let mut regions = Vec::new();

@@ -17,15 +17,15 @@ use std::path::{Path, PathBuf};
 /// How far the proportions of a label map may be from those of its photo when it is resampled: ScanNet's own sizes,
 /// 1296x968 and 640x480, differ by 0.4 %.
 const MAX_PROPORTION_ERROR: f64 = 0.02;
-/// Help for a picture that lies across.
-pub(crate) const TURNED_HELP: &str = "it is turned by a quarter: some programs turn photos by their EXIF orientation and others do not; \
-    apply it to the photos or strip it (docs/from-photos.md, 1), before COLMAP and the segmenter see them";
+/// Help for a picture that is turned by 90 degrees.
+pub(crate) const TURNED_HELP: &str = "it is turned by 90 degrees: some programs turn photos by their EXIF orientation and others \
+    do not; apply it to the photos or strip it (docs/from-photos.md, 1), before COLMAP and the segmenter see them";
 /// Help for a picture of another size.
 const SIZE_HELP: &str = "scale the photo to that size, or correct the size with focal length and centre; label maps of smaller photos \
     need a geometry.json beside them (docs/data.md)";
 /// Bytes of a pixel while a file is decoded, at most: 16 bits of four channels, and a copy.
 const PIXEL_BYTES: u64 = 16;
-/// Quality of photos that are written anew.
+/// Quality of photos that are rewritten.
 const JPEG_QUALITY: u8 = 98;
 /// Bytes for all parts of a file that are not pixels.
 const EXTRA_BYTES: u64 = 16 << 20;

@@ -2,7 +2,7 @@
 //!
 //! A distorted photo becomes a pinhole of its size and principal point, with the focal lengths times one factor. The factor is the
 //! smallest at which every pixel lies within the photo, which gives the widest view. So no pixel is made up, and none has to be
-//! masked. Barrel distortion loses the corners of the photo, cushion distortion its rims.
+//! masked. Barrel distortion loses the corners of the photo, pincushion distortion its rims.
 
 use crate::data::LabelMap;
 use crate::data::bilinear::{among, beside};
@@ -97,7 +97,7 @@ impl Undistortion {
                 low = middle
             }
         }
-        // Between 1 and the true bound lies rounding only.
+        // Only rounding lies between 1 and the true bound.
         Some(zoomed(if (high - 1.0).abs() < 1e-9 { 1.0 } else { high }))
     }
 

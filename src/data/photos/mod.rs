@@ -7,7 +7,7 @@ pub(crate) mod photo;
 use crate::files::extension;
 use std::path::Path;
 
-/// Extensions of photos, in small letters.
+/// Extensions of photos, in lower case.
 pub(crate) const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 
 /// Whether a path has one of [`EXTENSIONS`].

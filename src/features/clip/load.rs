@@ -86,7 +86,7 @@ impl TextEncoder {
     }
 
     /// Reads weights from a `.safetensors` file, or from any other file as a PyTorch checkpoint. Those of the image encoder are
-    /// passed over. All extents are those of the tensors; there is a head for every [`HEAD`] channels.
+    /// ignored. All extents are those of the tensors; there is a head for every [`HEAD`] channels.
     ///
     /// # Errors
     /// [`crate::Error::Io`] when the file cannot be read; [`crate::Error::Input`] when it is damaged, when tensors are missing, have

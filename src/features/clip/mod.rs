@@ -32,7 +32,7 @@ impl TextEncoder {
         self.tokens.dims()[0]
     }
 
-    /// Most tokens of a text.
+    /// Tokens of a text, at most.
     pub fn most_tokens(&self) -> usize {
         self.positions.dims()[0]
     }

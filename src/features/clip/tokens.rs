@@ -14,7 +14,7 @@ impl Tokenizer {
         usize::from(self.0.end_of_text().to_u16()) + 1
     }
 
-    /// The tokens of a text in small letters, between those that begin and end it. OpenAI's code repairs broken Unicode and HTML
+    /// The tokens of a text in lower case, between those that begin and end it. OpenAI's code repairs broken Unicode and HTML
     /// entities first; this does not.
     pub fn tokens(&self, text: &str) -> Vec<u32> {
         let mut tokens = vec![self.0.start_of_text()];

@@ -6,9 +6,9 @@
 //! tensor". It says neither which blocks, nor which tensor, nor whether the final layer normalisation is applied. We apply it to
 //! each of the four: raw block outputs grow with depth, and some channels would drown the rest in the PCA.
 //!
-//! All four scales have one resolution, a cell a patch. Cells keep the stride of a patch whatever the image's size: the image's
-//! border pixels fill up the last column and row. The official code drops what does not fill a patch. Both agree where sizes
-//! are multiples of the patch.
+//! All four scales have one resolution, one cell for each patch. Cells keep the stride of a patch whatever the image's size: the
+//! image's border pixels fill up the last column and row. The official code drops what does not fill a patch. Both agree where
+//! sizes are multiples of the patch.
 
 mod load;
 mod position;

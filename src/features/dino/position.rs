@@ -13,8 +13,8 @@ pub(super) struct PositionEmbedding {
     pub values: Param<Tensor<2>>,
 }
 
-/// Added to the number of patches before the scale is computed. The official code does so, lest rounding lose a patch. The
-/// interpolated grid is therefore a little narrower than the image.
+/// Added to the number of patches before the scale is computed. The official code does this so that rounding does not lose a
+/// patch. The interpolated grid is therefore a little narrower than the image.
 const MARGIN: f64 = 0.1;
 
 /// Parameter of the cubic kernel (Keys 1981), PyTorch's choice.

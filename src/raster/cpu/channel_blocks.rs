@@ -13,7 +13,7 @@ use crate::backend::simd::{Kernel, Lanes};
 const NARROW: usize = 16;
 /// Channels of a wide block.
 const WIDE: usize = 32;
-/// Most registers of a block: they hold four numbers or more.
+/// Registers of a block, at most: they hold four numbers or more.
 const REGISTERS: usize = WIDE / 4;
 
 /// Runs `$body` for each [`Block`] of the channels, the widest that fits, with the constant `$k` for its number of channels.

@@ -10,7 +10,7 @@ use crate::raster::settings::Settings;
 pub(in crate::raster) const TILE: usize = 16;
 /// Pixels of a tile.
 pub(super) const PIXELS: usize = TILE * TILE;
-/// Most strips that a tile is cut into: registers hold four numbers or more.
+/// Strips that a tile is cut into, at most: registers hold four numbers or more.
 const MAX_STRIPS: usize = 64;
 
 /// One tile: its first pixel and its Gaussians' ranks, front to back.

@@ -185,7 +185,8 @@ mod tests {
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// One cube for each splat, one unit for each pixel of `tile`: pixels that the splat shows in, and those of them whose patch it does not reach.
+    /// One cube for each splat, one unit for each pixel of `tile`: pixels that the splat shows in, and those of them whose patch
+    /// it does not reach.
     #[cube(launch)]
     fn count_missed(
         splats: &[f32],

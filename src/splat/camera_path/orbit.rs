@@ -92,7 +92,7 @@ impl Orbit {
         } = *self;
         let is_finite =
             target.is_finite() && height.is_finite() && (radius + height.abs()).is_finite();
-        // A smaller circle is a point but for rounding.
+        // A smaller circle is a point, except for rounding.
         ensure!(is_finite && radius > 1e-12 * (height.abs() + target.length()) && radius > 0.0, argument "orbit";
             found "radius {radius:.3e} around {target}, {height:.3e} above it";
             expected "a circle"; help "give cameras that stand around something");

@@ -1,6 +1,6 @@
 //! Compressed PLY of PlayCanvas, which SuperSplat and splat-transform read and write.
 //!
-//! 256 Gaussians are a chunk, with the lowest and the highest position, log-scale and colour. A Gaussian has four 32-bit numbers:
+//! A chunk is 256 Gaussians, with the lowest and the highest position, log-scale and colour. A Gaussian has four 32-bit numbers:
 //! position and log-scale between those of its chunk (11, 10 and 11 bits), the quaternion (2 bits for the place of its largest
 //! component, 10 for each other one), colour and opacity (8 bits each). Higher SH coefficients have 8 bits for -4 to 4.
 

@@ -58,7 +58,7 @@ pub fn with_labels(
     })
 }
 
-/// Refuses `vertices` that are not the `gaussians` with `origin` added, in their order, and those that do not tell it.
+/// Refuses `vertices` that are not the `gaussians` with `origin` added, in their order, and those that are too rounded to tell.
 fn check_order(
     path: &Path,
     vertices: &[[f32; 3]],

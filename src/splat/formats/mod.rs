@@ -1,6 +1,6 @@
 //! Files of Gaussians in formats other than 3DGS PLY, and files of labels beside them.
 //!
-//! These formats round the values, and order the rows anew. None of them holds labels, so a file `NAME.labels.json` beside `NAME`
+//! These formats round the values and reorder the rows. None of them holds labels, so a file `NAME.labels.json` beside `NAME`
 //! does: `{"sha256": .., "labels": [..]}` has the SHA-256 of `NAME` and one class id for each of its rows.
 
 mod antimatter15;
@@ -118,7 +118,8 @@ pub fn write(
     write_labels_beside(path, labels.map(label))
 }
 
-/// Writes the file [`label_path`] of the scene `path`, which has one of the `labels` for each row; without any, an earlier one goes.
+/// Writes the file [`label_path`] of the scene `path`, which has one of the `labels` for each row; without any, an earlier file
+/// is removed.
 ///
 /// # Errors
 /// [`Error::Io`].
@@ -156,7 +157,7 @@ fn labels_beside(path: &Path, rows: usize) -> Result<Option<Vec<u16>>> {
     }
     let file: LabelFile = files::json(&beside, "{\"sha256\": .., \"labels\": [..]}")?;
     ensure!(file.sha256 == sha256(path)?, &beside, "sha256"; found "that of another file"; expected "that of {}", path.display();
-        help "remove it: the scene was written anew since, and its rows may have another order");
+        help "remove it: the scene was rewritten since, and its rows may have another order");
     let found = file.labels.len();
     ensure!(found == rows, &beside, "labels"; found "{found}"; expected "{rows}, one for each Gaussian";
         help "export the scene again");

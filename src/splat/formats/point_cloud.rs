@@ -1,4 +1,5 @@
-//! Point clouds of the centres of Gaussians, for programs that know no Gaussians: PLY, LAS and LAZ. They are written, not read.
+//! Point clouds of the centres of Gaussians, for programs that do not read Gaussians: PLY, LAS and LAZ. They are written, not
+//! read.
 
 use crate::error::{Error, Result};
 use crate::files::atomic;

@@ -1,9 +1,9 @@
 //! SPZ of Niantic: a gzip stream of a header and one array for each property. Version 3 is written, 2 to 4 are read.
 //! Version 4 has a zstd stream for each array.
 //!
-//! Positions have 24 bits, of which the header says how many are behind the point. Log-scales, opacities and colours have 8 bits,
+//! Positions have 24 bits, of which the header says how many are fractional. Log-scales, opacities and colours have 8 bits,
 //! quaternions 32 in version 3 and 24 in version 2. Higher SH coefficients have 8 bits for -1 to 1, of which 5 are used for degree 1
-//! and 4 for others, as in Niantic's own program. Coordinates stay as they are, as splat-transform has it.
+//! and 4 for others, as in Niantic's own program. Coordinates stay as they are, as in splat-transform.
 
 use super::{from_smallest_three, logit, opacity, scene_of, smallest_three};
 use crate::error::{Error, Result, bail, ensure, invalid};
@@ -25,7 +25,7 @@ const MAGIC: [u8; 4] = *b"NGSP";
 const HEADER: usize = 16;
 /// Largest position in steps.
 const MAX_POSITION: f64 = 8_388_607.0;
-/// Bits behind the point of a position, at most.
+/// Fractional bits of a position, at most.
 const MAX_FRACTION: u8 = 23;
 /// A colour has this slope in the constant SH coefficient.
 const COLOR_SLOPE: f64 = 0.15;
@@ -40,7 +40,7 @@ struct Header {
     version: u32,
     count: usize,
     sh_degree: usize,
-    /// Bits behind the point of a position.
+    /// Fractional bits of a position.
     fraction: u8,
 }
 
@@ -52,7 +52,7 @@ impl Header {
         ensure!(bytes.starts_with(&MAGIC) && versions.contains(&version), path, "header"; found "version {version}";
             expected "version 2 to 4"; help "{REMEDY}");
         ensure!(sh_degree <= 3, path, "SH degree"; found "{sh_degree}"; expected "0 to 3"; help "export with a lower degree");
-        ensure!(fraction <= 31, path, "bits behind the point"; found "{fraction}"; expected "0 to 31"; help "{REMEDY}");
+        ensure!(fraction <= 31, path, "fractional bits"; found "{fraction}"; expected "0 to 31"; help "{REMEDY}");
         files::check_points(path, count.into())?;
         Ok(Self {
             version,
@@ -92,7 +92,7 @@ pub(super) fn write(path: &Path, gaussians: &Gaussians, positions: &[DVec3]) -> 
         let value = (value * steps).round() as i32;
         content.extend(&value.to_le_bytes()[..3]);
     }
-    // Casts to u8 end at 0 and 255.
+    // Casts to u8 saturate at 0 and 255.
     let byte = |v: f64| v.round() as u8;
     let opacities = gaussians.opacity_logits.iter();
     content.extend(opacities.map(|&v| byte(255.0 * opacity(v))));
@@ -169,7 +169,7 @@ fn gzip_arrays(path: &Path, file: &[u8]) -> Result<(Header, Vec<u8>)> {
     let mut content = Vec::new();
     let bytes = header.count * header.widths().iter().sum::<usize>();
     add(path, &mut stream, bytes, &mut content)?;
-    // The checksum comes last, perhaps behind extensions of others.
+    // The checksum comes last, perhaps after extensions of others.
     let rest = io::copy(&mut stream, &mut io::sink());
     rest.map_err(|e| damaged(path, e))?;
     Ok((header, content))
@@ -208,7 +208,7 @@ fn add(path: &Path, stream: &mut impl Read, bytes: usize, content: &mut Vec<u8>)
     Ok(())
 }
 
-/// The Gaussians of the arrays behind the header.
+/// The Gaussians of the arrays after the header.
 fn unpack(header: &Header, content: &[u8]) -> Gaussians {
     let mut rest = content;
     let arrays = header.widths().map(|width| {

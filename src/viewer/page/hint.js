@@ -1,7 +1,7 @@
 // The name of the object under the pointer, beside it.
 
 const HOVERED = 500_000; // up to this number of Gaussians
-const PAUSE = 60; // milliseconds between two looks
+const PAUSE = 60; // milliseconds between two checks
 
 class Hint {
   constructor(page) {

@@ -62,7 +62,7 @@ class Page extends Editor {
       await this.receiveAll();
     } catch (error) {
       const lead = document.getElementById("lead").textContent;
-      document.getElementById("trouble").textContent = `Not all has come (${lead}): ${error.message}. Load the page again.`;
+      document.getElementById("trouble").textContent = `Not everything has arrived (${lead}): ${error.message}. Load the page again.`;
       throw error;
     }
   }

@@ -160,7 +160,7 @@ class Navigation {
     e.preventDefault();
     // Two fingers that spread on a trackpad come as a wheel with ctrl, in small steps.
     const lines = e.ctrlKey ? e.deltaY / 16 : e.deltaMode === 0 ? e.deltaY / 100 : e.deltaY / 3;
-    // To look what is there takes long in a large scene: a roll goes on towards what it began with.
+    // Looking up what is there takes long in a large scene: a roll goes on towards what it began with.
     if (!this.isRolling(e.timeStamp)) this.pivot = this.hold(this.place(e));
     this.rolled = e.timeStamp;
     this.approach(1 - Math.exp(Math.max(-3, Math.min(3, lines)) * 0.16));

@@ -43,7 +43,7 @@ class Panel {
     this.page.resized();
   }
 
-  /** Leads the keys to a field, if there is use for it now; the panel is brought back for it. */
+  /** Moves the focus to a field, if it is of use now; the panel is brought back for it. */
   lead(field) {
     if (field.disabled || field.closest("[hidden]")) return;
     this.setFolded(false);

@@ -89,7 +89,7 @@ class Watch {
     this.list({
       loss: status.loss?.toFixed(4),
       Gaussians: status.gaussians ? status.gaussians.toLocaleString("en") : undefined,
-      shown: status.every > 1 ? `one of ${status.every}: the page has no room for more` : undefined,
+      shown: status.every > 1 ? `one in ${status.every}: the page has no room for more` : undefined,
       time: `${Math.floor(status.seconds / 60)} min ${Math.floor(status.seconds % 60)} s`,
     });
     this.chart(status);

@@ -83,7 +83,7 @@ fn damaged_files_are_errors() {
         }
     }
     let longer = [&bytes[..], &[0]].concat();
-    assert_names(&read(&longer).expect_err("longer"), &["more behind the end"]);
+    assert_names(&read(&longer).expect_err("longer"), &["data after the end"]);
     assert_names(&read(b"\x89PNG").expect_err("a PNG"), &["a.scores", "compressed data"]);
     assert!(ScoreMap::read(&folder.path().join("none.scores")).is_err());
 }

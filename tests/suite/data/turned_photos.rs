@@ -48,7 +48,7 @@ fn label_maps_of_turned_photos_are_told_from_maps_of_another_size() {
         "raw/v1.png",
         "64x80",
         "80x64, as its photo",
-        "turned by a quarter",
+        "turned by 90 degrees",
         "EXIF",
         "before COLMAP",
     ];

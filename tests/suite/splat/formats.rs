@@ -217,7 +217,7 @@ fn files_that_cannot_be_used_are_refused() {
         (b"ply\n".to_vec(), "found a PLY file"),
         (with(4, 9), "found version 9"),
         (with(12, 4), "SH degree: found 4"),
-        (with(13, 99), "bits behind the point: found 99"),
+        (with(13, 99), "fractional bits: found 99"),
         // 255 times 2^24 Gaussians; two of which one is there.
         (with(11, 255), "exceeds the limit"),
         (with(8, 2), "the file is cut off"),

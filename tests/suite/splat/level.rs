@@ -99,7 +99,7 @@ fn where_levelness_says_nothing_the_cameras_own_up_does() {
         let row = vec![camera(0.7, tilt, 0.0); count];
         assert!((degrees(&row) - tilt.to_degrees()).abs() < 1e-9);
     }
-    // Every other photo turned by a quarter: no levelness, but a mean of both.
+    // Every other photo turned by 90 degrees: no levelness, but a mean of both.
     let turned: Vec<Camera> = (0..40)
         .map(|i| {
             camera(

@@ -17,7 +17,7 @@ const MODELS: [(&str, usize, usize); 5] = [
     ("RADIAL", 1, 2),
     ("OPENCV", 2, 4),
 ];
-/// The models behind them, which are not pinholes after undistortion.
+/// The models that follow them, which are not pinholes after undistortion.
 const UNSUPPORTED_MODELS: &str = "OPENCV_FISHEYE FULL_OPENCV FOV SIMPLE_RADIAL_FISHEYE RADIAL_FISHEYE THIN_PRISM_FISHEYE \
     RAD_TAN_THIN_PRISM_FISHEYE SIMPLE_DIVISION DIVISION SIMPLE_FISHEYE FISHEYE";
 /// The help of numbers out of range.

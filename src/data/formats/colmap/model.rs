@@ -153,7 +153,7 @@ pub(super) fn unplaced(photos: &Path, images: &[PosedImage]) -> Option<String> {
         .filter(|path| !placed.contains(&comparable(path)));
     let mut missing: Vec<String> = missing.map(|path| path.display().to_string()).collect();
     missing.sort_unstable();
-    // A model of other photos altogether is an error elsewhere, by the names that it has.
+    // A model of entirely different photos is an error elsewhere, which gives its names.
     (!missing.is_empty() && missing.len() < all.len()).then(|| {
         format!(
             "{} of the {} photos in {} are not in the model and not used: COLMAP did not place them, or they are newer ({})",
@@ -165,7 +165,7 @@ pub(super) fn unplaced(photos: &Path, images: &[PosedImage]) -> Option<String> {
     })
 }
 
-/// A path to compare by: some file systems do not tell cases apart.
+/// A path to compare by: some file systems ignore case.
 fn comparable(path: &Path) -> String {
     below(path).to_string_lossy().to_lowercase()
 }

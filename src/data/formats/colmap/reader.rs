@@ -1,5 +1,5 @@
 //! Reads the values of a model file in order, for both forms: `.bin` is little-endian with counts first,
-//! `.txt` has one item in each line, two lines for each image, and comments behind `#`.
+//! `.txt` has one item in each line, two lines for each image, and comments after `#`.
 
 use super::DAMAGED_HELP;
 use crate::error::{Error, Result, invalid};

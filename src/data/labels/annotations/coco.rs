@@ -46,7 +46,7 @@ struct Runs {
 /// Where a label is.
 struct Region {
     counts: Vec<usize>,
-    /// The pixel behind the last run.
+    /// The pixel after the last run.
     end: usize,
     low: [usize; 2],
     high: [usize; 2],

@@ -1,9 +1,9 @@
 //! YOLO segmentation: a text file for each image, a line for each region: the number of its class, then the corners of its outline,
 //! `x y` from 0 to 1. `data.yaml` names the classes and the lists of images.
 //!
-//! Format: <https://docs.ultralytics.com/datasets/segment>. The labels of `images/NAME.jpg` are in `labels/NAME.txt`. A region is what
-//! is connected by sides of pixels. Its outline runs along the sides of its pixels. A hole is joined to it by a cut of no width, so
-//! that the areas are exact.
+//! Format: <https://docs.ultralytics.com/datasets/segment>. The labels of `images/NAME.jpg` are in `labels/NAME.txt`. Pixels of a
+//! region are connected by their sides. Its outline runs along the sides of its pixels. A hole is joined to it by a cut of zero
+//! width, so that the areas are exact.
 
 use super::Categories;
 use crate::data::{LabelMap, Split};

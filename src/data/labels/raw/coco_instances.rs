@@ -108,7 +108,7 @@ struct Shape<'a> {
     region: Region,
 }
 
-/// The regions on the `images`, which are by their ids. `indices` has the index of each category by its id.
+/// The regions on the `images`, which have their ids as keys. `indices` has the index of each category by its id.
 fn shapes<'a>(
     path: &Path,
     annotations: Vec<Annotation>,

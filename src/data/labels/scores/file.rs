@@ -12,7 +12,7 @@ use std::path::Path;
 
 /// Key of the metadata: `Header` as JSON.
 const KEY: &str = "coseg scores 1";
-/// Most bytes of the names, shapes and metadata in front of the tensors.
+/// Bytes of the names, shapes and metadata in front of the tensors, at most.
 const HEADER: u64 = 1 << 16;
 /// What to do about a file that is damaged.
 const DAMAGED_HELP: &str = "delete it and run `coseg label` again, or copy it again";
@@ -193,7 +193,7 @@ fn inflate(path: &Path) -> Result<Vec<u8>> {
     let is_whole = stream.get_ref().is_empty();
     is_whole
         .then_some(bytes)
-        .ok_or_else(|| damaged("more behind the end".to_owned()))
+        .ok_or_else(|| damaged("data after the end".to_owned()))
 }
 
 /// Bytes and shape of a tensor of three dimensions.
