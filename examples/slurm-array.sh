@@ -14,7 +14,8 @@
 set -eu
 block=$(ls blocks | sed -n "$((SLURM_ARRAY_TASK_ID + 1))p")
 run=runs/$block
-# SLURM sends a job again after its machine failed. One that ran out of time has to be sent again by hand. Both go on where they stopped.
+# SLURM sends a job again after its machine failed. One that ran out of time has to be sent again by hand. Both continue where
+# they stopped.
 if [ -e "$run/config.toml" ]; then
     exec coseg train --resume "$run"
 fi

@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
 # Trains the photos of fox with their given poses and with those that `coseg from-photos` finds, and compares the PSNR of the same test
-# photos; then a video that is made of the photos.
+# photos; then a video that is made from the photos.
 #
 #     scripts/from_photos_fox.sh COSEG FOX OUT STEPS [OPTION..]       for instance: target/release/coseg fox measured 7000 --seed 1
 #
 # The options go to each `coseg train`. FOX has images/ and transforms.json, every 8th photo in order being a test photo, as `coseg`
 # takes them of a COLMAP model. COSEG_PYTHON names the Python whose pycolmap finds the poses; without it coseg looks by itself.
-# ffmpeg makes the video. What is done is not done again; a run that was stopped goes on. Exits with 1 where found poses give more than
-# 0.3 dB less, or where the test photos differ.
+# ffmpeg makes the video. Finished steps are not repeated; a run that was stopped continues. Exits with 1 where found poses give
+# more than 0.3 dB less, or where the test photos differ.
 set -euo pipefail
 [ $# -ge 4 ] || { sed -n '2,10s/^# \{0,1\}//p' "$0" >&2; exit 2; }
 coseg=$1 fox=$2 out=$3 steps=$4

@@ -4,7 +4,7 @@
     pip install torch transformers ftfy safetensors pillow          4.46.3 with PyTorch 1.13.1 made the fixture; no GPU needed
     python3 scripts/reference_clip.py fixture bpe_simple_vocab_16e6.txt.gz tests/fixtures/clip.safetensors
     python3 scripts/reference_clip.py weights clip.safetensors      the weights of the case "base" as a file of 254 MB
-    python3 scripts/reference_clip.py maps bpe_simple_vocab_16e6.txt.gz SCENE OUT     maps by these weights, made up of true labels
+    python3 scripts/reference_clip.py maps bpe_simple_vocab_16e6.txt.gz SCENE OUT     maps by these weights, made up from true labels
 
 The vocabulary is of github.com/openai/CLIP, folder clip. No published weights are read.
 Weights are hashes of tensor names and places, which tests/suite/support/clip_weights.rs makes

@@ -7,7 +7,7 @@ ROOM has images/, instances_gt/ and transforms.json, as the rooms of the shared 
 segments, and a transforms.json that names the true instances. Ids are drawn anew in each view. KIND:
 
 - true: connected parts of the true instances;
-- spoilt: the true instances, of which a quarter is one with a neighbour in a view, and a quarter is cut in two;
+- spoilt: the true instances; in each view a quarter are merged with a neighbour, and a quarter are cut in two;
 - classes: connected parts of the simulated class labels in labels_raw_corr, where neighbours of one class are one segment.
 
 Segments of fewer than 60 pixels are unlabelled. Needs numpy, scipy and Pillow.

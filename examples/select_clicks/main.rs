@@ -1,5 +1,5 @@
-//! How well two clicks select a thing: random pairs of clicks on it, the selections of which are compared with masks of views that
-//! were not clicked. With the image features of the run, if it has lifted some, and without.
+//! How well two clicks select a thing: random pairs of clicks on it, whose selections are compared with masks of views that were
+//! not clicked. With the image features of the run, if it has lifted some, and without.
 //!
 //! Masks are polygons in a JSON file, or the instance maps NAME.png of all frames of the run in a folder. `fox.json` has masks of
 //! the fox in the scene `fox` of instant-ngp: the fur, without the board.
@@ -44,7 +44,7 @@ impl View {
         })
     }
 
-    /// IoU of the pixels of which `selected` gives most with the mask.
+    /// IoU of the mask and the pixels to which `selected` contributes most.
     fn iou(&self, selected: &[f32], mask: &Mask) -> f64 {
         let image = self.projected.blend(selected, 1).image;
         let (mut both, mut either) = (0, 0);

@@ -20,7 +20,7 @@ impl<S: Subscriber> Layer<S> for Logger {
     fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
         let mut message = Message::default();
         event.record(&mut message);
-        // No record can be made while Python shuts down. An error of a handler of the user is no error of the work.
+        // No record can be made while Python shuts down. An error in the user's handler is not an error of the work.
         let _ = Python::try_attach(|py| -> PyResult<()> {
             let logger = py
                 .import("logging")?

@@ -42,7 +42,7 @@ pub(super) fn list(dir: &Path) -> Result<Vec<PathBuf>> {
     let videos = names(dir, |name, path| visible(name) && is_video(path));
     if let [first, ..] = &videos[..] {
         tracing::warn!(
-            "{}: {} videos are left out, such as {first}; `coseg from-photos VIDEO` makes a scene folder of one",
+            "{}: {} videos are left out, such as {first}; `coseg from-photos VIDEO` makes a scene folder from one",
             dir.display(),
             videos.len()
         );

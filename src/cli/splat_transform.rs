@@ -84,7 +84,7 @@ impl SplatTransform {
                     "write a .ply file and convert that",
                 );
             }
-            tracing::warn!("{PROGRAM} finds no GPU; it goes on with --gpu cpu, which is slow");
+            tracing::warn!("{PROGRAM} finds no GPU; it continues with --gpu cpu, which is slow");
             self.without_gpu = true;
         }
     }

@@ -9,7 +9,7 @@ use std::sync::{LazyLock, OnceLock};
 static BARS: LazyLock<MultiProgress> =
     LazyLock::new(|| MultiProgress::with_draw_target(ProgressDrawTarget::stderr_with_hz(4)));
 
-/// The first error of standard output, a closed pipe aside.
+/// The first error of standard output, except for a closed pipe.
 static FAILURE: OnceLock<io::Error> = OnceLock::new();
 
 /// Prints a line of the result on standard output. A closed pipe ends the output, not the work.

@@ -130,7 +130,7 @@ impl TrainArgs {
         let device = self.backend.open()?;
         interrupt::watch();
         match follow(&device, &mut Following) {
-            // `mpirun` ends all ranks once one fails, and the first has yet to say how the run goes on.
+            // `mpirun` ends all ranks once one fails, and the first has yet to say how to continue the run.
             Ok(()) | Err(Error::Stopped) => Ok(ExitCode::SUCCESS),
             Err(error) => {
                 // The first one mostly meets the same error. It has to say so, and to remove what it began.

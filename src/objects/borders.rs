@@ -272,7 +272,7 @@ mod tests {
         ];
         let joined = join_objects(&without, &[([0, 1], [all(), all()])]).expect("joined");
         assert_eq!((joined.classes.len(), joined.ids[1].get(&3)), (3, None));
-        // Nothing is joined across a border without shared Gaussians, but for the floor.
+        // Nothing is joined across a border without shared Gaussians, except for the floor.
         let apart = join_objects(&blocks, &[]).expect("joined");
         assert_eq!((apart.classes.len(), apart.joined), (6, 1));
         // Nor things of different classes.

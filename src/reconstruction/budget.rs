@@ -16,7 +16,7 @@ use rand::Rng;
 use rand::seq::index::sample;
 use rand_chacha::ChaCha8Rng;
 
-/// The PSNR of held-back views that a review may take, dB. Training goes on afterwards and wins it back.
+/// The PSNR of held-back views that a review may take, dB. Training continues afterwards and wins it back.
 const LOSS: f64 = 0.05;
 /// Growth ends when the PSNR of views that are trained on is this far above that of held-back ones, dB.
 pub(crate) const MAX_GAP: f64 = 3.0;

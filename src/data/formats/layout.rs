@@ -31,7 +31,7 @@ pub(super) fn find(dir: &Path, options: &LoadOptions) -> Result<Option<Layout>> 
         return Err(Error::missing("folder", dir, help));
     }
     let help = if is_video(dir) {
-        "`coseg from-photos VIDEO --out DIR` makes one of a video".to_owned()
+        "`coseg from-photos VIDEO --out DIR` makes one from a video".to_owned()
     } else if is_heic(dir) {
         format!("{HEIC_HELP}; then `coseg from-photos PHOTOS --out DIR` finds their poses")
     } else {

@@ -126,7 +126,7 @@ impl Classes {
         vec![self.ignore; count]
     }
 
-    /// The id of the class that is called `name`, but for case, blanks at the ends, and `-` or `_` for blanks.
+    /// The id of the class that is called `name`, apart from case, blanks at the ends, and `-` or `_` for blanks.
     pub(crate) fn id_of(&self, name: &str) -> Option<u16> {
         let wanted = plain(name);
         let class = self.entries.iter().find(|c| plain(&c.name) == wanted);

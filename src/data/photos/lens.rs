@@ -101,7 +101,7 @@ impl Undistortion {
         Some(zoomed(if (high - 1.0).abs() < 1e-9 { 1.0 } else { high }))
     }
 
-    /// All numbers that determine it, sizes aside: intrinsics of the photo and of the pinhole, and the lens.
+    /// All numbers that determine it, except sizes: intrinsics of the photo and of the pinhole, and the lens.
     pub fn numbers(&self) -> impl Iterator<Item = f64> {
         let intrinsics = |camera: &Camera| [camera.fx, camera.fy, camera.cx, camera.cy];
         let cameras = [&self.photo, &self.pinhole].map(intrinsics).into_iter();

@@ -1,4 +1,4 @@
-//! Association: segments of several views that show one object, found by way of the Gaussians.
+//! Association: segments of several views that show one object, found through the Gaussians.
 //!
 //! The ids of segments mean something within their view only. The Gaussians are what views have in common. A segment covers
 //! Gaussian i with weight `w_mi = sum_p alpha'_i T_i` over its pixels, and a group of segments with the sum of theirs. Of what a

@@ -154,7 +154,7 @@ mod autodiff {
         }
     }
 
-    /// NaN where the device fails: a backward pass returns no error, and without a gradient training would go on with zeros.
+    /// NaN where the device fails: a backward pass returns no error, and without a gradient training would continue with zeros.
     fn gradient_of_values<B: RasterBackend>(
         gradient: FloatTensor<B>,
         view: ProjectedView,

@@ -70,7 +70,7 @@ fn divergences_of_neighbours() {
         (9, 300, 9, 8),
         (3, 1, 2, 1),
     ] {
-        // Neighbours that are sampled too, rows that are many's neighbour and rows that are nobody's.
+        // Neighbours that are sampled too, rows that are a neighbour of many, and rows that are a neighbour of none.
         let neighbours = (0..samples * k)
             .map(|i| ((i * i + i / k) % points.min(points / 2 + 2)) as u32)
             .collect();

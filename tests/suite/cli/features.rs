@@ -110,7 +110,7 @@ fn scenes_without_features_are_told_how_to_get_them() {
     let whole = fs::read(run.join(COLORS)).unwrap();
     fs::write(run.join(COLORS), &whole[..whole.len() - 9]).unwrap();
     refused(&run, &[COLORS]);
-    // A run that goes on without image features drops what it had.
+    // A run that continues without image features drops what it had.
     let rows = ["--set", "segmentation.rows=vote"];
     succeeds(&[&["train", "--resume", utf8(&run)], &rows[..]].concat());
     assert!(!run.join(COLORS).exists());

@@ -54,7 +54,7 @@ fn labels_are_shown_from_the_runs_coverage_on() {
     let own = image::open(run.join("renders/v2.label.png"))
         .unwrap()
         .into_luma8();
-    // But for the rounding of the file's positions.
+    // Except for the rounding of the file's positions.
     let differ =
         |map: &image::GrayImage| own.iter().zip(map.iter()).filter(|(a, b)| a != b).count();
     let of_run = labels(&run, "of_run");

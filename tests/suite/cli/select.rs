@@ -263,7 +263,7 @@ fn image_features_beside_the_scene_go_along() {
     ];
     succeeds(&edit);
     assert!(!out.join(FEATURE_COLORS).exists());
-    // Those of another scene are passed over.
+    // Those of another scene are ignored.
     ply::write(
         &folder.scene,
         &plates().0.select(&[0, 1, 2]),

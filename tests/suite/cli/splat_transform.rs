@@ -75,7 +75,7 @@ fn without_a_gpu_the_processor_writes_sog() {
     let output = export(&place, utf8(&bin), "parts", &["--format", "sog"]);
     let message = text(&output.stderr);
     assert!(output.status.success(), "{message}");
-    for warning in ["finds no GPU; it goes on with --gpu cpu", "has no labels"] {
+    for warning in ["finds no GPU; it continues with --gpu cpu", "has no labels"] {
         assert_eq!(message.matches(warning).count(), 1, "{message}");
     }
     let files = [

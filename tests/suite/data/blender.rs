@@ -327,7 +327,7 @@ fn outputs_of_a_run_have_names_of_their_own() {
             .to_string_lossy()
             .contains("test_r_2")
     }));
-    // What is wrong is told with the files that are meant.
+    // Faults name the files that are meant.
     fs::write(dir.join("transforms_test.json"), "{}").unwrap();
     assert!(fails(&["data", "check", utf8(dir)], 1).contains("transforms_test.json"));
 }

@@ -12,7 +12,7 @@ use std::path::Path;
 fn refused(dir: &Path, options: &LoadOptions, parts: &[&str]) {
     let error: Error = load(dir, options).expect_err("an error");
     crate::support::assert_names(&error, parts);
-    // A check tells the same.
+    // A check reports the same.
     let problems = check(dir, options).problems;
     assert_eq!(problems[0].to_string(), error.to_string());
 }

@@ -141,7 +141,7 @@ fn check_names_all_planted_faults_at_once() {
         "{message}"
     );
 
-    // Without a class table that is told once, and not for each label map.
+    // Without a class table that is reported once, and not for each label map.
     fs::remove_file(dir.join("classes.json")).unwrap();
     let message = fails(&["data", "check", utf8(dir)], 1);
     assert!(

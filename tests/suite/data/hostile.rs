@@ -23,7 +23,7 @@ fn finds(dir: &Path, parts: &[&str]) {
     assert!(messages.iter().any(named), "{parts:?}: {messages:?}");
 }
 
-/// A zlib stream of 4 GB of zeros, but for its checksum.
+/// A zlib stream of 4 GB of zeros, except for its checksum.
 #[cfg(target_os = "linux")]
 fn bomb() -> Vec<u8> {
     const PART: usize = 1 << 26;

@@ -109,7 +109,7 @@ fn compare(view: &View) -> (f64, f64) {
 
 #[test]
 fn undistorted_photos_are_those_of_a_pinhole() {
-    // Barrel, cushion, tangential, all at once.
+    // Barrel, pincushion, tangential, all at once.
     for lens in [
         [-0.25, 0.05, 0.0, 0.0, 0.0],
         [0.2, 0.0, 0.0, 0.0, 0.0],

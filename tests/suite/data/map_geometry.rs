@@ -1,4 +1,4 @@
-//! Which camera label maps are of: maps that were made of the scene come back as they were, and maps of photos have the
+//! Which camera label maps belong to: maps that were made of the scene come back as they were, and maps of photos have the
 //! distortion of the lens taken out once.
 
 use crate::support::colmap;

@@ -12,7 +12,7 @@ fn folder() -> TempDir {
     folder
 }
 
-/// The error that `load` gives and `check` tells of alone.
+/// The error that `load` gives, the only one that `check` reports.
 #[track_caller]
 fn fault(dir: &Path) -> String {
     let fault = load(dir, &LoadOptions::default())

@@ -106,7 +106,7 @@ fn names_of_openai_and_pytorch_files_give_the_same() {
     let mut tensors = generated(SMALL);
     write(&hf, &tensors);
     let expected = embedding(&hf);
-    // The image encoder is passed over, whatever it holds.
+    // The image encoder is ignored, whatever it holds.
     tensors.insert("vision_model.x".into(), (vec![1], vec![f32::NAN]));
     write(&hf, &tensors);
     assert_eq!(embedding(&hf), expected);

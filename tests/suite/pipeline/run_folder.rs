@@ -106,7 +106,7 @@ fn the_gaussians_of_a_run_are_labelled_by_another() {
     succeeds(&[&train[..], &["--scene", utf8(&run), "--out", utf8(&again)]].concat());
     let [first, second] = [&run, &again].map(|run| read_json(&run.join("metrics.json")));
     assert_eq!(first["gaussians"], second["gaussians"]);
-    // The same Gaussians and votes, but for the rounding of the file's positions.
+    // The same Gaussians and votes, except for the rounding of the file's positions.
     for (pointer, tolerance) in [
         ("/test/psnr", 1e-3),
         ("/test/labels/vote/miou", 5e-3),
@@ -146,7 +146,7 @@ fn the_gaussians_of_a_run_are_labelled_by_another() {
     }
 }
 
-/// What lies in a run folder, checkpoints and lock aside.
+/// What lies in a run folder, except checkpoints and lock.
 fn contents(run: &Path) -> BTreeMap<String, Vec<u8>> {
     let files = std::fs::read_dir(run)
         .unwrap()

@@ -80,7 +80,7 @@ fn nothing_is_begun_after_a_stop() {
     same(&done, &whole(&config, &folder.path().join("whole")));
 }
 
-/// Notes how many views each stage that learns nothing announces, and which it tells of.
+/// Notes how many views each stage that learns nothing announces, and which it reports.
 #[derive(Default)]
 struct Views(Vec<(&'static str, usize, Vec<usize>)>);
 

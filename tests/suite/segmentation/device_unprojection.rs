@@ -83,7 +83,7 @@ fn the_adjoint_of_blending() {
                 want.len() / 500
             };
             assert!(off <= allowed, "{what}: {off} of {} are off", want.len());
-            // So may a pixel on the rim of the radius, and a radius that is a whole number but for rounding.
+            // So may a pixel on the rim of the radius, and a radius that is a whole number apart from rounding.
             let differ = got_counts
                 .iter()
                 .zip(&want_counts)

@@ -90,7 +90,7 @@ pub fn whole(config: &Config, out: &Path) -> Outcome {
     run(config, out, &crate::support::device(), &mut Silent).expect("a run")
 }
 
-/// Curves but for the clock, bit for bit.
+/// Curves except for the clock, bit for bit.
 fn bits(curve: &[CurvePoint]) -> Vec<(usize, u64, Option<u64>, usize)> {
     curve
         .iter()
@@ -105,7 +105,7 @@ fn bits(curve: &[CurvePoint]) -> Vec<(usize, u64, Option<u64>, usize)> {
         .collect()
 }
 
-/// Asserts that two runs are equal but for the clock, bit for bit.
+/// Asserts that two runs are equal except for the clock, bit for bit.
 #[track_caller]
 pub fn same(a: &Outcome, b: &Outcome) {
     assert!(a.gaussians == b.gaussians, "Gaussians differ");

@@ -52,7 +52,7 @@ pub fn fails(arguments: &[&str], code: i32) -> String {
     message
 }
 
-/// Names of the files in a folder, hidden ones aside, in order.
+/// Names of the files in a folder, except hidden ones, in order.
 pub fn listed(folder: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(folder).unwrap();
     let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());

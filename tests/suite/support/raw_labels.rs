@@ -49,7 +49,7 @@ pub fn labelled(scene: &Scene) -> Vec<&str> {
     views.map(|view| view.name.as_str()).collect()
 }
 
-/// Asserts that loading and checking tell of a fault with all of `parts`.
+/// Asserts that loading and checking report a fault with all of `parts`.
 #[track_caller]
 pub fn refused(dir: &Path, options: &LoadOptions, parts: &[&str]) {
     assert_names(&load(dir, options).expect_err("broken"), parts);

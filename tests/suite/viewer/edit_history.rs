@@ -59,7 +59,7 @@ fn everything_is_undone_and_done_again_bit_for_bit() {
     let count = tab.value("page.edits.done.length").as_u64().unwrap();
     assert_eq!(count, 11);
     assert_applied(&mut tab, dir.path());
-    // Positions too, but for the rounding of each motion.
+    // Positions too, except for the rounding of each motion.
     let edited = ply::read(&dir.path().join("edited/scene.ply")).unwrap();
     let places = tab.value(
         "Array.from(page.state.partOf).map((part, i) => [part, i]).filter(([part]) => page.state.parts[part].object !== null) \
