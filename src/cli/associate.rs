@@ -16,8 +16,8 @@ use coseg::splat::ply;
 const HELP: &str = "\
 The ids of instance masks often mean nothing in other views. Segments that cover the same Gaussians get one id. Writes
 labels/VIEW.png (16-bit grey, 0 is unlabelled) for each view with raw labels, cameras.json, classes.json, and scene.ply with
-a label column from a vote of the maps. Prints scores where frames have true instances, and scores by class where
-segments have classes and frames have true labels. `coseg train` does the same after stage one with data.association = \"gaussians\".
+a label column from a vote of the maps. Prints scores where frames have true instances, and scores by class where segments
+have classes and frames have true labels. `coseg train` does the same after stage one with data.association = \"gaussians\".
 
 The maps belong to the cameras in cameras.json: without lens distortion, and reduced where data.max_side reduced the
 photos. labels/geometry.json says so, {\"maps\": \"undistorted\"}; keep it beside the maps. They can then be raw labels of any
