@@ -51,10 +51,8 @@ mod autodiff {
     use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
     use burn::backend::{Autodiff, AutodiffBackend, TensorMetadata};
     use burn::tensor::Shape;
-    use std::sync::OnceLock;
 
-    /// The transmittance is a child of the image in the graph: its backward pass runs first and leaves its gradient for that of the
-    /// image. One node for both would need a tensor of both, and ndarray copies the image to join and to split it.
+    /// Image and transmittance are two nodes, each with a whole backward pass of its own, so that neither waits for the other.
     pub(super) fn raster_forward<B: RasterBackend, C: CheckpointStrategy>(
         tensors: RasterTensors<Autodiff<B, C>>,
         call: Arc<RasterCall>,
@@ -71,37 +69,28 @@ mod autodiff {
                 } => (image, transmittance, radii, saved),
                 RasterPass::Failed(error) => return RasterPass::Failed(error),
             };
-        let zeros = |of: &FloatTensor<B>| {
-            let shape = of.shape();
-            let device = of.device();
-            let dtype = of.dtype().into();
-            move || B::float_zeros(shape, &device, dtype)
-        };
-        let zero_image = zeros(&image);
-        let zero_transmittance = zeros(&transmittance);
-        let from_child = Arc::new(OnceLock::new());
-        let of_child = from_child.clone();
-        let kept = saved.clone();
-        let image = track::<B, C, INPUTS, _>(tracked, |_| {
-            let rendered = image.clone();
-            let backward = move |d_image, _: [bool; INPUTS]| {
+        let [no_image, no_transmittance] = [&image, &transmittance].map(zeros::<B>);
+        let backward = {
+            let (image, saved) = (image.clone(), saved.clone());
+            move |d_image, d_transmittance| {
                 let pixels = PixelTensors {
                     image,
                     d_image,
-                    d_transmittance: of_child.get().cloned().unwrap_or_else(zero_transmittance),
+                    d_transmittance,
                 };
-                B::raster_backward(tensors, pixels, kept, call)
+                B::raster_backward(tensors, pixels, saved, call)
                     .into_array()
                     .map(Some)
-            };
-            (rendered, backward)
+            }
+        };
+        let of_image = backward.clone();
+        let image = track::<B, C, INPUTS, _>(tracked.clone(), |_| {
+            let backward =
+                move |gradient, _: [bool; INPUTS]| of_image(gradient, no_transmittance());
+            (image, backward)
         });
-        let transmittance = track::<B, C, 1, _>([image.clone()], |_| {
-            let backward = move |gradient, _: [bool; 1]| {
-                // The cell is empty: a graph runs backward once.
-                let _ = from_child.set(gradient);
-                [Some(zero_image())]
-            };
+        let transmittance = track::<B, C, INPUTS, _>(tracked, |_| {
+            let backward = move |gradient, _: [bool; INPUTS]| backward(no_image(), gradient);
             (transmittance, backward)
         });
         RasterPass::Done {
@@ -110,6 +99,16 @@ mod autodiff {
             radii: Autodiff::<B, C>::from_inner(radii),
             saved,
         }
+    }
+
+    /// Makes zeros of the shape of a tensor when called, so that a node that never runs backward has none.
+    fn zeros<B: RasterBackend>(
+        of: &FloatTensor<B>,
+    ) -> impl Fn() -> FloatTensor<B> + Clone + Send + use<B> {
+        let shape = of.shape();
+        let device = of.device();
+        let dtype = of.dtype().into();
+        move || B::float_zeros(shape.clone(), &device, dtype)
     }
 
     pub(super) fn project_view<B: RasterBackend, C: CheckpointStrategy>(

@@ -47,8 +47,8 @@ fn screen_gradient(
     gradient.into_data().into_vec().expect("f64")
 }
 
-/// Sums over pixels of the derivative by each shift of a projected centre, and of its absolute value, in units of half the
-/// image; by a renderer that shares no code with the crate.
+/// Sums over pixels, of the image and of the transmittance, of the derivative by each shift of a projected centre, and of its
+/// absolute value, in units of half the image; by a renderer that shares no code with the crate.
 fn by_differences(
     c: &Cloud,
     values: &[f64],
@@ -69,10 +69,8 @@ fn by_differences(
                 .chunks_exact(channels)
                 .zip(weights.chunks_exact(channels));
             let colour = colour.map(|(a, b)| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>());
-            colour
-                .zip(out.transmittance.iter().zip(d_t))
-                .map(|(sum, (t, d))| sum + t * d)
-                .collect()
+            let transmittance = out.transmittance.iter().zip(d_t).map(|(t, d)| t * d);
+            colour.chain(transmittance).collect()
         };
         let [a, b, c, d] = [1.0, -1.0, 2.0, -2.0].map(&mut losses);
         shifts[i] = 0.0;

@@ -123,10 +123,10 @@ fn the_operation_equals_the_slices() {
     let camera = camera(40, 31);
     let c = cloud(60, 0.04, &camera, 12);
     let n = c.len();
+    let zeros = |values: &[f64]| vec![0.0; values.len()];
     for features in [1, 3, 6, 20] {
         let values = numbers(n * features, 4);
-        let loss = Loss::new(&camera, features);
-        let want = gradients(&c, &values, features, &camera, &Settings::default(), &loss);
+        let both = Loss::new(&camera, features);
         let leaves = Leaves(
             [
                 c.means.clone(),
@@ -138,56 +138,47 @@ fn the_operation_equals_the_slices() {
             ],
             0,
         );
-        let input = leaves.tensors(&device);
-        let out = rasterize(input.clone(), &camera, &Settings::default(), [0.5; 3]).expect("valid");
-        let projected = Projected::new(&c.splats(), &camera, &Settings::default()).expect("valid");
-        let blended = projected.blend(&values, features);
-        assert_eq!(
-            values_of(out.radii.clone()),
-            projected
-                .radii()
-                .iter()
-                .map(|&radius| f64::from(radius))
-                .collect::<Vec<f64>>()
-        );
-        assert_eq!(values_of(out.image.clone()), blended.image);
-        assert_eq!(values_of(out.transmittance.clone()), blended.transmittance);
-        let data = |v: &[f64], shape: Vec<usize>| TensorData::new(v.to_vec(), shape);
-        let weights = data(&loss.image, vec![camera.height, camera.width, features]);
-        let image = out.image * Tensor::<3>::from_data(weights, (&device, DType::F64));
-        let weights = data(&loss.transmittance, vec![camera.height, camera.width]);
-        let t = out.transmittance * Tensor::<2>::from_data(weights, (&device, DType::F64));
-        let grads = (image.sum() + t.sum()).backward();
-        assert_eq!(
-            values_of(input.means.grad(&grads).expect("tracked")),
-            want.means
-        );
-        assert_eq!(
-            values_of(input.log_scales.grad(&grads).expect("tracked")),
-            want.log_scales
-        );
-        assert_eq!(
-            values_of(input.rotations.grad(&grads).expect("tracked")),
-            want.rotations
-        );
-        assert_eq!(
-            values_of(input.opacity_logits.grad(&grads).expect("tracked")),
-            want.opacity_logits
-        );
-        assert_eq!(
-            values_of(
-                input
-                    .features
-                    .expect("given")
-                    .grad(&grads)
-                    .expect("tracked")
-            ),
-            want.values
-        );
-        assert_eq!(
-            values_of(input.screen.expect("given").grad(&grads).expect("tracked")),
-            want.screen
-        );
+        let of_image = Loss {
+            transmittance: zeros(&both.transmittance),
+            image: both.image.clone(),
+        };
+        let of_transmittance = Loss {
+            image: zeros(&both.image),
+            transmittance: both.transmittance,
+        };
+        for (loss, on_image) in [(of_image, true), (of_transmittance, false)] {
+            let want = gradients(&c, &values, features, &camera, &Settings::default(), &loss);
+            let input = leaves.tensors(&device);
+            let out =
+                rasterize(input.clone(), &camera, &Settings::default(), [0.5; 3]).expect("valid");
+            let projected =
+                Projected::new(&c.splats(), &camera, &Settings::default()).expect("valid");
+            let blended = projected.blend(&values, features);
+            let radii = projected.radii().iter().map(|&radius| f64::from(radius));
+            assert_eq!(values_of(out.radii.clone()), radii.collect::<Vec<f64>>());
+            assert_eq!(values_of(out.image.clone()), blended.image);
+            assert_eq!(values_of(out.transmittance.clone()), blended.transmittance);
+            let data = |v: &[f64], shape: Vec<usize>| TensorData::new(v.to_vec(), shape);
+            let sum = if on_image {
+                let weights = data(&loss.image, vec![camera.height, camera.width, features]);
+                (out.image * Tensor::<3>::from_data(weights, (&device, DType::F64))).sum()
+            } else {
+                let weights = data(&loss.transmittance, vec![camera.height, camera.width]);
+                (out.transmittance * Tensor::<2>::from_data(weights, (&device, DType::F64))).sum()
+            };
+            let grads = sum.backward();
+            macro_rules! grad {
+                ($t:expr) => {
+                    values_of($t.grad(&grads).expect("tracked"))
+                };
+            }
+            assert_eq!(grad!(input.means), want.means);
+            assert_eq!(grad!(input.log_scales), want.log_scales);
+            assert_eq!(grad!(input.rotations), want.rotations);
+            assert_eq!(grad!(input.opacity_logits), want.opacity_logits);
+            assert_eq!(grad!(input.features.expect("given")), want.values);
+            assert_eq!(grad!(input.screen.expect("given")), want.screen);
+        }
     }
 }
 
