@@ -10,9 +10,10 @@ use self::masks::Masks;
 use self::photos::Photos;
 use self::poses::{Folders, Solver};
 use crate::data::photos::{is_heic, is_photo};
-use crate::error::{Error, Result, bail, ensure};
-use crate::files::{self, atomic, names, own};
-use crate::progress::Progress;
+use crate::error::{Error, Result, bail, ensure, in_order};
+use crate::files::{self, atomic, file_name, names, own};
+use crate::progress::{Progress, Viewing};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::fs;
@@ -91,8 +92,7 @@ impl Capture<'_> {
                 Some(photos) => photos,
                 None => self.video_frames(&room, progress)?,
             };
-            let with_masks = masks.as_ref().map(|masks| (masks, &*room.masks));
-            photos.copy(with_masks, &room.images, progress)?;
+            room.copy(&photos, masks.as_ref(), progress)?;
             made.photos = photos.all.len();
             made.masks = masks.map_or(0, |masks| masks.0.len());
             atomic::write_json(&room.record, &made)?;
@@ -188,6 +188,31 @@ impl Room {
             found "{out}, made from {}, other files, masks or frames", made.source.display();
             expected "a new folder, or one made from the same files"; help "name another folder");
         Ok(made)
+    }
+
+    /// Writes the photos into `images`, without EXIF orientation, and the mask of each into `masks` if masks are given.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where a photo or its mask cannot be read; [`Error::Io`]; [`Error::Stopped`].
+    fn copy(
+        &self,
+        photos: &Photos,
+        masks: Option<&Masks>,
+        progress: &mut dyn Progress,
+    ) -> Result<()> {
+        let mut viewing = Viewing::begin(progress, "photos", photos.all.len());
+        for some in photos.all.chunks(rayon::current_num_threads()) {
+            in_order(some.par_iter().map(|photo| {
+                if let Some(masks) = masks {
+                    masks.write(photo, photos.turn(photo), &self.masks)?;
+                }
+                let name = file_name(&photo.path).unwrap_or_default();
+                atomic::write_bytes(self.images.join(name), &photos.upright(photo)?)
+            }))?;
+            viewing.advance(some.len())?;
+        }
+        viewing.end();
+        Ok(())
     }
 
     /// Finds the poses of the photos.

@@ -1,11 +1,9 @@
 //! Photos in a form that all programs read alike: of one size and without an EXIF orientation.
 
-use super::masks::Masks;
 use crate::data::photos::image_file::{ImageFile, proportional};
 use crate::data::photos::{HEIC_HELP, is_heic, is_photo, is_video};
 use crate::error::{Error, Result, bail, ensure, in_order};
-use crate::files::{atomic, file_name, names};
-use crate::progress::{Progress, Viewing};
+use crate::files::names;
 use image::metadata::Orientation;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
@@ -118,31 +116,11 @@ impl Photos {
         photo.exif.filter(|_| self.turns)
     }
 
-    /// Writes the photos into the folder `out`, without EXIF orientation. Those that have none are copied. Each one's mask goes into
-    /// the folder that comes with `masks`.
+    /// The file of `photo` without EXIF orientation. One that has none is as it was.
     ///
     /// # Errors
-    /// [`Error::Input`] where a photo or its mask cannot be read; [`Error::Io`]; [`Error::Stopped`].
-    pub fn copy(
-        &self,
-        masks: Option<(&Masks, &Path)>,
-        out: &Path,
-        progress: &mut dyn Progress,
-    ) -> Result<()> {
-        let mut viewing = Viewing::begin(progress, "photos", self.all.len());
-        for some in self.all.chunks(rayon::current_num_threads()) {
-            in_order(some.par_iter().map(|photo| {
-                if let Some((masks, folder)) = masks {
-                    masks.write(photo, self.turn(photo), folder)?;
-                }
-                let file = ImageFile::open(&photo.path)?;
-                let copy = file.without_orientation(self.turns)?;
-                let name = file_name(&photo.path).unwrap_or_default();
-                atomic::write_bytes(out.join(name), &copy)
-            }))?;
-            viewing.advance(some.len())?;
-        }
-        viewing.end();
-        Ok(())
+    /// [`Error::Input`] for a photo that cannot be read; [`Error::Io`].
+    pub fn upright(&self, photo: &Photo) -> Result<Vec<u8>> {
+        ImageFile::open(&photo.path)?.without_orientation(self.turns)
     }
 }

@@ -1,6 +1,6 @@
 //! The initial scene of a run: Gaussians of another run or another trainer.
 
-use super::evaluate::Pictures;
+use super::pictures::Pictures;
 use crate::config::Config;
 use crate::data::{Scene, Split};
 use crate::error::{Result, bail, ensure};

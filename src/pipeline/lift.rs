@@ -1,6 +1,6 @@
 //! Lifting of a run: image features onto Gaussians (Eq. 5), and attendance pruning (Algorithm 1, line 12).
 
-use super::evaluate::score_images;
+use super::pictures::score_images;
 use crate::config::{Config, Resolution};
 use crate::data::{Scene, Split};
 use crate::error::Result;

@@ -5,9 +5,10 @@
 //! ```
 //!
 //! [`run`] calls the steps in order; each has a file of its name. `variants` trains and scores the lines of the label table,
-//! `rivals` has the methods of other papers, `evaluate` holds the scores, `initial_scene` reads Gaussians of another trainer,
-//! `requirements` checks what stage two needs before stage one starts, `resolve` fills in settings that follow from the scene,
-//! `corrections` has labels that a person corrected, `segmentation_inputs` is what all of stage two works on.
+//! `rivals` has the methods of other papers, `pictures` scores colours, `evaluate` scores label maps and features, `initial_scene`
+//! reads Gaussians of another trainer, `requirements` checks what stage two needs before stage one starts, `resolve` fills in
+//! settings that follow from the scene, `corrections` has labels that a person corrected, `segmentation_inputs` is what all of
+//! stage two works on.
 
 pub mod train_decoder;
 
@@ -19,6 +20,7 @@ mod fine_tuning;
 mod initial_scene;
 pub(crate) mod label_evidence;
 pub(crate) mod lift;
+mod pictures;
 mod prune;
 mod query;
 mod reconstruct;
@@ -35,9 +37,10 @@ pub(crate) mod variants;
 pub use self::associate::{Associated, AssociationCounts, associate};
 pub use self::corrections::{store_corrections, stored_corrections};
 pub use self::encode::{Encodings, encode};
-pub use self::evaluate::{FieldScores, HeldOut, HeldOutScores, Pictures, score_images};
+pub use self::evaluate::{FieldScores, HeldOut, HeldOutScores};
 pub use self::initial_scene::compare_with_photos;
 pub use self::lift::{LiftedFeatures, Pruned};
+pub use self::pictures::{Pictures, score_images};
 pub use self::prune::{Keep, Pruning, prune};
 pub use self::query::LiftedMaps;
 pub use self::run::{Outcome, Seconds, load_scene, run, run_on};

@@ -2,8 +2,8 @@
 
 use super::associate::{Associated, AssociationCounts, associate};
 use super::corrections;
-use super::evaluate::score_images;
 use super::lift::{Pruned, lift};
+use super::pictures::score_images;
 use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
 use super::requirements::{
     check_networks, check_ranks, check_scores, has_raw_labels, least_count, score_tables,

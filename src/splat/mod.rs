@@ -6,9 +6,9 @@ pub mod camera_path;
 pub mod formats;
 mod motion;
 mod order;
-pub mod ply;
 pub(crate) mod sh;
 
+pub use self::formats::ply;
 pub use self::motion::Motion;
 pub use self::sh::SH_0;
 use crate::backend::check_finite;

@@ -1,11 +1,11 @@
 //! Which layout a scene folder has.
 
+use super::block::{BLOCK, Block};
 use super::folder::{Folder, Problems};
 use super::listing::Listing;
 use super::{colmap, replica, scannet, transforms};
 use crate::config::Layout;
 use crate::data::LoadOptions;
-use crate::data::blocks::Block;
 use crate::data::labels::map_geometry::MapGeometries;
 use crate::data::photos::{HEIC_HELP, is_heic, is_photo, is_video};
 use crate::error::{Error, Result, ensure, invalid};
@@ -220,7 +220,9 @@ fn expect_raw_labels(dir: &Path, options: &LoadOptions) -> Result<()> {
 /// Lists the frames of a folder of any layout, or of a block of one. Faults of single frames go to `problems`.
 pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
     if let Some(block) = Block::in_folder(dir)? {
-        return block.list(dir, options, problems);
+        let (scene, whole) = block.whole(dir, options)?;
+        let listing = list(&scene, &whole, problems)?;
+        return Ok(listing.of_block(&block, &dir.join(BLOCK), options, problems));
     }
     let folder = Folder {
         dir,

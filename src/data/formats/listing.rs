@@ -1,11 +1,11 @@
 //! The contents of a scene folder of any layout, before anything is decoded.
 
+use super::block::{AGAIN, Block, Region};
 use super::depth::Depth;
 use super::folder::{Folder, Problems};
 use super::frame::Frame;
 use super::label_folder::choose_raw_files;
 use crate::config::Layout;
-use crate::data::blocks::Region;
 use crate::data::labels::map_geometry::MapGeometries;
 use crate::data::labels::raw::{self, RawFile, RawLabels};
 use crate::data::{Classes, LoadOptions, Split, WorldUnit};
@@ -13,6 +13,7 @@ use crate::error::{Result, ensure, invalid};
 use crate::files::check_views;
 use crate::splat::camera::spread;
 use glam::DVec3;
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 /// The frames of a folder and everything known about them.
@@ -127,6 +128,39 @@ impl Listing {
     /// The same frames without raw labels.
     pub fn without_raw_labels(mut self) -> Self {
         self.frames.iter_mut().for_each(|frame| frame.raw = None);
+        self
+    }
+
+    /// What `block` of this scene lists, or fewer frames where `options` say so. `file` is the file of the block.
+    pub fn of_block(
+        mut self,
+        block: &Block,
+        file: &Path,
+        options: &LoadOptions,
+        problems: &mut Problems,
+    ) -> Self {
+        self.whole_extent = Some(self.spread().1);
+        let train = block.train.iter().map(|name| (&**name, Split::Train));
+        let test = block.test.iter().map(|name| (&**name, Split::Test));
+        let mut splits: HashMap<&str, Split> = train.chain(test).collect();
+        self.frames.retain_mut(|frame| {
+            let split = splits.remove(&*frame.name);
+            frame.split = split.unwrap_or(frame.split);
+            split.is_some()
+        });
+        if let Some(name) = splits.keys().min() {
+            problems.push(invalid!(file, "train, test";
+                found "{} frames that {} does not have, such as {name}", splits.len(), self.file.display();
+                expected "frames of the scene"; help "{AGAIN}: it has changed"));
+        }
+        let splits: Vec<_> = self.frames.iter().map(|frame| Some(frame.split)).collect();
+        let mut picked = vec![false; splits.len()];
+        for (i, _) in options.pick(&splits) {
+            picked[i] = true;
+        }
+        let mut picked = picked.into_iter();
+        self.frames.retain(|_| picked.next().unwrap_or(true));
+        self.region = Some(block.region());
         self
     }
 

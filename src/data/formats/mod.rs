@@ -4,6 +4,7 @@
 //! photos and label files, and the initial cloud. `listing::Listing::load` makes the scene from it, the same way for all.
 //! Nothing here knows the diagnostics.
 
+pub(crate) mod block;
 pub(crate) mod camera_checks;
 pub(crate) mod camera_file;
 pub(crate) mod colmap;

@@ -1,12 +1,14 @@
 //! Backward pass over the tiles: the kernel.
 //!
 //! A cube loads [`LOADED`] Gaussians of its tile at a time and takes [`BATCH`] of them together. First every unit is a pixel: it
-//! blends them once more, front to back, and leaves `alpha' T` and `g = dL/dalpha' alpha'` in shared memory. Then [`LANES`] units
-//! share a Gaussian and sum over all pixels; their sums meet in shared memory again. The sums of a tile entry go to its own row. The
-//! rows of a Gaussian are neighbours, and a second kernel adds them. So there are no float atomics, and the bits are the same every
-//! time. Everything is linear in the gradient of the image, so that channels come in blocks, and the moments of the blocks add up.
+//! blends them once more, front to back, and leaves `alpha' T` and `g = dL/dalpha' alpha'` in shared memory. Then the units share
+//! the Gaussians among them and sum over all pixels; their sums meet in shared memory again. The sums of a tile entry go to its own
+//! row. The rows of a Gaussian are neighbours, and a second kernel adds them. So there are no float atomics, and the bits are the
+//! same every time. Everything is linear in the gradient of the image, so that channels come in blocks, and the moments of the
+//! blocks add up.
 
 use super::backward_sums::{clear_rows, write_sums};
+use super::batch::{BATCH, Exchange, Loaded, Slab, pairs_of};
 use super::blend::four_values;
 use super::pixel::{
     Four, Light, PATCH, PATCHES, Pixel, Rule, SPLAT_FOURS, pixel, reaches_patch, rule, splat_four,
@@ -16,20 +18,9 @@ use super::project::SPLAT;
 use crate::backend::gpu::{Gpu, UNITS};
 use burn_cubecl::cubecl::{self, prelude::*};
 
-/// Sums over pixels of g times 1, u, v, u^2, u v, v^2.
-pub(super) const MOMENTS: usize = 6;
-/// These, and the sums over pixels of the absolute contributions to half the gradient of the projected centre, along x in units
-/// of the inverse width: `|g u|`, `|g (v dv - slope u du)|`.
-pub(super) const ABSOLUTE_MOMENTS: usize = 8;
-/// Gaussians that a cube takes together.
-pub(super) const BATCH: usize = 8;
 /// Gaussians that a cube loads at a time: waiting for memory takes longer than computing a batch. Shared memory of 32 KB has room
 /// for these beside 12 channels.
 const LOADED: usize = 3 * BATCH;
-/// Units that sum for one Gaussian.
-pub(super) const LANES: usize = UNITS as usize / BATCH;
-/// They are as many as the pixels of a patch.
-const _: () = assert!(LANES == PATCH);
 /// Channels that make one block on every device: sums of absolute values of more are not sums over blocks.
 pub(super) const COMMON_BLOCK_CHANNELS: usize = 8;
 /// Widest block with and without moments where shared memory suffices. Chosen by counting registers, not by a measurement.
@@ -37,11 +28,6 @@ const WIDEST: [usize; 2] = [24, 32];
 // Each unit loads one value at most, and batches are whole.
 const _: () = assert!(LOADED.is_multiple_of(BATCH) && LOADED * PATCHES <= UNITS as usize);
 const _: () = assert!(LOADED * WIDEST[0] / 4 <= UNITS as usize);
-
-/// Floats that all units of a cube leave for each other: alpha' T and, for the moments, g of every pixel of a batch.
-pub(super) const fn pairs_of(moments: usize) -> usize {
-    (if moments > 0 { 2 } else { 1 }) * BATCH * UNITS as usize
-}
 
 /// Widest block that this device has shared memory for.
 pub(super) fn widest(gpu: &Gpu, moments: usize) -> usize {
@@ -52,40 +38,10 @@ pub(super) fn widest(gpu: &Gpu, moments: usize) -> usize {
     fits.clamp(COMMON_BLOCK_CHANNELS, WIDEST[usize::from(moments == 0)])
 }
 
-/// Gaussians of the tile's list that a cube has loaded.
-#[derive(CubeType)]
-pub(super) struct Loaded {
-    pub splats: Shared<[Four]>,
-    pub values: Shared<[Four]>,
-    pub entries: Shared<[u32]>,
-    /// Whether a Gaussian may show in a patch.
-    pub reached: Shared<[u32]>,
-}
-
-/// What the units of a cube leave for each other.
-#[derive(CubeType)]
-pub(super) struct Exchange {
-    /// The gradient of the image at each pixel.
-    pub d_pixels: Shared<[Four]>,
-    /// `alpha' T` and, for the moments, g of each pixel of a batch; then sums of lanes.
-    pub pairs: Shared<[f32]>,
-    /// Whether a Gaussian of the batch contributes to a pixel of a patch.
-    pub touched: Shared<[Atomic<u32>]>,
-    /// Whether some unit still blends: one slot is written while another is read and the third is cleared.
-    pub live: Shared<[Atomic<u32>]>,
-}
-
 /// dL/dS . S + dL/dT T of what lies behind the Gaussians so far.
 #[derive(CubeType)]
 struct Behind {
     rest: f32,
-}
-
-/// The rows of one pass: a slab of the entries of all tiles.
-#[derive(CubeType, Clone, Copy)]
-pub(super) struct Slab {
-    pub first: u32,
-    pub end: u32,
 }
 
 /// Loads the gradient of a block of channels at the unit's pixel, for itself and for the others. Gives its part of dL/dS . S.

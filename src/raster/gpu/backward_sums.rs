@@ -1,6 +1,6 @@
 //! Backward pass over the tiles: sums over the pixels of a tile, and the rows that they go to.
 
-use super::backward::{ABSOLUTE_MOMENTS, BATCH, Exchange, LANES, Loaded, Slab, pairs_of};
+use super::batch::{ABSOLUTE_MOMENTS, BATCH, Exchange, LANES, Loaded, Slab, pairs_of};
 use super::pixel::{
     Four, PATCH, PATCH_HEIGHT, PATCH_WIDTH, PATCHES, PATCHES_ACROSS, Pixel, SPLAT_FOURS,
 };

@@ -11,6 +11,7 @@
 
 mod backward;
 mod backward_sums;
+mod batch;
 mod blend;
 mod ewa;
 mod frozen;

@@ -1,6 +1,6 @@
 //! From the sums over pixels to the gradients of the parameters: one unit for each Gaussian.
 
-use super::backward::ABSOLUTE_MOMENTS;
+use super::batch::ABSOLUTE_MOMENTS;
 use super::ewa::{Ewa, Unit, ewa, offset_from_camera, rows_cross, to_camera};
 use super::inputs::Inputs;
 use super::project::{ProjectedScene, SPLAT};

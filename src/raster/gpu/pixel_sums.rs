@@ -1,7 +1,8 @@
 //! The backward pass over the tiles, launched block of channels by block and slab of entries by slab, and the sums over each
 //! Gaussian's tiles.
 
-use super::backward::{ABSOLUTE_MOMENTS, MOMENTS, tiles_backward, widest};
+use super::backward::{tiles_backward, widest};
+use super::batch::{ABSOLUTE_MOMENTS, MOMENTS};
 use super::blend::blocks;
 use super::lists::tile_counts;
 use super::prepare::Prepared;

@@ -3,10 +3,9 @@
 //! A row has the position and the standard deviations as six floats, the colour and the opacity as four bytes, and the quaternion
 //! w, x, y, z as four bytes, 128 for 0.
 
-use super::{logit, scene_of};
+use super::{PlyScene, logit, scene_of};
 use crate::error::{Result, ensure};
 use crate::files;
-use crate::splat::ply::PlyScene;
 use crate::splat::{Gaussians, SH_0};
 use std::path::Path;
 

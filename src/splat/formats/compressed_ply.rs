@@ -4,11 +4,10 @@
 //! position and log-scale between those of its chunk (11, 10 and 11 bits), the quaternion (2 bits for the place of its largest
 //! component, 10 for each other one), colour and opacity (8 bits each). Higher SH coefficients have 8 bits for -4 to 4.
 
-use super::{from_smallest_three, logit, opacity, scene_of, smallest_three};
+use super::{PlyScene, from_smallest_three, logit, opacity, scene_of, sh_degree, smallest_three};
 use crate::error::{Result, bail, ensure};
 use crate::files::atomic;
 use crate::files::ply::PlyFile;
-use crate::splat::ply::{PlyScene, sh_degree};
 use crate::splat::{Gaussians, SH_0};
 use glam::DVec3;
 use std::f64::consts::{FRAC_1_SQRT_2, SQRT_2};
@@ -166,7 +165,7 @@ fn unpack_rotation(packed: u32) -> [f32; 4] {
 ///
 /// # Errors
 /// [`crate::Error::Input`], [`crate::Error::Limit`], [`crate::Error::Io`].
-pub(in crate::splat) fn read(path: &Path) -> Result<PlyScene> {
+pub(super) fn read(path: &Path) -> Result<PlyScene> {
     let file = PlyFile::open(path, "chunk")?;
     // Older files have no bounds of colours.
     let has_colors = file.scalar("min_r").is_some();

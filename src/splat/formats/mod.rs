@@ -1,18 +1,22 @@
-//! Files of Gaussians in formats other than 3DGS PLY, and files of labels beside them.
+//! Files of Gaussians, and files of labels beside them.
 //!
-//! These formats round the values and reorder the rows. None of them holds labels, so a file `NAME.labels.json` beside `NAME`
-//! does: `{"sha256": .., "labels": [..]}` has the SHA-256 of `NAME` and one class id for each of its rows.
+//! 3DGS PLY is exact and holds labels. The other formats round the values and reorder the rows; beside a file `NAME` of theirs,
+//! `NAME.labels.json` holds the labels: `{"sha256": .., "labels": [..]}` has the SHA-256 of `NAME` and one class id for each of its
+//! rows.
 
 mod antimatter15;
-pub(super) mod compressed_ply;
+mod compressed_ply;
 pub mod glb;
+pub mod ply;
 mod point_cloud;
+mod scene;
 pub mod sog;
 mod spz;
 
-use super::ply::{self, PlyScene};
+use self::scene::{PlyScene, scene_of};
 use super::{Gaussians, ZERO_QUATERNION};
-use crate::error::{Error, Result, ensure, invalid};
+use crate::error::{Result, ensure};
+use crate::files::ply::PlyFile;
 use crate::files::{self, atomic, extension, sha256};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -122,7 +126,7 @@ pub fn write(
 /// is removed.
 ///
 /// # Errors
-/// [`Error::Io`].
+/// [`crate::Error::Io`].
 pub fn write_labels_beside(path: &Path, labels: Option<Vec<u16>>) -> Result<()> {
     let beside = label_path(path);
     let Some(labels) = labels else {
@@ -164,19 +168,23 @@ fn labels_beside(path: &Path, rows: usize) -> Result<Option<Vec<u16>>> {
     Ok(Some(file.labels))
 }
 
-/// A scene of positions that are floats in the file `path`, which must hold finite numbers alone.
-fn scene_of(path: &Path, gaussians: Gaussians) -> Result<PlyScene> {
-    match gaussians.check(None) {
-        Err(Error::NonFinite { tensor, row, .. }) => Err(
-            invalid!(path, "row {row}"; found "a value of {tensor} that is not finite"; expected "finite numbers";
-                help "remove this Gaussian (splat-transform --filter-nan)"),
-        ),
-        other => other.map(|()| ply::with_origin(gaussians)),
-    }
+/// The SH degree of the columns `f_rest_*`.
+fn sh_degree(file: &PlyFile) -> Result<usize> {
+    let rest = file.names().filter(|n| n.starts_with("f_rest_")).count();
+    (0..=3)
+        .find(|d: &usize| 3 * ((d + 1).pow(2) - 1) == rest)
+        .ok_or_else(|| {
+            file.error(
+                "element vertex",
+                format!("{rest} columns f_rest_*"),
+                "0, 9, 24 or 45 of them (SH degree 0 to 3)",
+                "export with a whole SH degree",
+            )
+        })
 }
 
 /// The logit of an opacity of 8 bits.
-pub(super) fn logit(opacity: u8) -> f32 {
+fn logit(opacity: u8) -> f32 {
     let p = (f64::from(opacity) / 255.0).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
     (p / (1.0 - p)).ln() as f32
 }

@@ -7,10 +7,9 @@
 //!
 //! Format: <https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/>
 
-use super::{from_smallest_three, logit, opacity, scene_of};
+use super::{PlyScene, from_smallest_three, logit, opacity, scene_of};
 use crate::error::{Error, Result, ensure, invalid};
 use crate::files;
-use crate::splat::ply::PlyScene;
 use crate::splat::{Gaussians, SH_0};
 use glam::DVec3;
 use image::{ImageFormat, ImageReader};

@@ -5,11 +5,10 @@
 //! quaternions 32 in version 3 and 24 in version 2. Higher SH coefficients have 8 bits for -1 to 1, of which 5 are used for degree 1
 //! and 4 for others, as in Niantic's own program. Coordinates stay as they are, as in splat-transform.
 
-use super::{from_smallest_three, logit, opacity, scene_of, smallest_three};
+use super::{PlyScene, from_smallest_three, logit, opacity, scene_of, smallest_three};
 use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files::{self, atomic, kind};
 use crate::splat::Gaussians;
-use crate::splat::ply::PlyScene;
 use flate2::Compression;
 use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;

@@ -10,7 +10,6 @@ use crate::data::Classes;
 use crate::error::{Result, bail, ensure, invalid};
 use crate::files::check_pixels;
 use serde::Deserialize;
-use serde::de::IgnoredAny;
 use serde_json::Value;
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -47,23 +46,6 @@ struct Annotation {
 struct Category {
     id: u64,
     name: String,
-}
-
-/// Whether a JSON file certainly holds instances. In files of panoptic segmentation, categories are those of segments.
-pub(super) fn are_in(path: &Path) -> bool {
-    #[derive(Deserialize)]
-    struct Head {
-        #[serde(rename = "images")]
-        _images: IgnoredAny,
-        annotations: Vec<Entry>,
-    }
-    #[derive(Deserialize)]
-    struct Entry {
-        category_id: Option<IgnoredAny>,
-    }
-    let has_category = |entry: &Entry| entry.category_id.is_some();
-    drawing::read::<Head>(path, "instances")
-        .is_ok_and(|head| head.annotations.iter().any(has_category))
 }
 
 /// Reads the file at `path` for a scene with the class table `classes`: drawings by the names of those frames that have

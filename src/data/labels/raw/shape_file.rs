@@ -1,11 +1,13 @@
 //! One file with the shapes of all photos: where it is, and which photos its pictures are.
 
-use super::drawing::Drawing;
-use super::{RawFile, Vocabulary, coco_instances};
+use super::drawing::{self, Drawing};
+use super::{RawFile, Vocabulary};
 use crate::config::RawFormat;
 use crate::data::{Classes, LoadOptions, MapGeometry};
 use crate::error::{Result, ensure};
 use crate::files::{extension, names};
+use serde::Deserialize;
+use serde::de::IgnoredAny;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
@@ -59,8 +61,7 @@ impl ShapeFile {
         let copies = named.join(PHOTO_FOLDER);
         let is_coco = self.format == RawFormat::CocoInstances;
         self.is_export
-            && (maps.all(|map| map.starts_with(&copies))
-                || is_coco && coco_instances::are_in(&self.path))
+            && (maps.all(|map| map.starts_with(&copies)) || is_coco && has_instances(&self.path))
     }
 
     fn new(path: PathBuf, format: RawFormat, is_export: bool) -> Self {
@@ -81,6 +82,23 @@ fn only_json(folder: &Path) -> Option<PathBuf> {
         [only] => Some(folder.join(only)),
         _ => None,
     }
+}
+
+/// Whether a JSON file certainly holds COCO instances. In files of panoptic segmentation, categories are those of segments.
+fn has_instances(path: &Path) -> bool {
+    #[derive(Deserialize)]
+    struct Head {
+        #[serde(rename = "images")]
+        _images: IgnoredAny,
+        annotations: Vec<Entry>,
+    }
+    #[derive(Deserialize)]
+    struct Entry {
+        category_id: Option<IgnoredAny>,
+    }
+    let has_category = |entry: &Entry| entry.category_id.is_some();
+    drawing::read::<Head>(path, "instances")
+        .is_ok_and(|head| head.annotations.iter().any(has_category))
 }
 
 /// The drawings on those images in the file at `path` that are photos of `frames`, by the names of these. `drawn` has each with the

@@ -1,7 +1,6 @@
 //! A grid of blocks over the floor of a scene. Every point of space lies in one block.
 
-use super::Region;
-use super::file::AGAIN;
+use super::{AGAIN, Region};
 use crate::error::{Result, bail, ensure};
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};

@@ -1,9 +1,11 @@
-//! Which frames belong to which block.
+//! Blocks of a scene that is larger than a machine: a grid over the floor, and for each cell the frames that show it.
+//!
+//! [`split`] plans them, [`Block::write`] makes a folder of each, and [`crate::data::load`] reads such a folder as a scene: the photos
+//! of the block, and its part of the initial cloud.
 
-use super::file::VERSION;
-use super::region::MAX_POINTS;
-use super::visibility::nearest;
-use super::{Block, Grid, Reading};
+pub use super::formats::block::{BLOCK, Block, Grid, Reading, Region, block_name};
+
+use super::formats::block::{MAX_POINTS, VERSION, nearest};
 use crate::data::formats::folder::Problems;
 use crate::data::formats::frame::Frame;
 use crate::data::formats::layout;

@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 /// Points of the initial cloud that photos are looked at with, at most.
-pub(super) const MAX_POINTS: usize = 200_000;
+pub(crate) const MAX_POINTS: usize = 200_000;
 
 /// A rectangle of the floor, of any height, half open: its low sides belong to it. Sides may be infinite.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,30 +1,25 @@
 //! The file of a block, and the scene folder that it stands for.
 
-use super::{Grid, Region, block_name};
+use super::{AGAIN, Grid, Region, block_name};
 use crate::config::{DataConfig, Layout};
-use crate::data::formats::folder::Problems;
-use crate::data::formats::layout;
-use crate::data::formats::listing::Listing;
-use crate::data::{LoadOptions, Split};
+use crate::data::LoadOptions;
 use crate::error::{Error, Result, ensure};
 use crate::files::{self, atomic};
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
 use std::io::ErrorKind;
 use std::path::{Component, Path, PathBuf};
 
 /// The name of the file in the folder of a block.
 pub const BLOCK: &str = "block.json";
 /// The version of the file.
-pub(super) const VERSION: u32 = 1;
+pub(crate) const VERSION: u32 = 1;
 const EXPECTED: &str = "a block that `coseg split` wrote";
-pub(super) const AGAIN: &str = "split the scene again";
 
 /// A block of a scene. Its region follows from the grid and its position there, so that blocks of one grid cover space once.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Block {
-    pub(super) version: u32,
+    pub(crate) version: u32,
     /// The scene folder, absolute or relative to that of the block.
     pub scene: PathBuf,
     /// How the scene folder was read.
@@ -56,7 +51,7 @@ pub struct Reading {
 }
 
 impl Reading {
-    pub(super) fn of(options: &LoadOptions, layout: Layout) -> Self {
+    pub(crate) fn of(options: &LoadOptions, layout: Layout) -> Self {
         Self {
             layout,
             transforms: options.transforms.clone(),
@@ -181,41 +176,6 @@ impl Block {
         options: &LoadOptions,
     ) -> Result<(PathBuf, LoadOptions)> {
         Ok((self.scene_folder(dir)?, self.reading.options(options)))
-    }
-
-    /// Lists the frames of the block in folder `dir`, or fewer where `options` say so.
-    pub(crate) fn list(
-        &self,
-        dir: &Path,
-        options: &LoadOptions,
-        problems: &mut Problems,
-    ) -> Result<Listing> {
-        let (scene, whole) = self.whole(dir, options)?;
-        let mut listing = layout::list(&scene, &whole, problems)?;
-        listing.whole_extent = Some(listing.spread().1);
-        let train = self.train.iter().map(|name| (&**name, Split::Train));
-        let test = self.test.iter().map(|name| (&**name, Split::Test));
-        let mut splits: HashMap<&str, Split> = train.chain(test).collect();
-        listing.frames.retain_mut(|frame| {
-            let split = splits.remove(&*frame.name);
-            frame.split = split.unwrap_or(frame.split);
-            split.is_some()
-        });
-        if let Some(name) = splits.keys().min() {
-            problems.push(crate::error::invalid!(dir.join(BLOCK), "train, test";
-                found "{} frames that {} does not have, such as {name}", splits.len(), listing.file.display();
-                expected "frames of the scene"; help "{AGAIN}: it has changed"));
-        }
-        let splits = listing.frames.iter().map(|frame| Some(frame.split));
-        let splits: Vec<_> = splits.collect();
-        let mut picked = vec![false; splits.len()];
-        for (i, _) in options.pick(&splits) {
-            picked[i] = true;
-        }
-        let mut picked = picked.into_iter();
-        listing.frames.retain(|_| picked.next().unwrap_or(true));
-        listing.region = Some(self.region());
-        Ok(listing)
     }
 }
 

@@ -8,7 +8,7 @@ const CELLS: [usize; 2] = [16, 12];
 
 /// For each cell of a photo the number of the nearest of `points`, which are positions in the world: walls hide what is behind
 /// them. Cells without points have none.
-pub(super) fn nearest(camera: &Camera, points: &[DVec3]) -> Vec<usize> {
+pub(crate) fn nearest(camera: &Camera, points: &[DVec3]) -> Vec<usize> {
     let [across, down] = CELLS;
     let mut nearest = vec![(f64::INFINITY, 0); across * down];
     for (number, point) in points.iter().enumerate() {

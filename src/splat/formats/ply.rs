@@ -4,11 +4,14 @@
 //! logits, quaternions w x y z), as every 3DGS tool has them. `label` (ushort) holds class ids; other viewers ignore it
 //! and `splat-transform` can filter on it. Compressed PLY is read too.
 
-use super::Gaussians;
-use super::formats::{self, compressed_ply};
+pub use super::scene::PlyScene;
+
+use super::scene::{floats_lose, origin_of};
+use super::{compressed_ply, logit, sh_degree};
 use crate::error::{Result, bail, invalid};
 use crate::files::atomic;
 use crate::files::ply::{self, PlyFile};
+use crate::splat::Gaussians;
 use glam::DVec3;
 use ply_rs_bw::ply::ScalarType;
 use std::path::Path;
@@ -17,19 +20,6 @@ use std::path::Path;
 const COLUMNS: usize = 63;
 /// Header comment that carries the origin, so that a file read back has the coordinates it was trained in.
 const ORIGIN: &str = "coseg origin";
-/// Positions are stored as double when float would move one by more than this share of the scene's size.
-const POSITION_LOSS: f64 = 1e-5;
-
-/// A scene as read from a file.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct PlyScene {
-    /// The Gaussians, relative to [`PlyScene::origin`].
-    pub gaussians: Gaussians,
-    /// What was subtracted from every position (f64). Cameras in world units must be moved by it too.
-    pub origin: DVec3,
-    /// Class id per Gaussian, when the file has a `label` column, or labels are beside it.
-    pub labels: Option<Vec<u16>>,
-}
 
 /// Writes `gaussians` to `path` (binary little-endian), adding `origin` back to the positions in f64.
 ///
@@ -132,7 +122,7 @@ pub fn read(path: &Path) -> Result<PlyScene> {
         // Other programs write an opacity of 0 or 1 in this way.
         if cells[opacity].is_infinite() {
             let byte = if cells[opacity] > 0.0 { 255 } else { 0 };
-            cells[opacity] = f64::from(formats::logit(byte));
+            cells[opacity] = f64::from(logit(byte));
         }
         // A value that does not fit an f32 counts as not finite.
         if let Some(column) = cells.iter().position(|&v| !(v as f32).is_finite()) {
@@ -208,21 +198,6 @@ fn expect_gaussians(file: &PlyFile) -> Result<()> {
     ))
 }
 
-/// The SH degree of the columns `f_rest_*`.
-pub(super) fn sh_degree(file: &PlyFile) -> Result<usize> {
-    let rest = file.names().filter(|n| n.starts_with("f_rest_")).count();
-    (0..=3)
-        .find(|d: &usize| 3 * ((d + 1).pow(2) - 1) == rest)
-        .ok_or_else(|| {
-            file.error(
-                "element vertex",
-                format!("{rest} columns f_rest_*"),
-                "0, 9, 24 or 45 of them (SH degree 0 to 3)",
-                "export with a whole SH degree",
-            )
-        })
-}
-
 fn recorded_origin(file: &PlyFile) -> Option<DVec3> {
     let text = file
         .comments()
@@ -235,46 +210,5 @@ fn recorded_origin(file: &PlyFile) -> Option<DVec3> {
     match values[..] {
         [x, y, z] if values.iter().all(|v| v.is_finite()) => Some(DVec3::new(x, y, z)),
         _ => None,
-    }
-}
-
-/// The scene of Gaussians whose means are world positions.
-pub(super) fn with_origin(mut gaussians: Gaussians) -> PlyScene {
-    let positions = gaussians.positions(DVec3::ZERO);
-    let origin = origin_of(&positions);
-    for (mean, position) in gaussians.means.iter_mut().zip(positions) {
-        *mean = (position - origin).as_vec3().to_array();
-    }
-    PlyScene {
-        gaussians,
-        origin,
-        labels: None,
-    }
-}
-
-/// Mean position and mean distance from it.
-fn centre_and_size(positions: &[DVec3]) -> (DVec3, f64) {
-    let n = positions.len().max(1) as f64;
-    let centre = positions.iter().sum::<DVec3>() / n;
-    let distances = positions.iter().map(|p| p.distance(centre));
-    (centre, distances.sum::<f64>() / n)
-}
-
-/// Whether rounding a position to float moves it by more than [`POSITION_LOSS`] of the scene's size.
-fn floats_lose(positions: &[DVec3]) -> bool {
-    let most = POSITION_LOSS * centre_and_size(positions).1;
-    let loss = |p: &DVec3| (p - p.as_vec3().as_dvec3()).abs().max_element();
-    positions.iter().any(|p| loss(p) > most)
-}
-
-/// Zero for scenes near their coordinate origin, so that their float positions stay as they are.
-fn origin_of(positions: &[DVec3]) -> DVec3 {
-    let (centre, size) = centre_and_size(positions);
-    // Float positions show no rounding, but their spacing far out may be coarse for the scene.
-    let coarse = size > 0.0 && centre.length() * f64::from(f32::EPSILON) > POSITION_LOSS * size;
-    if coarse || floats_lose(positions) {
-        centre
-    } else {
-        DVec3::ZERO
     }
 }
