@@ -96,9 +96,7 @@ pub(in crate::raster) fn depth_order(depths: &[f64]) -> Vec<u32> {
 /// [`crate::Error::Limit`] when the lists would have more than [`MAX_ENTRIES`] entries.
 pub(in crate::raster) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Result<TileLists> {
     let [columns, rows] = size.map(|s| s.div_ceil(TILE));
-    let tiles = columns * rows;
     let chunk_len = CHUNK.max(splats.len().div_ceil(64));
-    // `per_tile` becomes the next free position of each tile.
     let listed = AtomicUsize::new(0);
     let mut chunks: Vec<Bins> = splats
         .par_chunks(chunk_len)
@@ -110,15 +108,7 @@ pub(in crate::raster) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Resu
         limit "entries of the tile lists of one view, 16 bytes each";
         found "{total} of the first {done} of {} visible Gaussians", splats.len(); expected "{MAX_ENTRIES}";
         help "render a smaller image, or remove very large Gaussians");
-    let mut starts = Vec::with_capacity(tiles + 1);
-    let mut sum = 0;
-    for tile in 0..tiles {
-        starts.push(sum);
-        for chunk in &mut chunks {
-            sum += std::mem::replace(&mut chunk.per_tile[tile], sum);
-        }
-    }
-    starts.push(sum);
+    let starts = tile_starts(&mut chunks, columns * rows);
     let mut slots = vec![0_u32; total];
     // Every one is written once, by one thread: the order of the stores does not matter.
     let ranks: Vec<AtomicU32> = (0..total)
@@ -132,20 +122,8 @@ pub(in crate::raster) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Resu
         parts.push((chunk, own));
         rest = others;
     }
-    parts
-        .into_par_iter()
-        .enumerate()
-        .for_each(|(number, (chunk, slots))| {
-            let mut entries = slots.iter_mut().zip(&chunk.tiles);
-            for (&count, rank) in chunk.counts.iter().zip((number * chunk_len) as u32..) {
-                for (slot, &tile) in entries.by_ref().take(count as usize) {
-                    let next = &mut chunk.per_tile[tile as usize];
-                    *slot = *next;
-                    ranks[*next as usize].store(rank, Ordering::Relaxed);
-                    *next += 1;
-                }
-            }
-        });
+    let parts = parts.into_par_iter().enumerate();
+    parts.for_each(|(i, (chunk, slots))| enter(chunk, (i * chunk_len) as u32, slots, &ranks));
     let mut runs = Vec::with_capacity(splats.len() + 1);
     let mut at = 0;
     for &count in chunks.iter().flat_map(|c| &c.counts) {
@@ -153,13 +131,40 @@ pub(in crate::raster) fn tile_lists(splats: &[Splat2], size: [usize; 2]) -> Resu
         at += count;
     }
     runs.push(at);
-    let ranks = ranks.into_iter().map(AtomicU32::into_inner).collect();
     Ok(TileLists {
         columns,
         rows,
         starts,
-        ranks,
+        ranks: ranks.into_iter().map(AtomicU32::into_inner).collect(),
         runs,
         slots,
     })
+}
+
+/// The starts of the lists of `tiles` tiles, and the end of the last. [`Bins::per_tile`] becomes where each chunk enters its first
+/// rank.
+fn tile_starts(chunks: &mut [Bins], tiles: usize) -> Vec<u32> {
+    let mut starts = Vec::with_capacity(tiles + 1);
+    let mut sum = 0;
+    for tile in 0..tiles {
+        starts.push(sum);
+        for chunk in chunks.iter_mut() {
+            sum += std::mem::replace(&mut chunk.per_tile[tile], sum);
+        }
+    }
+    starts.push(sum);
+    starts
+}
+
+/// Enters the ranks of a chunk, from `first` on, into the lists of their tiles. Their positions there go to `slots`.
+fn enter(chunk: &mut Bins, first: u32, slots: &mut [u32], ranks: &[AtomicU32]) {
+    let mut entries = slots.iter_mut().zip(&chunk.tiles);
+    for (&count, rank) in chunk.counts.iter().zip(first..) {
+        for (slot, &tile) in entries.by_ref().take(count as usize) {
+            let next = &mut chunk.per_tile[tile as usize];
+            *slot = *next;
+            ranks[*next as usize].store(rank, Ordering::Relaxed);
+            *next += 1;
+        }
+    }
 }
