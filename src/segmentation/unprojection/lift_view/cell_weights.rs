@@ -9,16 +9,20 @@ use crate::backend::simd::{multiply_add, prefetch, wide_kernel};
 use crate::features::{Axis, Lattice, SCALES};
 use crate::raster::TilePairs;
 use crate::splat::camera::Camera;
+use std::ops::Range;
 
 /// Lanes summed in registers.
 const LANES: usize = 16;
 
-/// Bilinear taps along both axes of a grid: cells before and after each pixel centre, and the weight of the latter.
+/// Cells before and after a pixel centre along one axis, and the weight of the latter.
+type Tap = (usize, usize, f32);
+
+/// Bilinear taps along both axes of a grid.
 pub struct Taps {
     /// Cells across.
     width: usize,
-    x: Vec<(usize, usize, f32)>,
-    y: Vec<(usize, usize, f32)>,
+    x: Vec<Tap>,
+    y: Vec<Tap>,
     /// Grid and image have one size: every pixel reads its own cell.
     is_of_pixels: bool,
 }
@@ -111,6 +115,50 @@ struct BilinearGrid {
     rows: Vec<[usize; 2]>,
 }
 
+impl BilinearGrid {
+    /// The grid of the taps `x` and `y` of a tile, with the lanes from `lane` on; `width` cells across.
+    fn new(width: usize, x: &[Tap], y: &[Tap], lane: usize) -> Self {
+        let [left, top] = [x, y].map(|taps| taps.first().map_or(0, |tap| tap.0));
+        let span = |tap: &Tap, first: usize| [tap.0 - first, tap.1 + 1 - first];
+        Self {
+            width,
+            lane,
+            left,
+            top,
+            columns: x.iter().map(|tap| span(tap, left)).collect(),
+            rows: y.iter().map(|tap| span(tap, top)).collect(),
+        }
+    }
+
+    /// Its lanes: one for each column of cells that the tile reaches.
+    fn lanes(&self) -> Range<usize> {
+        self.lane..self.lane + self.columns.last().map_or(0, |span| span[1])
+    }
+
+    /// Adds the taps `x` to `[pixel columns, lanes]`.
+    fn add_columns<E: Real>(&self, x: &[Tap], lanes: usize, weights: &mut [E]) {
+        for (pixel, &(a, b, f)) in x.iter().enumerate() {
+            let f = E::of(f64::from(f));
+            let at = pixel * lanes + self.lane;
+            weights[at + a - self.left] += E::one() - f;
+            weights[at + b - self.left] += f;
+        }
+    }
+
+    /// Adds the taps `y` to `[pixel rows, rows, lanes]`.
+    fn add_rows<E: Real>(&self, y: &[Tap], rows: usize, lanes: usize, weights: &mut [E]) {
+        let own = self.lanes();
+        for (pixel, &(a, b, f)) in y.iter().enumerate() {
+            let f = E::of(f64::from(f));
+            for (row, weight) in [(a - self.top, E::one() - f), (b - self.top, f)] {
+                let at = (pixel * rows + row) * lanes;
+                let weights = weights[at..][own.clone()].iter_mut();
+                weights.for_each(|w| *w += weight);
+            }
+        }
+    }
+}
+
 /// What a tile reads of the grids.
 struct TileGrids<E> {
     /// One per grid.
@@ -138,56 +186,22 @@ impl<E: Real> TileGrids<E> {
                 grids.push(GridReading::Pixels { width: taps.width });
                 continue;
             }
-            let span = |taps: &[(usize, usize, f32)], from: usize| -> (usize, Vec<[usize; 2]>) {
-                let taps = clipped(taps, from, edge);
-                let first = taps.first().map_or(0, |t| t.0);
-                (
-                    first,
-                    taps.iter()
-                        .map(|t| [t.0 - first, t.1 + 1 - first])
-                        .collect(),
-                )
-            };
-            let (left, columns) = span(&taps.x, x0);
-            let (top, own) = span(&taps.y, y0);
-            for (reach, own) in reach.iter_mut().zip(&own) {
+            let [x, y] = [clipped(&taps.x, x0, edge), clipped(&taps.y, y0, edge)];
+            let grid = BilinearGrid::new(taps.width, x, y, lanes);
+            for (reach, own) in reach.iter_mut().zip(&grid.rows) {
                 *reach = [reach[0].min(own[0]), reach[1].max(own[1])];
             }
-            let end = |spans: &[[usize; 2]]| spans.last().map_or(0, |s| s[1]);
-            let lane = lanes;
-            lanes += end(&columns);
-            rows = rows.max(end(&own));
-            grids.push(GridReading::Bilinear(BilinearGrid {
-                width: taps.width,
-                lane,
-                left,
-                top,
-                columns,
-                rows: own,
-            }));
+            lanes = grid.lanes().end;
+            rows = rows.max(grid.rows.last().map_or(0, |span| span[1]));
+            grids.push(GridReading::Bilinear(grid));
         }
         lanes = lanes.next_multiple_of(LANES);
         let mut column_weights = vec![E::zero(); edge * lanes];
         let mut row_weights = vec![E::zero(); edge * rows * lanes];
         for (reading, taps) in grids.iter().zip(taps) {
-            let GridReading::Bilinear(grid) = reading else {
-                continue;
-            };
-            for (pixel, &(a, b, f)) in clipped(&taps.x, x0, edge).iter().enumerate() {
-                let f = E::of(f64::from(f));
-                let at = pixel * lanes + grid.lane - grid.left;
-                column_weights[at + a] += E::one() - f;
-                column_weights[at + b] += f;
-            }
-            let own = grid.lane..grid.lane + grid.columns.last().map_or(0, |c| c[1]);
-            for (pixel, &(a, b, f)) in clipped(&taps.y, y0, edge).iter().enumerate() {
-                let f = E::of(f64::from(f));
-                for (row, weight) in [(a - grid.top, E::one() - f), (b - grid.top, f)] {
-                    let at = (pixel * rows + row) * lanes;
-                    row_weights[at..][own.clone()]
-                        .iter_mut()
-                        .for_each(|w| *w += weight);
-                }
+            if let GridReading::Bilinear(grid) = reading {
+                grid.add_columns(clipped(&taps.x, x0, edge), lanes, &mut column_weights);
+                grid.add_rows(clipped(&taps.y, y0, edge), rows, lanes, &mut row_weights);
             }
         }
         Self {
@@ -239,43 +253,67 @@ fn add_cell_weights<E: Real, const FMA: bool>(
         entry.weight = weights.iter().copied().sum();
         entry.at = len as u32;
         for (end, reading) in entry.ends.iter_mut().zip(&grids.grids) {
-            match reading {
+            len = match reading {
                 GridReading::Pixels { width } => {
-                    make_room(out, len + pixels.len());
-                    let [x, y] = pairs.origin.map(|o| o as u32);
-                    for (to, (&pixel, &weight)) in
-                        out[len..].iter_mut().zip(pixels.iter().zip(weights))
-                    {
-                        let row = u32::from(pixel) / edge as u32;
-                        let column = u32::from(pixel) % edge as u32;
-                        *to = CellWeight {
-                            cell: (y + row) * *width as u32 + x + column,
-                            weight,
-                        };
-                    }
-                    len += pixels.len();
+                    add_pixels(pairs.origin, *width, pixels, weights, out, len)
                 }
                 GridReading::Bilinear(grid) => {
                     let columns = grid.columns[left][0]..grid.columns[right][1];
                     let rows = grid.rows[top][0]..grid.rows[bottom][1];
-                    make_room(out, len + rows.len() * columns.len());
-                    for row in rows {
-                        let first =
-                            ((grid.top + row) * grid.width + grid.left + columns.start) as u32;
-                        let weights = &sums[row * lanes + grid.lane..][columns.clone()];
-                        for (cell, &weight) in (first..).zip(weights) {
-                            // Cells without weight are written over.
-                            out[len] = CellWeight { cell, weight };
-                            len += usize::from(weight != E::zero());
-                        }
-                    }
+                    add_cells(grid, columns, rows, &sums, lanes, out, len)
                 }
-            }
+            };
             *end = len as u32 - entry.at;
         }
         sums.fill(E::zero());
     }
     out.truncate(len);
+}
+
+/// Writes the weights of one Gaussian in a grid whose cells are pixels to `out` from `len` on; returns the end.
+#[inline(always)]
+fn add_pixels<E: Real>(
+    origin: [usize; 2],
+    width: usize,
+    pixels: &[u16],
+    weights: &[E],
+    out: &mut Vec<CellWeight<E>>,
+    len: usize,
+) -> usize {
+    make_room(out, len + pixels.len());
+    let edge = TilePairs::<E>::EDGE as u32;
+    let [x, y] = origin.map(|o| o as u32);
+    for (to, (&pixel, &weight)) in out[len..].iter_mut().zip(pixels.iter().zip(weights)) {
+        let row = u32::from(pixel) / edge;
+        let column = u32::from(pixel) % edge;
+        let cell = (y + row) * width as u32 + x + column;
+        *to = CellWeight { cell, weight };
+    }
+    len + pixels.len()
+}
+
+/// Writes `sums`, `[rows, lanes]`, of the cells in `columns` and `rows` of `grid` to `out` from `len` on; returns the end.
+#[inline(always)]
+fn add_cells<E: Real>(
+    grid: &BilinearGrid,
+    columns: Range<usize>,
+    rows: Range<usize>,
+    sums: &[E],
+    lanes: usize,
+    out: &mut Vec<CellWeight<E>>,
+    mut len: usize,
+) -> usize {
+    make_room(out, len + rows.len() * columns.len());
+    for row in rows {
+        let first = ((grid.top + row) * grid.width + grid.left + columns.start) as u32;
+        let weights = &sums[row * lanes + grid.lane..][columns.clone()];
+        for (cell, &weight) in (first..).zip(weights) {
+            // Cells without weight are written over.
+            out[len] = CellWeight { cell, weight };
+            len += usize::from(weight != E::zero());
+        }
+    }
+    len
 }
 
 /// Adds the pairs of one Gaussian to `sums`, `[rows, lanes]`; returns its first and last column of pixels.
