@@ -145,6 +145,52 @@ fn sift<E: Real>(splats: &Splats<'_, E>, first: usize, len: usize, view: &View) 
     seen
 }
 
+/// Gaussians in world space, a column for each value; [`Splat3`] says what they are.
+struct Columns {
+    mean: [Column; 3],
+    log_scale: [Column; 3],
+    rotation: [Column; 4],
+    logit: Column,
+}
+
+impl Columns {
+    /// The Gaussians `ids`, at most [`BLOCK`].
+    #[inline(always)]
+    fn read<E: Real>(splats: &Splats<'_, E>, ids: &[usize]) -> Self {
+        let none = [0.0; BLOCK];
+        let mut out = Self {
+            mean: [none; 3],
+            log_scale: [none; 3],
+            rotation: [none; 4],
+            logit: none,
+        };
+        for (l, &id) in ids.iter().enumerate() {
+            let s = Splat3::read(splats, id);
+            for i in 0..3 {
+                (out.mean[i][l], out.log_scale[i][l]) = (s.mean[i], s.log_scale[i]);
+            }
+            for (column, value) in out.rotation.iter_mut().zip(s.rotation) {
+                column[l] = value;
+            }
+            out.logit[l] = s.logit;
+        }
+        out
+    }
+
+    #[inline(always)]
+    fn at(&self, l: usize) -> Splat3 {
+        let [x, y, z] = &self.mean;
+        let [sx, sy, sz] = &self.log_scale;
+        let [a, b, c, d] = &self.rotation;
+        Splat3 {
+            mean: [x[l], y[l], z[l]],
+            log_scale: [sx[l], sy[l], sz[l]],
+            rotation: [a[l], b[l], c[l], d[l]],
+            logit: self.logit[l],
+        }
+    }
+}
+
 /// Projected Gaussians, a column for each value; [`Splat2`] says what they are.
 #[derive(Default)]
 struct Block {
@@ -168,19 +214,7 @@ impl Block {
     /// Projects the Gaussians `ids`, at most [`BLOCK`].
     #[inline(always)]
     fn new<E: Real>(splats: &Splats<'_, E>, ids: &[usize], view: &View) -> Self {
-        let none = [0.0; BLOCK];
-        let (mut mean, mut log_scale, mut rotation, mut logit) =
-            ([none; 3], [none; 3], [none; 4], none);
-        for (l, &id) in ids.iter().enumerate() {
-            let s = Splat3::read(splats, id);
-            for i in 0..3 {
-                (mean[i][l], log_scale[i][l]) = (s.mean[i], s.log_scale[i]);
-            }
-            for (column, value) in rotation.iter_mut().zip(s.rotation) {
-                column[l] = value;
-            }
-            logit[l] = s.logit;
-        }
+        let columns = Columns::read(splats, ids);
         let View {
             point: v,
             low_pass: low,
@@ -189,23 +223,10 @@ impl Block {
         } = *view;
         let mut out = Self::default();
         for l in 0..BLOCK {
-            let p = v.to_camera([mean[0][l], mean[1][l], mean[2][l]]);
-            let scale = [
-                exp(log_scale[0][l]),
-                exp(log_scale[1][l]),
-                exp(log_scale[2][l]),
-            ];
-            let ewa = Ewa::new(
-                [
-                    rotation[0][l],
-                    rotation[1][l],
-                    rotation[2][l],
-                    rotation[3][l],
-                ],
-                scale,
-                &v,
-                p,
-            );
+            let s = columns.at(l);
+            let p = v.to_camera(s.mean);
+            let [x, y, z] = s.log_scale;
+            let ewa = Ewa::new(s.rotation, [exp(x), exp(y), exp(z)], &v, p);
             let [m1, m2] = ewa.m;
             let n1 = dot(m1, m1);
             let n2 = dot(m2, m2);
@@ -214,7 +235,7 @@ impl Block {
             let s2 = (ewa.cross_squared(&v) + low * (n1 + n2) + low * low) / yy;
             let xx = s2 + slope * slope * yy;
             // ln(sigmoid(x)) = -ln(1 + e^-x)
-            let log_opacity = logit[l].min(0.0) - ln_1p_unit(exp(-logit[l].abs()));
+            let log_opacity = s.logit.min(0.0) - ln_1p_unit(exp(-s.logit.abs()));
             let tau = log_opacity - ln_alpha_min;
             let half = 0.5 * (xx - yy);
             let b = slope * yy;
