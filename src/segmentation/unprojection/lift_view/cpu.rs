@@ -30,19 +30,7 @@ pub(super) fn lift_view<E: Real>(
     settings: &Settings,
 ) -> Result<()> {
     let projected = Projected::new(splats, camera, settings)?;
-    let taps: Vec<Taps> = grids
-        .iter()
-        .map(|(lattice, _)| Taps::new(lattice, camera))
-        .collect();
-    let mut entries = vec![Entry::default(); projected.tile_entries()];
-    let tiles = projected.map_tiles(mask, &mut entries, |tile, pairs, own| {
-        tile_cell_weights(tile, pairs, &taps, own)
-    });
-    let view = ViewWeights {
-        tiles,
-        entries,
-        positions: projected.positions(),
-    };
+    let view = ViewWeights::new(&projected, camera, mask, grids);
     let counts = projected.used_counts(mask);
     let pixels = mask.map_or(camera.width * camera.height, Mask::kept);
     // For each chunk of Gaussians its rows at every scale.
@@ -90,6 +78,27 @@ struct ViewWeights<'a, E> {
     positions: Positions<'a>,
 }
 
+impl<'a, E: Real> ViewWeights<'a, E> {
+    fn new(
+        projected: &'a Projected<E>,
+        camera: &Camera,
+        mask: Option<&Mask>,
+        grids: &[(Lattice, Vec<usize>)],
+    ) -> Self {
+        let lattices = grids.iter().map(|(lattice, _)| lattice);
+        let taps: Vec<Taps> = lattices.map(|lattice| Taps::new(lattice, camera)).collect();
+        let mut entries = vec![Entry::default(); projected.tile_entries()];
+        let tiles = projected.map_tiles(mask, &mut entries, |tile, pairs, own| {
+            tile_cell_weights(tile, pairs, &taps, own)
+        });
+        Self {
+            tiles,
+            entries,
+            positions: projected.positions(),
+        }
+    }
+}
+
 /// What neighbouring Gaussians gather at one scale.
 struct Rows<'a, E> {
     /// `[Gaussians, channels]`.
@@ -133,51 +142,57 @@ fn gather_rows<E: Real, const FMA: bool>(
         if entries.is_empty() {
             continue;
         }
-        let weight = entries.iter().map(|entry| entry.weight).sum();
-        for Rows {
-            buffer,
-            weights,
-            map,
-            grid,
-        } in scales.iter_mut()
-        {
-            weights[i] += weight;
-            let channels = map.channels;
-            let (blocks, rest) = buffer[i * channels..(i + 1) * channels].as_chunks_mut::<LANES>();
-            let rest_at = blocks.len() * LANES;
-            for (block, out) in blocks.iter_mut().enumerate() {
-                let mut sum = [E::zero(); LANES];
-                for entry in entries {
-                    for &CellWeight { cell, weight } in entry.cells(&view.tiles, *grid) {
-                        let from = &map.data[cell as usize * channels + block * LANES..];
-                        let Some(from) = from.first_chunk::<LANES>() else {
-                            continue;
-                        };
-                        for l in 0..LANES {
-                            sum[l] =
-                                multiply_add::<E, FMA>(weight, E::of(f64::from(from[l])), sum[l]);
-                        }
-                    }
-                }
+        let weight: E = entries.iter().map(|entry| entry.weight).sum();
+        for rows in scales.iter_mut() {
+            rows.weights[i] += weight;
+            add_cells::<E, FMA>(rows, i, entries, &view.tiles);
+        }
+    }
+}
+
+/// Adds the weighted cells of `entries`, those of the `i`-th Gaussian, to its row.
+#[inline(always)]
+fn add_cells<E: Real, const FMA: bool>(
+    rows: &mut Rows<'_, E>,
+    i: usize,
+    entries: &[Entry<E>],
+    tiles: &[Vec<CellWeight<E>>],
+) {
+    let Rows { map, grid, .. } = *rows;
+    let channels = map.channels;
+    let row = &mut rows.buffer[i * channels..(i + 1) * channels];
+    let (blocks, rest) = row.as_chunks_mut::<LANES>();
+    let rest_at = blocks.len() * LANES;
+    for (block, out) in blocks.iter_mut().enumerate() {
+        let mut sum = [E::zero(); LANES];
+        for entry in entries {
+            for &CellWeight { cell, weight } in entry.cells(tiles, grid) {
+                let from = &map.data[cell as usize * channels + block * LANES..];
+                let Some(from) = from.first_chunk::<LANES>() else {
+                    continue;
+                };
                 for l in 0..LANES {
-                    out[l] += sum[l];
+                    sum[l] = multiply_add::<E, FMA>(weight, E::of(f64::from(from[l])), sum[l]);
                 }
-            }
-            if rest.is_empty() {
-                continue;
-            }
-            let mut sum = [E::zero(); LANES];
-            for entry in entries {
-                for &CellWeight { cell, weight } in entry.cells(&view.tiles, *grid) {
-                    let from = &map.data[cell as usize * channels + rest_at..][..rest.len()];
-                    for (s, &x) in sum.iter_mut().zip(from) {
-                        *s = multiply_add::<E, FMA>(weight, E::of(f64::from(x)), *s);
-                    }
-                }
-            }
-            for (o, s) in rest.iter_mut().zip(sum) {
-                *o += s;
             }
         }
+        for l in 0..LANES {
+            out[l] += sum[l];
+        }
+    }
+    if rest.is_empty() {
+        return;
+    }
+    let mut sum = [E::zero(); LANES];
+    for entry in entries {
+        for &CellWeight { cell, weight } in entry.cells(tiles, grid) {
+            let from = &map.data[cell as usize * channels + rest_at..][..rest.len()];
+            for (s, &x) in sum.iter_mut().zip(from) {
+                *s = multiply_add::<E, FMA>(weight, E::of(f64::from(x)), *s);
+            }
+        }
+    }
+    for (o, s) in rest.iter_mut().zip(sum) {
+        *o += s;
     }
 }
