@@ -66,43 +66,14 @@ impl<'a> Reduction<'a> {
         let extractor = Extractor::open(config, device)?;
         let quota = PCA_CELLS.div_ceil(scene.split(Split::Train).count().max(1));
         let numbered = ranks::share(scene.split(Split::Train).enumerate());
-        let (numbers, train): (Vec<usize>, Vec<&View>) = numbered.unzip();
-        let mut kept: Vec<Option<[FeatureMap; SCALES]>> = Vec::with_capacity(train.len());
-        let mut kept_bytes = 0;
-        let mut moments: Option<[Moments; SCALES]> = None;
-        // Imported maps do not depend on photos: their own digest identifies them.
-        let key = extractor.cache_key.clone();
-        let mut imported: Vec<String> = Vec::new();
-        for batch in train.chunks(BATCH) {
-            let look = |view: &&View| {
-                let maps = cached_maps(&extractor, config, view)?;
-                Ok((key.is_none().then(|| cache::digest(&maps)), maps))
-            };
-            let batch_maps: Vec<Result<_>> = batch.par_iter().map(look).collect();
-            for (view, maps) in batch.iter().zip(batch_maps) {
-                let (digest, maps) = maps?;
-                imported.extend(digest);
-                let moments = moments
-                    .get_or_insert_with(|| std::array::from_fn(|n| Moments::new(maps[n].channels)));
-                for (n, (map, moments)) in maps.iter().zip(moments).enumerate() {
-                    let index = (numbers[kept.len()] * SCALES + n) as u64;
-                    moments.add(
-                        &subsample(map, quota, seed, index),
-                        &map_name(view, n),
-                        map.channels,
-                    )?;
-                }
-                kept_bytes += maps.iter().map(|m| 4 * m.data.len()).sum::<usize>();
-                kept.push((kept_bytes <= MAX_KEPT_BYTES).then_some(maps));
-                viewed()?;
-            }
-        }
-        let Some(mut moments) = moments else {
+        let train: Vec<(usize, &View)> = numbered.collect();
+        let seen = first_pass(&extractor, config, &train, quota, seed, viewed)?;
+        let Some(mut moments) = seen.moments else {
             bail!(argument "data"; found "no training view in {}", scene.name;
                 expected "one or more"; help "correct the splits");
         };
         moments.iter_mut().try_for_each(Moments::add_other_ranks)?;
-        let again = kept.iter().filter(|maps| maps.is_none()).count();
+        let again = seen.kept.iter().filter(|maps| maps.is_none()).count();
         if again > 0 && config.cache_dir.is_none() && matches!(config.source, FeatureSource::Dino) {
             tracing::warn!(
                 "{again} of {} views are computed twice: set features.cache_dir",
@@ -110,12 +81,12 @@ impl<'a> Reduction<'a> {
             );
         }
         let reductions = moments.map(|m| Pca::fit(&m, config.dimensions));
-        let content = match key {
-            Some(key) => key,
-            None => format!(
-                "imported {:x}",
-                Sha256::digest(ranks::interleave(imported)?.concat())
-            ),
+        let content = match &extractor.cache_key {
+            Some(key) => key.clone(),
+            None => {
+                let digests = ranks::interleave(seen.digests)?;
+                format!("imported {:x}", Sha256::digest(digests.concat()))
+            }
         };
         Ok(Self {
             name: extractor.name.clone(),
@@ -123,8 +94,8 @@ impl<'a> Reduction<'a> {
             content,
             extractor,
             config,
-            train,
-            kept,
+            train: train.into_iter().map(|(_, view)| view).collect(),
+            kept: seen.kept,
         })
     }
 
@@ -156,6 +127,55 @@ impl<'a> Reduction<'a> {
             reduced.collect::<Vec<_>>()
         })
     }
+}
+
+/// What the first pass over the training views of this rank finds.
+#[derive(Default)]
+struct FirstPass {
+    /// Of the cells that were drawn; absent without views.
+    moments: Option<[Moments; SCALES]>,
+    /// Unreduced maps of each view, while they fit in memory.
+    kept: Vec<Option<[FeatureMap; SCALES]>>,
+    /// Of imported maps, which do not depend on photos: it identifies them.
+    digests: Vec<String>,
+}
+
+/// Extracts the maps of the training views `train`, which have their numbers of all ranks.
+fn first_pass(
+    extractor: &Extractor,
+    config: &FeatureConfig,
+    train: &[(usize, &View)],
+    quota: usize,
+    seed: u64,
+    viewed: &mut dyn FnMut() -> Result<()>,
+) -> Result<FirstPass> {
+    let mut seen = FirstPass::default();
+    let mut kept_bytes = 0;
+    for batch in train.chunks(BATCH) {
+        let look = |(_, view): &(usize, &View)| {
+            let maps = cached_maps(extractor, config, view)?;
+            let is_imported = extractor.cache_key.is_none();
+            Ok((is_imported.then(|| cache::digest(&maps)), maps))
+        };
+        let batch_maps: Vec<Result<_>> = batch.par_iter().map(look).collect();
+        for (&(number, view), maps) in batch.iter().zip(batch_maps) {
+            let (digest, maps) = maps?;
+            seen.digests.extend(digest);
+            let moments = seen
+                .moments
+                .get_or_insert_with(|| std::array::from_fn(|n| Moments::new(maps[n].channels)));
+            for (n, (map, moments)) in maps.iter().zip(moments).enumerate() {
+                let index = (number * SCALES + n) as u64;
+                let cells = subsample(map, quota, seed, index);
+                moments.add(&cells, &map_name(view, n), map.channels)?;
+            }
+            kept_bytes += maps.iter().map(|m| 4 * m.data.len()).sum::<usize>();
+            seen.kept
+                .push((kept_bytes <= MAX_KEPT_BYTES).then_some(maps));
+            viewed()?;
+        }
+    }
+    Ok(seen)
 }
 
 fn reduce_view(

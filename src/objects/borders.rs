@@ -1,6 +1,6 @@
 //! Objects of neighbouring blocks that are one: their Gaussians coincide where both blocks were trained.
 
-use crate::data::{Class, Classes, ObjectOf, class_color};
+use crate::data::{Class, Classes, class_color};
 use crate::error::{Result, ensure};
 use crate::segmentation::neighbours::PointIndex;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -55,6 +55,49 @@ pub fn join_objects(
         entries.map(move |class| ((block, class.id), class))
     });
     let entries: BTreeMap<BlockObject, &Class> = entries.collect();
+    let set_of = object_sets(&entries, blocks, shared)?;
+    let present = present_sets(blocks, &set_of);
+    ensure!(present.len() < usize::from(u16::MAX), limit "objects of all blocks"; found "{}", present.len();
+        expected "{}", u16::MAX - 1; help "merge fewer blocks, or give a segmentation of larger things");
+    let labelled = blocks.iter().find(|block| !block.classes.is_empty());
+    let mut classes = Classes {
+        entries: Vec::new(),
+        ignore: labelled.map_or(0, |block| block.classes.ignore),
+    };
+    let mut ids = vec![BTreeMap::new(); blocks.len()];
+    let mut id_of: HashMap<usize, u16> = HashMap::new();
+    let mut counts = HashMap::new();
+    for (object, class) in &entries {
+        let set = set_of[object];
+        if !present.contains(&set) {
+            continue;
+        }
+        let id = *id_of.entry(set).or_insert_with(|| {
+            let id = next_id(&classes);
+            classes.entries.push(Class {
+                id,
+                name: renumbered(class, &mut counts),
+                color: class_color(id),
+                object_of: class.object_of,
+            });
+            id
+        });
+        let &(block, own) = object;
+        ids[block].insert(own, id);
+    }
+    Ok(JoinedObjects {
+        joined: ids.iter().map(BTreeMap::len).sum::<usize>() - classes.len(),
+        ids,
+        classes,
+    })
+}
+
+/// The number of the set that each object is in: objects of one set are one.
+fn object_sets(
+    entries: &BTreeMap<BlockObject, &Class>,
+    blocks: &[BlockObjects<'_>],
+    shared: &[([usize; 2], [Vec<u32>; 2])],
+) -> Result<HashMap<BlockObject, usize>> {
     let numbers: HashMap<BlockObject, usize> = entries.keys().copied().zip(0..).collect();
     let mut sets = QuickUnionUf::<UnionBySize>::new(entries.len());
     for (pair, rows) in shared {
@@ -68,63 +111,38 @@ pub fn join_objects(
         }
     }
     let mut stuff: HashMap<u16, usize> = HashMap::new();
-    for (object, class) in &entries {
-        if let Some(ObjectOf {
-            class,
-            thing: false,
-        }) = class.object_of
-        {
-            let first = *stuff.entry(class).or_insert(numbers[object]);
+    for (object, class) in entries {
+        if let Some(of) = class.object_of.filter(|of| !of.thing) {
+            let first = *stuff.entry(of.class).or_insert(numbers[object]);
             sets.union(first, numbers[object]);
         }
     }
-    let mut root = |object: BlockObject| Some(sets.find(*numbers.get(&object)?));
-    let mut present = BTreeSet::new();
+    let found = numbers
+        .into_iter()
+        .map(|(object, number)| (object, sets.find(number)));
+    Ok(found.collect())
+}
+
+/// The sets of the objects that have Gaussians which stay.
+fn present_sets(
+    blocks: &[BlockObjects<'_>],
+    set_of: &HashMap<BlockObject, usize>,
+) -> BTreeSet<usize> {
+    let mut present: BTreeSet<usize> = BTreeSet::new();
     for (number, block) in blocks.iter().enumerate() {
-        let ids: BTreeSet<u16> = block
-            .kept
-            .iter()
-            .map(|&row| block.labels[row as usize])
-            .collect();
-        present.extend(ids.into_iter().filter_map(|id| root((number, id))));
+        let ids = block.kept.iter().map(|&row| block.labels[row as usize]);
+        let ids: BTreeSet<u16> = ids.collect();
+        let sets = ids.into_iter().filter_map(|id| set_of.get(&(number, id)));
+        present.extend(sets);
     }
-    ensure!(present.len() < usize::from(u16::MAX), limit "objects of all blocks"; found "{}", present.len();
-        expected "{}", u16::MAX - 1; help "merge fewer blocks, or give a segmentation of larger things");
-    let mut tables = blocks
-        .iter()
-        .map(|block| block.classes)
-        .filter(|classes| !classes.is_empty());
-    let mut classes = Classes {
-        entries: Vec::new(),
-        ignore: tables.next().map_or(0, |classes| classes.ignore),
-    };
-    let mut ids = vec![BTreeMap::new(); blocks.len()];
-    let mut id_of: HashMap<usize, u16> = HashMap::new();
-    let mut counts = HashMap::new();
-    for (&(block, own), class) in &entries {
-        let Some(set) = root((block, own)).filter(|set| present.contains(set)) else {
-            continue;
-        };
-        let id = *id_of.entry(set).or_insert_with(|| {
-            // There are fewer than u16 has ids.
-            let next = 1 + classes.len() as u16;
-            let skips = classes.ignore != 0 && next >= classes.ignore;
-            let id = next + u16::from(skips);
-            classes.entries.push(Class {
-                id,
-                name: renumbered(class, &mut counts),
-                color: class_color(id),
-                object_of: class.object_of,
-            });
-            id
-        });
-        ids[block].insert(own, id);
-    }
-    Ok(JoinedObjects {
-        joined: ids.iter().map(BTreeMap::len).sum::<usize>() - classes.len(),
-        ids,
-        classes,
-    })
+    present
+}
+
+/// The id of the next entry: from 1 on, without the one of unlabelled pixels. There are fewer than u16 has.
+fn next_id(classes: &Classes) -> u16 {
+    let next = 1 + classes.len() as u16;
+    let skips = classes.ignore != 0 && next >= classes.ignore;
+    next + u16::from(skips)
 }
 
 /// The name of an object of a block with a number that is its own in all blocks: `chair 7` for `chair 2`.
@@ -192,6 +210,7 @@ fn mutual(means: [&[[f32; 3]]; 2], rows: &[Vec<u32>; 2]) -> Result<Vec<[u32; 2]>
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::data::ObjectOf;
 
     fn table(things: &[(u16, &str, Option<ObjectOf>)]) -> Classes {
         let entry = |&(id, name, object_of): &(u16, &str, _)| Class {

@@ -10,7 +10,7 @@ use crate::config::{Config, Variant};
 use crate::data::{Split, View};
 use crate::error::Result;
 use crate::objects::{LabelMaps, has_truth};
-use crate::pipeline::{Outcome, Pictures, VariantOutcome};
+use crate::pipeline::{Outcome, Pictures, Pruned, VariantOutcome};
 use crate::progress::CurvePoint;
 use burn::tensor::Device;
 
@@ -135,71 +135,84 @@ pub fn held_out_views<'a>(
 impl Report<'_> {
     /// Notes for a reader of the figures.
     pub fn notes_of(outcome: &Outcome, config: &Config) -> Vec<String> {
-        let scene = &outcome.scene;
-        let rows = || outcome.rows.iter().map(|row| row.variant);
-        let mut notes = Vec::new();
-        let mut note = |text: String| notes.push(text);
-        if config.data.dir.is_none() {
-            note("The scene is the built-in one: procedural and ray-cast.".to_owned());
-        }
-        if let Some(path) = &config.building.gaussians {
-            let what = match config.building.iterations {
-                0 => "are those of a file, without training",
-                _ => "were trained from those of a file",
-            };
-            note(format!("The Gaussians {what}: {}.", path.display()));
-        }
-        let scored =
-            |view: &View| has_truth(view, config.data.association, outcome.semantics.as_ref());
-        if !scene.split(Split::Test).any(scored) && !outcome.rows.is_empty() {
-            note("No held-out view has true labels: no row of labels is scored.".to_owned());
-        }
-        let views = scene.views.len();
-        let masked = scene.views.iter().filter(|view| view.mask.is_some());
-        match masked.count() {
-            0 => {}
-            masked => note(format!(
-                "Masks leave pixels of {masked} of {views} photos out of training and of all scores."
-            )),
-        }
-        if rows().any(|row| row == Variant::Raw) {
-            note("Raw labels of held-out views are scored, never trained on.".to_owned());
-        }
-        if rows().any(|row| row.trains_decoder() && row != Variant::OursCe) {
-            let s = &config.segmentation;
-            let steps = (s.warmup * s.iterations as f64).round();
-            note(format!(
-                "The decoder of the row ours learns with segmentation.loss = {}, after {steps} steps of cross-entropy.",
-                serde_json::json!(s.loss)
-            ));
-        }
-        if let Some(a) = &outcome.association {
-            note(format!(
-                "The ids of the raw labels are valid only within a view. Association joined the {} segments of the training \
-                 views into {} objects; {} segments are in no object, {} were divided among several.",
-                a.segments, a.objects, a.dropped, a.divided
-            ));
-        }
-        if let Some(corrections) = &outcome.corrections
-            && !outcome.rows.is_empty()
-        {
-            let count = corrections.count();
-            note(format!(
-                "Gaussians whose label a person set: {count}. They keep it, and their pixels in training photos have it too."
-            ));
-        }
-        if let Some(pruned) = &outcome.pruned {
-            let psnr = |psnr: Option<f64>| {
-                psnr.map_or("not measured".to_owned(), |psnr| format!("{psnr:.2} dB"))
-            };
-            note(format!(
-                "Pruning of unseen Gaussians removed {} of {} Gaussians; held-out PSNR before {}, after {}.",
-                pruned.before - pruned.after,
-                pruned.before,
-                psnr(pruned.scores_before.psnr),
-                psnr(pruned.scores_after.psnr),
-            ));
-        }
+        let mut notes = notes_of_inputs(outcome, config);
+        notes.extend(notes_of_labels(outcome, config));
+        notes.extend(outcome.pruned.as_ref().map(note_of_pruning));
         notes
     }
+}
+
+/// Notes on the photos, and on the Gaussians that the run began with.
+fn notes_of_inputs(outcome: &Outcome, config: &Config) -> Vec<String> {
+    let mut notes = Vec::new();
+    if config.data.dir.is_none() {
+        notes.push("The scene is the built-in one: procedural and ray-cast.".to_owned());
+    }
+    if let Some(path) = &config.building.gaussians {
+        let what = match config.building.iterations {
+            0 => "are those of a file, without training",
+            _ => "were trained from those of a file",
+        };
+        notes.push(format!("The Gaussians {what}: {}.", path.display()));
+    }
+    let scene = &outcome.scene;
+    let association = config.data.association;
+    let scored = |view: &View| has_truth(view, association, outcome.semantics.as_ref());
+    if !scene.split(Split::Test).any(scored) && !outcome.rows.is_empty() {
+        notes.push("No held-out view has true labels: no row of labels is scored.".to_owned());
+    }
+    let views = scene.views.len();
+    let has_mask = |view: &&View| view.mask.is_some();
+    let masked = scene.views.iter().filter(has_mask).count();
+    if masked > 0 {
+        notes.push(format!(
+            "Masks leave pixels of {masked} of {views} photos out of training and of all scores."
+        ));
+    }
+    notes
+}
+
+/// Notes on the labels that the rows were trained on, and on their losses.
+fn notes_of_labels(outcome: &Outcome, config: &Config) -> Vec<String> {
+    let mut notes = Vec::new();
+    let rows = || outcome.rows.iter().map(|row| row.variant);
+    if rows().any(|row| row == Variant::Raw) {
+        notes.push("Raw labels of held-out views are scored, never trained on.".to_owned());
+    }
+    if rows().any(|row| row.trains_decoder() && row != Variant::OursCe) {
+        let s = &config.segmentation;
+        let steps = (s.warmup * s.iterations as f64).round();
+        notes.push(format!(
+            "The decoder of the row ours learns with segmentation.loss = {}, after {steps} steps of cross-entropy.",
+            serde_json::json!(s.loss)
+        ));
+    }
+    if let Some(a) = &outcome.association {
+        notes.push(format!(
+            "The ids of the raw labels are valid only within a view. Association joined the {} segments of the training \
+             views into {} objects; {} segments are in no object, {} were divided among several.",
+            a.segments, a.objects, a.dropped, a.divided
+        ));
+    }
+    if let Some(corrections) = &outcome.corrections
+        && !outcome.rows.is_empty()
+    {
+        let count = corrections.count();
+        notes.push(format!(
+            "Gaussians whose label a person set: {count}. They keep it, and their pixels in training photos have it too."
+        ));
+    }
+    notes
+}
+
+fn note_of_pruning(pruned: &Pruned) -> String {
+    let psnr =
+        |psnr: Option<f64>| psnr.map_or("not measured".to_owned(), |psnr| format!("{psnr:.2} dB"));
+    format!(
+        "Pruning of unseen Gaussians removed {} of {} Gaussians; held-out PSNR before {}, after {}.",
+        pruned.before - pruned.after,
+        pruned.before,
+        psnr(pruned.scores_before.psnr),
+        psnr(pruned.scores_after.psnr),
+    )
 }

@@ -24,6 +24,7 @@ pub use self::room::{Room, Truth, render_truth};
 use super::{Classes, LabelMap, Scene, Split, View, WorldUnit};
 use crate::error::{Result, bail};
 use build::class;
+use cameras::Shot;
 use glam::DVec3;
 use rand::Rng;
 use room::{RoomStream, stream};
@@ -123,45 +124,17 @@ fn assemble(options: &BuiltinOptions) -> Scene {
         .filter(|(shot, _)| shot.split == Split::Train);
     let train: Vec<_> = train.map(|(shot, truth)| (&shot.camera, truth)).collect();
     let points = points::initial_points(&room, &train, options.points, seed);
-
-    // Errors run along the walk, with each test view among the training views near it.
-    let mut order: Vec<usize> = (0..shots.len()).collect();
-    order.sort_by(|&i, &j| shots[i].along.total_cmp(&shots[j].along).then(i.cmp(&j)));
-    let labels: Vec<_> = order.iter().map(|&i| truths[i].labels.clone()).collect();
-    let instances: Vec<_> = order.iter().map(|&i| &truths[i].instances[..]).collect();
-    let raw_seed = stream(seed, RoomStream::RawLabels).random();
-    let raw = corrupt(&labels, &instances, &options.corruption, raw_seed);
-    let mut raw: Vec<(usize, LabelMap)> = order.into_iter().zip(raw).collect();
-    raw.sort_by_key(|(i, _)| *i);
-
+    let raw = raw_labels(&shots, &truths, options);
     let mut counts = [0; 2];
     let views = shots
         .into_iter()
         .zip(truths)
         .zip(raw)
-        .map(|((shot, truth), (_, raw))| {
+        .map(|((shot, truth), raw)| {
             let count = &mut counts[usize::from(shot.split == Split::Test)];
             let name = format!("{}_{count:03}", shot.split);
             *count += 1;
-            let LabelMap { width, height, .. } = truth.labels;
-            let instances = LabelMap {
-                width,
-                height,
-                ids: truth.instances,
-            };
-            View {
-                name,
-                split: shot.split,
-                camera: shot.camera,
-                image: truth.image.into(),
-                mask: None,
-                truth: Some(truth.labels.into()),
-                raw: Some(raw.into()),
-                scores: None,
-                segments: Vec::new(),
-                corrected: None,
-                instances: Some(instances.into()),
-            }
+            view(name, shot, truth, raw)
         });
     Scene {
         name: "builtin".to_owned(),
@@ -172,5 +145,40 @@ fn assemble(options: &BuiltinOptions) -> Scene {
         origin: DVec3::ZERO,
         up: DVec3::Z,
         unit: WorldUnit::Metre,
+    }
+}
+
+/// The simulated raw labels of each shot. Errors run along the walk, with each test view among the training views near it.
+fn raw_labels(shots: &[Shot], truths: &[Truth], options: &BuiltinOptions) -> Vec<LabelMap> {
+    let mut order: Vec<usize> = (0..shots.len()).collect();
+    order.sort_by(|&i, &j| shots[i].along.total_cmp(&shots[j].along).then(i.cmp(&j)));
+    let labels: Vec<_> = order.iter().map(|&i| truths[i].labels.clone()).collect();
+    let instances: Vec<_> = order.iter().map(|&i| &truths[i].instances[..]).collect();
+    let seed = stream(options.seed, RoomStream::RawLabels).random();
+    let raw = corrupt(&labels, &instances, &options.corruption, seed);
+    let mut raw: Vec<(usize, LabelMap)> = order.into_iter().zip(raw).collect();
+    raw.sort_by_key(|(i, _)| *i);
+    raw.into_iter().map(|(_, raw)| raw).collect()
+}
+
+fn view(name: String, shot: Shot, truth: Truth, raw: LabelMap) -> View {
+    let LabelMap { width, height, .. } = truth.labels;
+    let instances = LabelMap {
+        width,
+        height,
+        ids: truth.instances,
+    };
+    View {
+        name,
+        split: shot.split,
+        camera: shot.camera,
+        image: truth.image.into(),
+        mask: None,
+        truth: Some(truth.labels.into()),
+        raw: Some(raw.into()),
+        scores: None,
+        segments: Vec::new(),
+        corrected: None,
+        instances: Some(instances.into()),
     }
 }

@@ -14,104 +14,87 @@ use super::side_folders::SideFolders;
 use crate::data::Classes;
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
-use crate::error::{Result, bail, invalid};
-use crate::files;
+use crate::error::{Result, bail};
+use crate::files::{self, Numbered};
 use crate::splat::camera::Camera;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// Trajectory, folder of photos, and the prefix of their numbers.
-const NICE_SLAM: [&str; 3] = ["traj.txt", "results", "frame"];
-const SEMANTIC_NERF: [&str; 3] = ["traj_w_c.txt", "rgb", "rgb_"];
+/// How a version of the dataset names its files.
+#[derive(Clone, Copy, PartialEq)]
+struct Version {
+    trajectory: &'static str,
+    /// Folder of photos and prefix of their numbers; the same of depth images.
+    photos: [&'static str; 2],
+    depth: [&'static str; 2],
+    /// Folder of true labels.
+    truth: &'static [&'static str],
+}
+
+const NICE_SLAM: Version = Version {
+    trajectory: "traj.txt",
+    photos: ["results", "frame"],
+    depth: ["results", "depth"],
+    truth: &[],
+};
+const SEMANTIC_NERF: Version = Version {
+    trajectory: "traj_w_c.txt",
+    photos: ["rgb", "rgb_"],
+    depth: ["depth", "depth_"],
+    truth: &["semantic_class"],
+};
 
 /// The class names of the dataset (its `info_semantic.json`) in the order of their ids 1 to 101; 0 is undefined.
 const CLASSES: &str = include_str!("../labels/tables/replica.txt");
 
 /// The trajectory in a scene folder, if it is of this layout.
 pub(crate) fn marker(dir: &Path) -> Option<String> {
-    version(dir).map(|[trajectory, ..]| trajectory.to_owned())
+    version(dir).map(|version| version.trajectory.to_owned())
 }
 
-fn version(dir: &Path) -> Option<[&'static str; 3]> {
+fn version(dir: &Path) -> Option<Version> {
     [SEMANTIC_NERF, NICE_SLAM]
         .into_iter()
-        .find(|[t, photos, _]| dir.join(t).is_file() && dir.join(photos).is_dir())
+        .find(|v| dir.join(v.trajectory).is_file() && dir.join(v.photos[0]).is_dir())
 }
 
 /// Lists the frames of the folder.
 pub(crate) fn list(scene: Folder<'_>, problems: &mut Problems) -> Result<Listing> {
     let Folder { dir, options, .. } = scene;
     let version = version(dir).unwrap_or(NICE_SLAM);
-    let is_nice_slam = version == NICE_SLAM;
-    let [trajectory, folder, prefix] = version;
-    let path = dir.join(trajectory);
+    let [folder, prefix] = version.photos;
     let photos = files::numbered(&dir.join(folder), prefix, &EXTENSIONS)?;
+    let path = dir.join(version.trajectory);
     let text = files::text(&path)?;
-    let rows = text
-        .lines()
-        .map(str::trim)
-        .enumerate()
-        .filter(|(_, row)| !row.is_empty());
-    let rows: Vec<(usize, &str)> = rows.collect();
-    let mut notices = Vec::new();
-    let unseen = (0..rows.len())
-        .filter(|number| !photos.contains_key(number))
-        .count();
-    if unseen > 0 {
-        notices.push(format!(
-            "{unseen} of {} poses in {trajectory} have no photo in {folder}",
-            rows.len()
-        ));
-    }
+    let rows = (1..).zip(text.lines().map(str::trim));
+    let rows: Vec<(usize, &str)> = rows.filter(|(_, row)| !row.is_empty()).collect();
+    let mut notices = notice_of_unseen(version, rows.len(), &photos);
     let photos: Vec<(usize, PathBuf)> = photos.into_iter().collect();
     let kept = options.pick(&vec![None; photos.len()]);
     let Some(&(first, _)) = kept.first() else {
         bail!(dir, "{folder}"; found "no photos"; expected "{prefix}0.png and so on";
             help "unpack the whole scene");
     };
-    let (intrinsics, scale) = if is_nice_slam {
+    let (intrinsics, scale) = if version == NICE_SLAM {
         nice_slam(dir, &mut notices)?
     } else {
         (right_angle(&photos[first].1)?, MILLIMETRES)
     };
-    let truth_folders: &[&str] = if is_nice_slam {
-        &[]
-    } else {
-        &["semantic_class"]
-    };
-    let truth = sequence::numbered_maps(dir, truth_folders, "semantic_class_")?;
+    let truth = sequence::numbered_maps(dir, version.truth, "semantic_class_")?;
     let instances = sequence::numbered_maps(dir, &["semantic_instance"], "semantic_instance_")?;
     let folders = SideFolders::new(scene, problems);
     let mut frames = Vec::with_capacity(kept.len());
     for (i, split) in kept {
         let (number, image) = &photos[i];
-        let Some((line, row)) = rows.get(*number) else {
-            problems.push(
-                invalid!(&path, "rows"; found "{} rows, none for {}", rows.len(), image.display();
-                expected "one for each photo"; help "unpack the whole scene again"),
-            );
-            continue;
-        };
-        let field = format!("line {}", line + 1);
-        let camera = sequence::pose(row, &path, &field)
-            .and_then(|pose| sequence::camera(&pose, &intrinsics, &path, &field));
-        let Some(camera) = problems.ok(camera) else {
-            continue;
-        };
-        let frame = sequence::frame(image, split, camera, &folders, instances.get(number));
-        let truth = truth.get(number).cloned().or(frame.truth);
-        frames.push(Frame { truth, ..frame });
+        if let Some(camera) = problems.ok(camera(&path, &rows, *number, image, &intrinsics)) {
+            let frame = sequence::frame(image, split, camera, &folders, instances.get(number));
+            let truth = truth.get(number).cloned().or(frame.truth);
+            frames.push(Frame { truth, ..frame });
+        }
     }
-    let (depth_folder, depth_prefix) = if is_nice_slam {
-        (folder, "depth")
-    } else {
-        ("depth", "depth_")
-    };
+    let [folder, depth_prefix] = version.depth;
     let cloud = sequence::cloud(dir, &frames, scale, |name| {
-        format!(
-            "{depth_folder}/{}.png",
-            name.replacen(prefix, depth_prefix, 1)
-        )
+        format!("{folder}/{}.png", name.replacen(prefix, depth_prefix, 1))
     });
     let classes = Classes::from_names(0, (1..).zip(CLASSES.lines()));
     Ok(Listing {
@@ -119,6 +102,31 @@ pub(crate) fn list(scene: Folder<'_>, problems: &mut Problems) -> Result<Listing
         notices,
         ..Listing::new(scene, path, frames, Some(classes), problems)
     })
+}
+
+/// Poses without a photo, counted.
+fn notice_of_unseen(version: Version, poses: usize, photos: &Numbered) -> Vec<String> {
+    let unseen = poses - photos.range(..poses).count();
+    let [trajectory, folder] = [version.trajectory, version.photos[0]];
+    let notice = format!("{unseen} of {poses} poses in {trajectory} have no photo in {folder}");
+    if unseen > 0 { vec![notice] } else { Vec::new() }
+}
+
+/// The camera of photo `number`. `rows` are those of the trajectory at `path`, with their lines.
+fn camera(
+    path: &Path,
+    rows: &[(usize, &str)],
+    number: usize,
+    photo: &Path,
+    intrinsics: &Camera,
+) -> Result<Camera> {
+    let Some((line, row)) = rows.get(number) else {
+        bail!(path, "rows"; found "{} rows, none for {}", rows.len(), photo.display();
+            expected "one for each photo"; help "unpack the whole scene again");
+    };
+    let field = format!("line {line}");
+    let pose = sequence::pose(row, path, &field)?;
+    sequence::camera(&pose, intrinsics, path, &field)
 }
 
 /// `cam_params.json`.

@@ -10,12 +10,12 @@ use super::listing::Listing;
 use super::sequence::{self, MILLIMETRES, Pose};
 use super::side_folders::SideFolders;
 use crate::config::ScannetClasses;
-use crate::data::Classes;
 use crate::data::options::LoadOptions;
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
+use crate::data::{Classes, Split};
 use crate::error::{Error, Result, bail, ensure, invalid};
-use crate::files;
+use crate::files::{self, Numbered};
 use crate::splat::camera::Camera;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -35,27 +35,23 @@ pub(crate) fn marker(dir: &Path) -> Option<String> {
     (is_folder("color") && is_folder("pose")).then(|| "color/ with pose/".to_owned())
 }
 
+/// A photo and its camera-to-world matrix, which is infinite where tracking was lost.
+struct PosedPhoto {
+    number: usize,
+    image: PathBuf,
+    pose_file: PathBuf,
+    pose: Pose,
+}
+
 /// Lists the frames of the folder.
 pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listing> {
     let Folder { dir, options, .. } = folder;
     let photos = files::numbered(&dir.join("color"), "", &EXTENSIONS)?;
-    let pose_file = |image: &Path| {
-        let name = image.with_extension("txt");
-        dir.join("pose").join(name.file_name().unwrap_or_default())
-    };
-    let photos: Vec<(usize, PathBuf)> = photos.into_iter().collect();
-    let read = |(_, image): &(usize, PathBuf)| read_matrix(&pose_file(image));
-    let poses: Vec<_> = photos.par_iter().map(read).collect();
-    let mut lost = 0;
-    let mut posed: Vec<(usize, &PathBuf, Pose)> = Vec::with_capacity(photos.len());
-    for ((number, image), pose) in photos.iter().zip(poses) {
-        match problems.ok(pose) {
-            Some(pose) if pose.iter().all(|v| v.is_finite()) => posed.push((*number, image, pose)),
-            Some(_) => lost += 1,
-            None => {}
-        }
-    }
     let all = photos.len();
+    let mut posed = posed_photos(dir, photos, problems);
+    let readable = posed.len();
+    posed.retain(|photo| photo.pose.iter().all(|v| v.is_finite()));
+    let lost = readable - posed.len();
     let notice =
         format!("{lost} of {all} frames left out: their poses hold infinities (tracking was lost)");
     let kept = options.pick(&vec![None; posed.len()]);
@@ -63,27 +59,12 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
         bail!(dir, "color"; found "{all} photos, {lost} of them without a finite pose";
             expected "photos with poses"; help "export the .sens file of the scan, photos and poses");
     };
-    let intrinsics = read_intrinsics(dir, posed[first].1)?;
-    let truth = sequence::numbered_maps(dir, &["label-filt", "label"], "")?;
-    let instances = sequence::numbered_maps(dir, &["instance-filt", "instance"], "")?;
-    let folders = SideFolders::new(folder, problems);
-    let mut frames = Vec::with_capacity(kept.len());
-    for (i, split) in kept {
-        let (number, image, pose) = &posed[i];
-        let camera = sequence::camera(pose, &intrinsics, &pose_file(image), "matrix");
-        if let Some(camera) = problems.ok(camera) {
-            let frame = sequence::frame(image, split, camera, &folders, instances.get(number));
-            frames.push(Frame {
-                truth: truth.get(number).cloned(),
-                ..frame
-            });
-        }
-    }
+    let intrinsics = read_intrinsics(dir, &posed[first].image)?;
+    let frames = frames(folder, &posed, &kept, &intrinsics, problems)?;
     let own_classes = dir.join("classes.json").is_file();
     let needs_table = !own_classes && frames.iter().any(|frame| frame.truth.is_some());
-    let table = needs_table
-        .then(|| problems.ok(label_table(dir, options)))
-        .flatten();
+    let table = needs_table.then(|| label_table(dir, options));
+    let table = table.and_then(|table| problems.ok(table));
     let cloud = sequence::cloud(dir, &frames, MILLIMETRES, |name| {
         format!("depth/{name}.png")
     });
@@ -92,10 +73,8 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
     let mut listing = Listing::new(folder, file, frames, dataset, problems);
     if needs_table && table.is_none() {
         // Reported once; without the table every map would be reported as well.
-        listing
-            .frames
-            .iter_mut()
-            .for_each(|frame| frame.truth = None);
+        let frames = listing.frames.iter_mut();
+        frames.for_each(|frame| frame.truth = None);
     }
     Ok(Listing {
         truth_ids: table,
@@ -105,6 +84,51 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
         notices: if lost > 0 { vec![notice] } else { Vec::new() },
         ..listing
     })
+}
+
+/// The photos whose poses can be read; the others are reported.
+fn posed_photos(dir: &Path, photos: Numbered, problems: &mut Problems) -> Vec<PosedPhoto> {
+    let photos: Vec<(usize, PathBuf)> = photos.into_iter().collect();
+    let read = |(number, image): (usize, PathBuf)| -> Result<PosedPhoto> {
+        let name = image.with_extension("txt");
+        let pose_file = dir.join("pose").join(name.file_name().unwrap_or_default());
+        Ok(PosedPhoto {
+            pose: read_matrix(&pose_file)?,
+            number,
+            image,
+            pose_file,
+        })
+    };
+    let posed: Vec<Result<PosedPhoto>> = photos.into_par_iter().map(read).collect();
+    let readable = posed.into_iter().filter_map(|photo| problems.ok(photo));
+    readable.collect()
+}
+
+/// The frames of the photos that were picked, as `kept`; those whose pose is no rotation are reported.
+fn frames(
+    folder: Folder<'_>,
+    posed: &[PosedPhoto],
+    kept: &[(usize, Split)],
+    intrinsics: &Camera,
+    problems: &mut Problems,
+) -> Result<Vec<Frame>> {
+    let truth = sequence::numbered_maps(folder.dir, &["label-filt", "label"], "")?;
+    let instances = sequence::numbered_maps(folder.dir, &["instance-filt", "instance"], "")?;
+    let folders = SideFolders::new(folder, problems);
+    let mut frames = Vec::with_capacity(kept.len());
+    for &(i, split) in kept {
+        let photo = &posed[i];
+        let camera = sequence::camera(&photo.pose, intrinsics, &photo.pose_file, "matrix");
+        if let Some(camera) = problems.ok(camera) {
+            let instances = instances.get(&photo.number);
+            let frame = sequence::frame(&photo.image, split, camera, &folders, instances);
+            frames.push(Frame {
+                truth: truth.get(&photo.number).cloned(),
+                ..frame
+            });
+        }
+    }
+    Ok(frames)
 }
 
 /// A 4x4 matrix in a file of its own.

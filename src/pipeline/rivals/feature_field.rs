@@ -39,6 +39,18 @@ pub struct FeatureField {
 }
 
 impl FeatureField {
+    /// Random first parameters, on an autodiff `device`.
+    fn random(inputs: &SegmentationInputs, device: &Device) -> Self {
+        let count = inputs.gaussians.len();
+        let channels = SCALES * inputs.config.features.dimensions;
+        let mut rng = first_parameters(inputs);
+        let features = uniform(count * CHANNELS, INITIAL_RANGE, &mut rng);
+        Self {
+            features: parameter(features, [count, CHANNELS], device),
+            decoder: linear(CHANNELS, channels, &mut rng, device),
+        }
+    }
+
     /// Decoded features of `pixels`, which show the Gaussians `visible`: `[P, 4 dimensions]`.
     pub fn at(&self, visible: &[u32], pixels: &LabelledPixels) -> Result<Tensor<2>> {
         let features = select(&self.features.val(), visible);
@@ -89,29 +101,45 @@ pub fn distil(
     progress: &mut dyn Progress,
 ) -> Result<Distilled> {
     let clock = Instant::now();
-    let config = inputs.config;
-    let mut advance = || go_on(progress);
-    let features = &config.features;
-    let seed = config.seed;
-    let mut reduction = Reduction::fit(inputs.scene, features, seed, inputs.device, &mut advance)?;
-    let maps: Vec<ViewFeatures> = reduction.training_views().collect::<Result<_>>()?;
-    let views = inputs.scene.split(Split::Train);
-    let targets: Vec<(&View, ViewFeatures)> = views.zip(maps).collect();
+    let targets = target_maps(inputs, progress)?;
     let mut views = TrainingViews::of_all_pixels(
         inputs.gaussians,
         targets.iter().map(|(view, _)| *view),
         inputs.settings,
-        &config.segmentation,
+        &inputs.config.segmentation,
         inputs.device,
     );
-    let count = inputs.gaussians.len();
-    let dimensions = config.features.dimensions;
-    let mut rng = first_parameters(inputs);
-    let features = uniform(count * CHANNELS, INITIAL_RANGE, &mut rng);
-    let mut field = FeatureField {
-        features: parameter(features, [count, CHANNELS], device),
-        decoder: linear(CHANNELS, SCALES * dimensions, &mut rng, device),
-    };
+    let field = FeatureField::random(inputs, device);
+    let field = train(field, &mut views, &targets, inputs, device, progress)?;
+    Ok(Distilled {
+        field,
+        seconds: clock.elapsed().as_secs_f64(),
+    })
+}
+
+/// The training views with their 2D features.
+fn target_maps<'a>(
+    inputs: &SegmentationInputs<'a>,
+    progress: &mut dyn Progress,
+) -> Result<Vec<(&'a View, ViewFeatures)>> {
+    let features = &inputs.config.features;
+    let seed = inputs.config.seed;
+    let mut advance = || go_on(progress);
+    let mut reduction = Reduction::fit(inputs.scene, features, seed, inputs.device, &mut advance)?;
+    let maps: Vec<ViewFeatures> = reduction.training_views().collect::<Result<_>>()?;
+    Ok(inputs.scene.split(Split::Train).zip(maps).collect())
+}
+
+/// Trains `field`, each iteration on drawn pixels of one view.
+fn train(
+    mut field: FeatureField,
+    views: &mut TrainingViews,
+    targets: &[(&View, ViewFeatures)],
+    inputs: &SegmentationInputs,
+    device: &Device,
+    progress: &mut dyn Progress,
+) -> Result<FeatureField> {
+    let config = inputs.config;
     let mut adam = Adam::new(RATE, 1, None);
     let iterations = config.segmentation.iterations;
     progress.event(&Event::Started {
@@ -123,31 +151,27 @@ pub fn distil(
         let view = view_at(config.seed, iteration, views.len());
         let mut rng = stream(config.seed, Purpose::Pixels, iteration as u64);
         let sample = views.sample(view, config.segmentation.pixel_share, &mut rng)?;
-        let loss = if sample.pixels.is_empty() {
-            0.0
-        } else {
+        let mut loss = 0.0;
+        if !sample.pixels.is_empty() {
             let (view, maps) = &targets[view];
-            let target = target(&sample, view, maps, dimensions, inputs.device);
+            let target = target(&sample, view, maps, inputs);
             let decoded = field.at(&sample.visible, &sample.pixels)?;
-            let loss = (decoded - constant(target, device)).abs().mean();
-            let gradient = parameter_gradients(&field, &mut loss.backward());
+            let difference = (decoded - constant(target, device)).abs().mean();
+            let gradient = parameter_gradients(&field, &mut difference.backward());
             let named = [("the parameters", &gradient)];
-            let value = finite_loss("segmentation loss", loss.inner(), &named)?;
+            let value = finite_loss("segmentation loss", difference.inner(), &named)?;
+            loss = f64::from(value);
             field = adam.step(field, gradient, 1.0);
-            f64::from(value)
-        };
+        }
         progress.event(&Event::Step {
             iteration: iteration + 1,
             loss,
-            gaussians: count,
+            gaussians: inputs.gaussians.len(),
         });
         go_on(progress)?;
     }
     progress.event(&Event::Finished);
-    Ok(Distilled {
-        field,
-        seconds: clock.elapsed().as_secs_f64(),
-    })
+    Ok(field)
 }
 
 /// The maps of all scales at the pixels of `sample`, `[P, 4 dimensions]`.
@@ -155,9 +179,9 @@ fn target(
     sample: &ViewSample,
     view: &View,
     maps: &ViewFeatures,
-    dimensions: usize,
-    device: &Device,
+    inputs: &SegmentationInputs,
 ) -> Tensor<2> {
+    let dimensions = inputs.config.features.dimensions;
     let [width, height] = [view.camera.width, view.camera.height];
     let mut target = vec![0.0; sample.numbers.len() * SCALES * dimensions];
     let rows = target.chunks_exact_mut(SCALES * dimensions);
@@ -169,7 +193,7 @@ fn target(
         }
     }
     let shape = [sample.numbers.len(), SCALES * dimensions];
-    upload(target, shape, device)
+    upload(target, shape, inputs.device)
 }
 
 /// A linear classifier of the frozen features of a field, `[N, 64]` without autodiff, trained on labels. It commutes with blending.

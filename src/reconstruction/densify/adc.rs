@@ -101,15 +101,21 @@ pub fn adc(
     let mut is_split = vec![false; n];
     split.iter().for_each(|&i| is_split[i] = true);
     let kept: Vec<usize> = (0..n).filter(|&i| stays(i) && !is_split[i]).collect();
-    let done = Densified {
-        cloned: cloned.len(),
-        split: split.len(),
-        pruned: n - kept.len() - split.len(),
-    };
+    Ok(densified(old, &kept, &cloned, &split, rng))
+}
+
+/// The rows `kept`, then copies of `cloned`, then two children of each of `split`.
+fn densified(
+    old: &Gaussians,
+    kept: &[usize],
+    cloned: &[usize],
+    split: &[usize],
+    rng: &mut ChaCha8Rng,
+) -> Densification {
+    let children = split.iter().flat_map(|i| [i; 2]);
+    let rows: Vec<usize> = kept.iter().chain(cloned).chain(children).copied().collect();
     let copies = kept.len() + cloned.len();
     let mut is_new = vec![false; kept.len()];
-    let children = split.iter().flat_map(|&i| [i; 2]);
-    let rows: Vec<usize> = kept.into_iter().chain(cloned).chain(children).collect();
     is_new.resize(rows.len(), true);
     let (means, log_scales) = rows
         .iter()
@@ -122,14 +128,18 @@ pub fn adc(
             }
         })
         .unzip();
-    Ok(Densification {
+    Densification {
         is_new,
         means,
         log_scales,
         opacity_logits: rows.iter().map(|&i| old.opacity_logits[i]).collect(),
         rows: rows.into_iter().map(|i| i as u32).collect(),
-        done,
-    })
+        done: Densified {
+            cloned: cloned.len(),
+            split: split.len(),
+            pruned: old.len() - kept.len() - split.len(),
+        },
+    }
 }
 
 fn largest_scale(log_scales: &[f32; 3]) -> f32 {

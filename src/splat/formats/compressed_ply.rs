@@ -11,7 +11,7 @@ use crate::files::ply::PlyFile;
 use crate::splat::{Gaussians, SH_0};
 use glam::DVec3;
 use std::f64::consts::{FRAC_1_SQRT_2, SQRT_2};
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::Path;
 
 /// Gaussians of a chunk.
@@ -62,6 +62,23 @@ fn bounded(gaussians: &Gaussians, positions: &[DVec3], row: usize) -> [[f64; 3];
     [positions[row].to_array(), scale, color]
 }
 
+/// The lowest and the highest position, log-scale and colour of Gaussians.
+type Bounds = [[[f32; 3]; 2]; 3];
+
+/// The bounds of Gaussians with these [`bounded`] values.
+fn bounds_of(values: impl Iterator<Item = [[f64; 3]; 3]>) -> Bounds {
+    let mut bounds = [[[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]]; 3];
+    for values in values {
+        for ([low, high], values) in bounds.iter_mut().zip(values) {
+            for (i, value) in values.into_iter().enumerate() {
+                low[i] = low[i].min(value as f32);
+                high[i] = high[i].max(value as f32);
+            }
+        }
+    }
+    bounds
+}
+
 /// Writes `gaussians` at the world positions `positions`.
 ///
 /// # Errors
@@ -70,70 +87,18 @@ pub(super) fn write(path: &Path, gaussians: &Gaussians, positions: &[DVec3]) -> 
     let count = gaussians.len();
     let rest = 3 * (gaussians.sh_len() - 1);
     let bounded = |row| bounded(gaussians, positions, row);
-    let bounds = |chunk: usize| {
-        let mut bounds = [([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]); 3];
-        for row in CHUNK * chunk..count.min(CHUNK * (chunk + 1)) {
-            for ((low, high), values) in bounds.iter_mut().zip(bounded(row)) {
-                for (i, value) in values.into_iter().enumerate() {
-                    low[i] = low[i].min(value as f32);
-                    high[i] = high[i].max(value as f32);
-                }
-            }
-        }
-        bounds
-    };
-    let bounds: Vec<_> = (0..count.div_ceil(CHUNK)).map(bounds).collect();
+    let rows = |chunk: usize| CHUNK * chunk..count.min(CHUNK * (chunk + 1));
+    let chunks = 0..count.div_ceil(CHUNK);
+    let bounds: Vec<Bounds> = chunks.map(|i| bounds_of(rows(i).map(bounded))).collect();
     atomic::write(path, |out| {
-        write!(
-            out,
-            "ply\nformat binary_little_endian 1.0\nelement chunk {}\n",
-            bounds.len()
-        )?;
-        bound_names()
-            .iter()
-            .try_for_each(|name| writeln!(out, "property float {name}"))?;
-        writeln!(out, "element vertex {count}")?;
-        PACKED
-            .iter()
-            .try_for_each(|name| writeln!(out, "property uint {name}"))?;
-        if rest > 0 {
-            writeln!(out, "element sh {count}")?;
-            (0..rest).try_for_each(|i| writeln!(out, "property uchar f_rest_{i}"))?;
-        }
-        writeln!(out, "end_header")?;
-        for value in bounds
-            .iter()
-            .flatten()
-            .flat_map(|(low, high)| [low, high])
-            .flatten()
-        {
+        write_header(out, bounds.len(), count, rest)?;
+        for value in bounds.as_flattened().as_flattened().as_flattened() {
             out.write_all(&value.to_le_bytes())?;
         }
         for row in 0..count {
-            let values = bounded(row);
-            let share = |part: usize, i: usize| {
-                let (low, high) = bounds[row / CHUNK][part];
-                let [low, high] = [low[i], high[i]].map(f64::from);
-                // Equal bounds give the low one.
-                (values[part][i] - low) / (high - low).max(f64::MIN_POSITIVE)
-            };
-            let coarse = |part| {
-                let packed = |i: usize| pack(share(part, i), COARSE[i].0) << COARSE[i].1;
-                packed(0) | packed(1) | packed(2)
-            };
-            let color = [
-                share(2, 0),
-                share(2, 1),
-                share(2, 2),
-                opacity(gaussians.opacity_logits[row]),
-            ];
-            let color = color.iter().fold(0, |bits, v| bits << 8 | pack(*v, 8));
-            let packed = [
-                coarse(0),
-                pack_rotation(gaussians.rotations[row]),
-                coarse(1),
-                color,
-            ];
+            let rotation = gaussians.rotations[row];
+            let opacity = opacity(gaussians.opacity_logits[row]);
+            let packed = pack_gaussian(&bounded(row), &bounds[row / CHUNK], rotation, opacity);
             out.write_all(packed.map(u32::to_le_bytes).as_flattened())?;
         }
         for sh in gaussians.sh.chunks_exact(3 + rest).filter(|_| rest > 0) {
@@ -145,6 +110,47 @@ pub(super) fn write(path: &Path, gaussians: &Gaussians, positions: &[DVec3]) -> 
         }
         Ok(())
     })
+}
+
+/// Writes the header of `count` Gaussians in `chunks` chunks, with `rest` higher SH coefficients each.
+fn write_header(out: &mut impl Write, chunks: usize, count: usize, rest: usize) -> io::Result<()> {
+    writeln!(out, "ply\nformat binary_little_endian 1.0")?;
+    writeln!(out, "element chunk {chunks}")?;
+    for name in bound_names() {
+        writeln!(out, "property float {name}")?;
+    }
+    writeln!(out, "element vertex {count}")?;
+    for name in PACKED {
+        writeln!(out, "property uint {name}")?;
+    }
+    if rest > 0 {
+        writeln!(out, "element sh {count}")?;
+    }
+    for i in 0..rest {
+        writeln!(out, "property uchar f_rest_{i}")?;
+    }
+    writeln!(out, "end_header")
+}
+
+/// The numbers [`PACKED`] of a Gaussian with these [`bounded`] values, in a chunk with these bounds.
+fn pack_gaussian(
+    values: &[[f64; 3]; 3],
+    bounds: &Bounds,
+    rotation: [f32; 4],
+    opacity: f64,
+) -> [u32; 4] {
+    let share = |part: usize, i: usize| {
+        let [low, high] = bounds[part].map(|end| f64::from(end[i]));
+        // Equal bounds give the low one.
+        (values[part][i] - low) / (high - low).max(f64::MIN_POSITIVE)
+    };
+    let coarse = |part| {
+        let packed = |i: usize| pack(share(part, i), COARSE[i].0) << COARSE[i].1;
+        packed(0) | packed(1) | packed(2)
+    };
+    let color = [share(2, 0), share(2, 1), share(2, 2), opacity];
+    let color = color.iter().fold(0, |bits, v| bits << 8 | pack(*v, 8));
+    [coarse(0), pack_rotation(rotation), coarse(1), color]
 }
 
 /// The components w, x, y, z.

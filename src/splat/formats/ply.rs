@@ -8,7 +8,7 @@ pub use super::scene::PlyScene;
 
 use super::scene::{floats_lose, origin_of};
 use super::{compressed_ply, logit, sh_degree};
-use crate::error::{Result, bail, invalid};
+use crate::error::{Result, ensure, invalid};
 use crate::files::atomic;
 use crate::files::ply::{self, PlyFile};
 use crate::splat::Gaussians;
@@ -98,72 +98,98 @@ pub fn read(path: &Path) -> Result<PlyScene> {
     expect_gaussians(&file)?;
     let sh_degree = sh_degree(&file)?;
     let labelled = file.scalar("label").is_some();
-    let rest = (sh_degree + 1).pow(2) - 1;
     let recorded = recorded_origin(&file);
-    let mut columns = [const { None }; COLUMNS];
-    for (column, name) in columns.iter_mut().zip(column_names(sh_degree, labelled)) {
-        // Normals are zero.
-        *column = (!name.starts_with('n')).then_some(name);
-    }
-    let mut scene = PlyScene {
-        labels: labelled.then(Vec::new),
-        ..PlyScene::default()
+    let mut names = column_names(sh_degree, labelled).into_iter();
+    // Normals are zero.
+    let columns: [_; COLUMNS] =
+        std::array::from_fn(|_| names.next().filter(|name| !name.starts_with('n')));
+    let mut gaussians = Gaussians {
+        sh_degree,
+        ..Gaussians::default()
     };
+    let opacity = 6 + 3 * gaussians.sh_len();
+    let mut labels = labelled.then(Vec::new);
     let mut positions: Vec<DVec3> = Vec::new();
-    let names = columns.clone();
     file.read(&columns, |row, cells| {
-        let bad = |column: usize, expected: &str, help: &str| {
-            let name = names[column].as_deref().unwrap_or_default();
-            invalid!(path, "row {row}, column {name}"; found "{}", cells[column]; expected "{expected}";
-                help "{help}")
-        };
-        let opacity = 9 + 3 * rest;
-        let mut cells = *cells;
-        // Other programs write an opacity of 0 or 1 in this way.
-        if cells[opacity].is_infinite() {
-            let byte = if cells[opacity] > 0.0 { 255 } else { 0 };
-            cells[opacity] = f64::from(logit(byte));
-        }
-        // A value that does not fit an f32 counts as not finite.
-        if let Some(column) = cells.iter().position(|&v| !(v as f32).is_finite()) {
-            let help = "remove this Gaussian (splat-transform --filter-nan)";
-            return Err(bad(column, "a finite number", help));
-        }
-        let g = &mut scene.gaussians;
+        let cells = checked_row(path, row, &columns, cells, opacity)?;
         positions.push(DVec3::new(cells[0], cells[1], cells[2]));
-        let f = cells.map(|v| v as f32);
-        g.sh.extend_from_slice(&f[6..9]);
-        for k in 0..rest {
-            g.sh.extend((0..3).map(|c| f[9 + c * rest + k]));
-        }
-        let tail = &f[opacity..];
-        g.opacity_logits.push(tail[0]);
-        g.log_scales.push([tail[1], tail[2], tail[3]]);
-        g.rotations.push([tail[4], tail[5], tail[6], tail[7]]);
-        if let Some(labels) = &mut scene.labels {
-            let column = opacity + 8;
-            let id = cells[column];
-            if id.fract() != 0.0 || !(0.0..=65_535.0).contains(&id) {
-                let help = "correct or drop the label column";
-                return Err(bad(column, "a class id from 0 to 65535", help));
-            }
-            labels.push(id as u16);
+        push_row(&mut gaussians, &cells.map(|v| v as f32));
+        if let Some(labels) = &mut labels {
+            labels.push(cells[opacity + 8] as u16);
         }
         Ok(())
     })?;
-    scene.gaussians.sh_degree = sh_degree;
-    scene.origin = recorded.unwrap_or_else(|| origin_of(&positions));
-    for &position in &positions {
-        let mean = (position - scene.origin).as_vec3();
-        if !mean.is_finite() {
-            let field = recorded.map_or("columns x y z", |_| "comment coseg origin");
-            bail!(path, "{field}"; found "a position {position} about the origin {}", scene.origin;
-                expected "positions that are finite numbers (f32) relative to the origin";
-                help "export the scene again, or remove Gaussians that lie far from all others");
-        }
-        scene.gaussians.means.push(mean.to_array());
+    let origin = recorded.unwrap_or_else(|| origin_of(&positions));
+    let field = recorded.map_or("columns x y z", |_| "comment coseg origin");
+    gaussians.means = relative_to(origin, &positions, path, field)?;
+    Ok(PlyScene {
+        gaussians,
+        origin,
+        labels,
+    })
+}
+
+/// The cells of a row with a finite logit of the opacity: other programs write an opacity of 0 or 1 as an infinite one.
+fn checked_row(
+    path: &Path,
+    row: usize,
+    columns: &[Option<String>; COLUMNS],
+    cells: &[f64; COLUMNS],
+    opacity: usize,
+) -> Result<[f64; COLUMNS]> {
+    let bad = |column: usize, expected: &str, help: &str| {
+        let name = columns[column].as_deref().unwrap_or_default();
+        invalid!(path, "row {row}, column {name}"; found "{}", cells[column]; expected "{expected}";
+            help "{help}")
+    };
+    let mut cells = *cells;
+    if cells[opacity].is_infinite() {
+        let byte = if cells[opacity] > 0.0 { 255 } else { 0 };
+        cells[opacity] = f64::from(logit(byte));
     }
-    Ok(scene)
+    // A value that does not fit an f32 counts as not finite.
+    if let Some(column) = cells.iter().position(|&v| !(v as f32).is_finite()) {
+        let help = "remove this Gaussian (splat-transform --filter-nan)";
+        return Err(bad(column, "a finite number", help));
+    }
+    // 0 without a label column.
+    let label = opacity + 8;
+    let id = cells[label];
+    if id.fract() != 0.0 || !(0.0..=65_535.0).contains(&id) {
+        let help = "correct or drop the label column";
+        return Err(bad(label, "a class id from 0 to 65535", help));
+    }
+    Ok(cells)
+}
+
+/// Adds the Gaussian of a row, except its mean.
+fn push_row(g: &mut Gaussians, row: &[f32; COLUMNS]) {
+    let rest = g.sh_len() - 1;
+    g.sh.extend_from_slice(&row[6..9]);
+    for k in 0..rest {
+        g.sh.extend((0..3).map(|c| row[9 + c * rest + k]));
+    }
+    let tail = &row[9 + 3 * rest..];
+    g.opacity_logits.push(tail[0]);
+    g.log_scales.push([tail[1], tail[2], tail[3]]);
+    g.rotations.push([tail[4], tail[5], tail[6], tail[7]]);
+}
+
+/// `positions` relative to `origin`, which is from `field` of the file.
+fn relative_to(
+    origin: DVec3,
+    positions: &[DVec3],
+    path: &Path,
+    field: &str,
+) -> Result<Vec<[f32; 3]>> {
+    let relative = |position: &DVec3| {
+        let mean = (position - origin).as_vec3();
+        ensure!(mean.is_finite(), path, "{field}"; found "a position {position} about the origin {origin}";
+            expected "positions that are finite numbers (f32) relative to the origin";
+            help "export the scene again, or remove Gaussians that lie far from all others");
+        Ok(mean.to_array())
+    };
+    positions.iter().map(relative).collect()
 }
 
 /// Column names in file order.
