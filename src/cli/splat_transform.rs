@@ -74,8 +74,8 @@ impl SplatTransform {
             let mut done = program::output(command.args([from, to]), &missing)?;
             let said = String::from_utf8_lossy(&done.stderr).into_owned();
             let lower = said.to_lowercase();
-            let lacks_gpu = WITHOUT_GPU.iter().any(|part| lower.contains(part));
-            if done.status.success() || self.without_gpu || !lacks_gpu {
+            let has_no_gpu = WITHOUT_GPU.iter().any(|part| lower.contains(part));
+            if done.status.success() || self.without_gpu || !has_no_gpu {
                 let lines = said.lines().filter(|line| !is_stack_line(line));
                 done.stderr = lines.collect::<Vec<_>>().join("\n").into_bytes();
                 return program::expect_success(

@@ -238,32 +238,32 @@ impl Plan {
         self.stage_one(scene)
             .map_err(|error| self.in_file(error, "settings"))?;
         for labels in &self.labels {
-            let place = format!("labels {:?}", labels.name);
-            self.check_table(&place, &labels.settings, &["building"])?;
+            let location = format!("labels {:?}", labels.name);
+            self.check_table(&location, &labels.settings, &["building"])?;
             self.reading(scene, labels)
-                .map_err(|error| self.in_file(error, &place))?;
+                .map_err(|error| self.in_file(error, &location))?;
             for row in &self.rows {
-                let place = format!("rows {:?}", row.name);
-                self.check_table(&place, &row.settings, &["building", "data"])?;
+                let location = format!("rows {:?}", row.name);
+                self.check_table(&location, &row.settings, &["building", "data"])?;
                 self.stage_two(scene, labels, row, 0, PathBuf::new())
-                    .map_err(|error| self.in_file(error, &place))?;
+                    .map_err(|error| self.in_file(error, &location))?;
             }
         }
         Ok(())
     }
 
     /// `shared` are sections that only the plan's own settings may have.
-    fn check_table(&self, place: &str, table: &Table, shared: &[&str]) -> Result<()> {
+    fn check_table(&self, location: &str, table: &Table, shared: &[&str]) -> Result<()> {
         let has = |key: &str| {
             let mut parts = key.split('.');
             let first = parts.next().and_then(|section| table.get(section));
             parts.fold(first, |value, name| value?.get(name)).is_some()
         };
         if let Some((key, help)) = OWN_KEYS.iter().find(|(key, _)| has(key)) {
-            bail!(&self.path, "{place}, {key}"; found "a value"; expected "no such setting in a plan"; help "{help}");
+            bail!(&self.path, "{location}, {key}"; found "a value"; expected "no such setting in a plan"; help "{help}");
         }
         if let Some(section) = shared.iter().find(|section| has(section)) {
-            bail!(&self.path, "{place}, {section}"; found "a setting of its own";
+            bail!(&self.path, "{location}, {section}"; found "a setting of its own";
                 expected "the same {section} for all rows, so that they compare over the same Gaussians and labels";
                 help "put it into [settings] or, of data, into the settings of [[labels]]");
         }
@@ -271,14 +271,20 @@ impl Plan {
     }
 
     /// A fault of settings as one of the file.
-    fn in_file(&self, error: Error, place: &str) -> Error {
+    fn in_file(&self, error: Error, location: &str) -> Error {
         match error {
             Error::Config {
                 key,
                 found,
                 expected,
                 help,
-            } => Error::input(&self.path, format!("{place}, {key}"), found, expected, help),
+            } => Error::input(
+                &self.path,
+                format!("{location}, {key}"),
+                found,
+                expected,
+                help,
+            ),
             other => other,
         }
     }

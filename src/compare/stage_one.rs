@@ -47,7 +47,7 @@ impl SharedGaussians {
             let config = settings(plan, scene, named.as_deref())?;
             let outcome = pipeline::run(&config, &folder, device, progress)?;
             let done = Record {
-                given: named,
+                initial_scene: named,
                 commit: options.commit.clone(),
                 command: options.command.clone(),
                 device: options.device.clone(),
@@ -78,7 +78,8 @@ fn settings(plan: &Plan, scene: &SceneFolder, file: Option<&Path>) -> Result<Con
 #[derive(Serialize, Deserialize)]
 struct Record {
     /// The file that they were taken from; absent where they were trained.
-    given: Option<PathBuf>,
+    #[serde(rename = "given")]
+    initial_scene: Option<PathBuf>,
     commit: String,
     command: String,
     device: String,
@@ -99,15 +100,15 @@ impl Record {
         plan: &Plan,
         named: Option<&Path>,
     ) -> Result<()> {
-        let origin = match &self.given {
+        let origin = match &self.initial_scene {
             Some(file) => file.display().to_string(),
             None => "trained ones".to_owned(),
         };
-        if let Some(named) = named.filter(|named| self.given.as_deref() != Some(named)) {
+        if let Some(named) = named.filter(|named| self.initial_scene.as_deref() != Some(named)) {
             bail!(path, "Gaussians"; found "{origin}"; expected "{}", named.display();
                 help "leave out --gaussians for this scene, or choose another --out");
         }
-        let config = settings(plan, scene, self.given.as_deref())?;
+        let config = settings(plan, scene, self.initial_scene.as_deref())?;
         let of_plan = Provenance::stage_one(&config, &load_scene(&config)?);
         of_plan.check(&self.provenance, false, path, Some(HELP))
     }

@@ -32,7 +32,7 @@ pub struct ViewFeatures {
 /// The extractor of a scene's features and the fitted reductions. Each training view has four maps. A PCA per scale, fitted on all
 /// training views, reduces them; then each cell is L2-normalised. The unreduced maps need not fit in memory together.
 /// [Ranks](crate::ranks) divide the training views.
-pub struct Reduction<'a> {
+pub struct FeatureReduction<'a> {
     /// Where the features come from, see [`Extractor`].
     pub name: String,
     /// One a scale.
@@ -47,7 +47,7 @@ pub struct Reduction<'a> {
     kept: Vec<Option<[FeatureMap; SCALES]>>,
 }
 
-impl<'a> Reduction<'a> {
+impl<'a> FeatureReduction<'a> {
     /// Fits a PCA per scale to the training views. It reads at most [`PCA_CELLS`] cells per scale, drawn with `seed`. Networks run
     /// on `device`. Calls `viewed` after each view.
     ///

@@ -1,7 +1,7 @@
 //! 2D image features: where they come from, reduction by PCA, and the on-disk cache; texts that they are compared with.
 //!
-//! For every view an [`Extractor`] gives four [`FeatureMap`]s, fine and local to coarse and global. [`Reduction`] fits a PCA per
-//! scale on the training views, reduces every map to [`crate::config::FeatureConfig::dimensions`] channels and
+//! For every view an [`Extractor`] gives four [`FeatureMap`]s, fine and local to coarse and global. [`FeatureReduction`] fits a PCA
+//! per scale on the training views, reduces every map to [`crate::config::FeatureConfig::dimensions`] channels and
 //! L2-normalises each cell.
 
 mod cache;
@@ -19,7 +19,7 @@ mod segmenter;
 mod transformer;
 
 pub use self::colors::FeatureColors;
-pub use self::extract::{PCA_CELLS, Reduction, ViewFeatures};
+pub use self::extract::{FeatureReduction, PCA_CELLS, ViewFeatures};
 pub(crate) use self::lattice::Axis;
 pub use self::lattice::{Lattice, Steps};
 pub use self::map::FeatureMap;

@@ -19,7 +19,7 @@ mod separate;
 mod superpoints;
 mod vote;
 
-pub use self::association::{Association, associate};
+pub use self::association::{AssociatedObjects, associate};
 pub use self::borders::{BlockObjects, JoinedObjects, join_objects};
 pub use self::calibration::{Calibration, LabelErrors};
 pub use self::coloring::{color_all_apart, color_apart};

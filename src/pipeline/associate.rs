@@ -3,7 +3,7 @@
 use crate::config::Config;
 use crate::data::Scene;
 use crate::error::Result;
-use crate::objects::{self, Association, Semantics};
+use crate::objects::{self, AssociatedObjects, Semantics};
 use crate::progress::{Progress, Viewing};
 use crate::raster::Settings;
 use crate::splat::Gaussians;
@@ -47,7 +47,7 @@ pub fn associate(
 ) -> Result<Associated> {
     let clock = Instant::now();
     let settings = Settings::from(&config.raster);
-    let steps = Association::steps(scene);
+    let steps = AssociatedObjects::steps(scene);
     let mut viewing = Viewing::begin(progress, "association", steps);
     let advance = &mut |views| viewing.advance(views);
     let found = objects::associate(gaussians, scene, &settings, advance)?;

@@ -4,7 +4,7 @@ use super::pictures::score_images;
 use crate::config::{Config, Resolution};
 use crate::data::{Scene, Split};
 use crate::error::Result;
-use crate::features::{FeatureColors, Reduction, SCALES};
+use crate::features::{FeatureColors, FeatureReduction, SCALES};
 use crate::metrics::ImageScores;
 use crate::progress::{Progress, Viewing, go_on};
 use crate::ranks;
@@ -27,7 +27,7 @@ pub struct LiftedFeatures {
     pub dimensions: usize,
     /// Where the features came from.
     pub name: String,
-    /// What the features depend on besides photos and Gaussians, see [`Reduction::content`].
+    /// What the features depend on besides photos and Gaussians, see [`FeatureReduction::content`].
     pub content: String,
     /// Seconds of extraction, and of reduction and unprojection.
     pub seconds: [f64; 2],
@@ -51,7 +51,7 @@ impl LiftedFeatures {
         let features = &config.features;
         let seed = config.seed;
         let advance = &mut || viewing.advance(1);
-        let mut reduction = Reduction::fit(scene, features, seed, device, advance)?;
+        let mut reduction = FeatureReduction::fit(scene, features, seed, device, advance)?;
         viewing.end();
         go_on(progress)?;
         let extraction = clock.elapsed().as_secs_f64();

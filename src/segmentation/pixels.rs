@@ -49,16 +49,16 @@ impl PixelWeights {
         }
     }
 
-    /// The weights of the pixels at `places`.
-    pub(crate) fn at(&self, places: &[u32]) -> Self {
+    /// The weights of the pixels `rows`.
+    pub(crate) fn at(&self, rows: &[u32]) -> Self {
         match self {
-            Self::Stored(weights) => Self::Stored(Arc::new(weights.select_rows(places))),
+            Self::Stored(weights) => Self::Stored(Arc::new(weights.select_rows(rows))),
             Self::Rendered {
                 view,
                 pixels,
                 over_coverage,
             } => {
-                let pixels = places.iter().map(|&place| pixels[place as usize]);
+                let pixels = rows.iter().map(|&row| pixels[row as usize]);
                 Self::Rendered {
                     view: view.clone(),
                     pixels: Arc::new(pixels.collect()),
@@ -261,14 +261,14 @@ impl LabelledPixels {
         self.at(&rows_where(&*self.labels, |label| *label != NO_CLASS))
     }
 
-    /// The pixels at `places`.
+    /// The pixels `rows`.
     #[must_use]
-    pub fn at(&self, places: &[u32]) -> Self {
-        let label = |&place: &u32| self.labels[place as usize];
+    pub fn at(&self, rows: &[u32]) -> Self {
+        let label = |&row: &u32| self.labels[row as usize];
         let distributions = self.distributions.as_ref();
         Self {
-            distributions: distributions.map(|rows| select(rows, places)),
-            ..Self::new(self.weights.at(places), places.iter().map(label).collect())
+            distributions: distributions.map(|shares| select(shares, rows)),
+            ..Self::new(self.weights.at(rows), rows.iter().map(label).collect())
         }
     }
 

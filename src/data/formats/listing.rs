@@ -75,7 +75,7 @@ impl Listing {
         let labelled = if frames.iter().any(|frame| frame.truth.is_some()) {
             Some("")
         } else {
-            raw::needs_classes(dir, options, &raw_files(&frames))
+            raw::requires_classes(dir, options, &raw_files(&frames))
         };
         let own = dir.join("classes.json").is_file();
         let dataset = dataset.filter(|_| labelled.is_some() && !own);

@@ -166,13 +166,13 @@ const PUBLISHED: CameraParams = CameraParams {
 
 /// Intrinsics and the value of a metre in the depth images.
 fn nice_slam(dir: &Path, notices: &mut Vec<String>) -> Result<(Camera, f64)> {
-    let places = ["cam_params.json", "../cam_params.json"].map(|name| dir.join(name));
+    let candidates = ["cam_params.json", "../cam_params.json"].map(|name| dir.join(name));
     let expected = "{\"camera\": {\"w\", \"h\", \"fx\", \"fy\", \"cx\", \"cy\", ..}}";
-    let (path, camera) = match places.iter().find(|path| path.is_file()) {
+    let (path, camera) = match candidates.iter().find(|path| path.is_file()) {
         Some(path) => (path, files::json::<CameraFile>(path, expected)?.camera),
         None => {
             notices.push("no cam_params.json here or above: 1200x680 photos with a focal length of 600 are assumed".into());
-            (&places[0], PUBLISHED)
+            (&candidates[0], PUBLISHED)
         }
     };
     let CameraParams { w, h, fx, fy, .. } = camera;

@@ -62,8 +62,8 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
     let intrinsics = read_intrinsics(dir, &posed[first].image)?;
     let frames = frames(folder, &posed, &kept, &intrinsics, problems)?;
     let own_classes = dir.join("classes.json").is_file();
-    let needs_table = !own_classes && frames.iter().any(|frame| frame.truth.is_some());
-    let table = needs_table.then(|| label_table(dir, options));
+    let requires_table = !own_classes && frames.iter().any(|frame| frame.truth.is_some());
+    let table = requires_table.then(|| label_table(dir, options));
     let table = table.and_then(|table| problems.ok(table));
     let cloud = sequence::cloud(dir, &frames, MILLIMETRES, |name| {
         format!("depth/{name}.png")
@@ -71,7 +71,7 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
     let file = dir.join("intrinsic/intrinsic_color.txt");
     let dataset = Some(classes(options.scannet_classes));
     let mut listing = Listing::new(folder, file, frames, dataset, problems);
-    if needs_table && table.is_none() {
+    if requires_table && table.is_none() {
         // Reported once; without the table every map would be reported as well.
         let frames = listing.frames.iter_mut();
         frames.for_each(|frame| frame.truth = None);

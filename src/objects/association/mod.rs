@@ -39,7 +39,7 @@ use std::collections::{BTreeSet, HashMap};
 
 /// Label maps with ids that mean the same in every view.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Association {
+pub struct AssociatedObjects {
     /// The groups as a class table, largest first; id 0 is unlabelled.
     pub classes: Classes,
     /// For each view of the scene, its raw labels in ids of the groups.
@@ -55,7 +55,7 @@ pub struct Association {
 /// Receives the number of views done since the last call. Its error ends the association.
 type Progress<'p> = dyn FnMut(usize) -> Result<()> + 'p;
 
-impl Association {
+impl AssociatedObjects {
     /// Steps of [`associate`] in all: one for each pass over each view.
     pub fn steps(scene: &Scene) -> usize {
         let [train, test] = [Split::Train, Split::Test].map(|split| scene.split(split).count());
@@ -83,7 +83,7 @@ impl Association {
 
 /// Finds which segments of the raw labels of `scene` show one object, by the Gaussians that they cover. The training views form the
 /// groups. Segments of test views are then assigned to them. `progress` receives the steps done since its last call,
-/// [`Association::steps`] in all; 0 only checks whether to go on.
+/// [`AssociatedObjects::steps`] in all; 0 only checks whether to go on.
 ///
 /// Ids of segments are those of [`View::segments`]. An id that is not among them is a thing without a class. All segments of a
 /// class of stuff are one group.
@@ -99,7 +99,7 @@ pub fn associate(
     scene: &Scene,
     settings: &Settings,
     progress: &mut dyn FnMut(usize) -> Result<()>,
-) -> Result<Association> {
+) -> Result<AssociatedObjects> {
     let inputs = AssociationInputs {
         gaussians,
         scene,
@@ -116,7 +116,7 @@ struct AssociationInputs<'a> {
 }
 
 impl AssociationInputs<'_> {
-    fn associate(&self, progress: &mut Progress) -> Result<Association> {
+    fn associate(&self, progress: &mut Progress) -> Result<AssociatedObjects> {
         let mut views = Vec::new();
         for view in self.scene.split(Split::Train) {
             views.push(self.segments(view)?);
@@ -137,7 +137,7 @@ impl AssociationInputs<'_> {
                 .flat_map(|view| view.by_segment().map(|of| of.1))
         };
         let categories = kept.iter().map(|&group| groups.category(group));
-        Ok(Association {
+        Ok(AssociatedObjects {
             classes: class_table(categories, &self.scene.classes),
             maps,
             segments: segments().count(),

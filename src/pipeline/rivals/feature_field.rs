@@ -10,7 +10,7 @@ use super::first_parameters;
 use crate::backend::device::upload;
 use crate::data::{Split, View};
 use crate::error::Result;
-use crate::features::{Reduction, SCALES, ViewFeatures};
+use crate::features::{FeatureReduction, SCALES, ViewFeatures};
 use crate::objects::Identities;
 use crate::ops::select;
 use crate::progress::{Event, Progress, go_on};
@@ -94,7 +94,8 @@ impl Distilled {
 /// Differences from the original: its maps have one scale, and it renders whole images.
 ///
 /// # Errors
-/// Those of [`Reduction::fit`]; [`crate::Error::NonFinite`] for a loss or gradient that is not finite; [`crate::Error::Stopped`].
+/// Those of [`FeatureReduction::fit`]; [`crate::Error::NonFinite`] for a loss or gradient that is not finite;
+/// [`crate::Error::Stopped`].
 pub fn distil(
     inputs: &SegmentationInputs,
     device: &Device,
@@ -125,7 +126,8 @@ fn target_maps<'a>(
     let features = &inputs.config.features;
     let seed = inputs.config.seed;
     let mut advance = || go_on(progress);
-    let mut reduction = Reduction::fit(inputs.scene, features, seed, inputs.device, &mut advance)?;
+    let mut reduction =
+        FeatureReduction::fit(inputs.scene, features, seed, inputs.device, &mut advance)?;
     let maps: Vec<ViewFeatures> = reduction.training_views().collect::<Result<_>>()?;
     Ok(inputs.scene.split(Split::Train).zip(maps).collect())
 }

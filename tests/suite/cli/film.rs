@@ -1,7 +1,7 @@
 //! `coseg render --film`, with a script in the place of ffmpeg, and with ffmpeg where it is there.
 
 use crate::support::program::{listed, read_json, text, utf8};
-use crate::support::programs::Place;
+use crate::support::programs::Sandbox;
 use crate::support::rendered_views::run_folder;
 use std::fs;
 use std::path::Path;
@@ -19,16 +19,16 @@ fn film(run: &Path, out: &Path, path: &str, more: &[&str]) -> Output {
 
 #[test]
 fn ffmpeg_makes_a_film_of_the_frames() {
-    let place = Place::new();
-    let run = run_folder(place.0.path());
-    let [bin, out] = ["bin", "film %d"].map(|name| place.path(name));
-    let log = place.path("log");
+    let sandbox = Sandbox::new();
+    let run = run_folder(sandbox.0.path());
+    let [bin, out] = ["bin", "film %d"].map(|name| sandbox.path(name));
+    let log = sandbox.path("log");
     // The last argument is the file to write.
     let script = format!(
         "echo \"$*\" >>'{}'; for last; do :; done; test \"$last\" = -version || cat path_000?.rgb.png >\"$last\"",
         log.display()
     );
-    place.script("ffmpeg", &script);
+    sandbox.script("ffmpeg", &script);
     let output = film(&run, &out, utf8(&bin), &[]);
     assert!(output.status.success(), "{}", text(&output.stderr));
     assert!(text(&output.stdout).contains("film.mp4"), "{output:?}");
@@ -47,25 +47,25 @@ fn ffmpeg_makes_a_film_of_the_frames() {
     assert_eq!(output.status.code(), Some(1));
     assert_eq!(fs::read_to_string(out.join("film.mp4")).unwrap(), "mine");
 
-    place.script(
+    sandbox.script(
         "ffmpeg",
         "test \"$1\" = -version || { echo no encoder >&2; exit 3; }",
     );
-    let output = film(&run, &place.path("other"), utf8(&bin), &[]);
+    let output = film(&run, &sandbox.path("other"), utf8(&bin), &[]);
     let message = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{message}");
     assert!(
         message.contains("ffmpeg") && message.contains("no encoder"),
         "{message}"
     );
-    assert!(!place.path("other/film.mp4").exists());
+    assert!(!sandbox.path("other/film.mp4").exists());
 }
 
 #[test]
 fn without_ffmpeg_nothing_is_rendered() {
-    let place = Place::new();
-    let run = run_folder(place.0.path());
-    let [bin, out] = ["bin", "film"].map(|name| place.path(name));
+    let sandbox = Sandbox::new();
+    let run = run_folder(sandbox.0.path());
+    let [bin, out] = ["bin", "film"].map(|name| sandbox.path(name));
     let output = film(&run, &out, utf8(&bin), &[]);
     let message = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{message}");

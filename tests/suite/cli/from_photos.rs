@@ -4,7 +4,7 @@ use crate::support::exif_photo::photo;
 use crate::support::onnx::Onnx;
 use crate::support::plates::{HEIGHT, WIDTH};
 use crate::support::program::{fails, listed, read_json, text, utf8};
-use crate::support::programs::Place;
+use crate::support::programs::Sandbox;
 use coseg::data::{LabelMap, LoadOptions, check, load};
 use std::fs;
 use std::path::Path;
@@ -17,15 +17,15 @@ const STEPS: [&str; 3] = ["features", "matches", "poses"];
 #[test]
 fn photos_become_a_scene_folder_once() {
     for python in [false, true] {
-        let place = Place::new();
-        let photos = place.photos();
-        let room = place.path("room");
+        let sandbox = Sandbox::new();
+        let photos = sandbox.photos();
+        let room = sandbox.path("room");
         if python {
-            place.pycolmap();
+            sandbox.pycolmap();
         } else {
-            place.colmap();
+            sandbox.colmap();
         }
-        let said = place.succeeds(&photos, &[]);
+        let said = sandbox.succeeds(&photos, &[]);
         let by = if python {
             "pycolmap of python3"
         } else {
@@ -34,7 +34,7 @@ fn photos_become_a_scene_folder_once() {
         for part in [by, "6 photos", "no problems", "coseg train --data"] {
             assert!(said.contains(part), "{part:?} is not in: {said}");
         }
-        assert_eq!(place.log(), STEPS);
+        assert_eq!(sandbox.log(), STEPS);
         assert_eq!(listed(&room), ["from-photos.json", "images", "sparse"]);
         assert!(!room.join(".from-photos").exists(), "COLMAP's own files");
         for name in listed(&photos) {
@@ -44,23 +44,23 @@ fn photos_become_a_scene_folder_once() {
         }
         assert_eq!(check(&room, &LoadOptions::default()).frames, 6);
         // What is done is not done again.
-        assert!(place.succeeds(&photos, &[]).contains("6 photos"));
-        assert_eq!(place.log(), STEPS);
+        assert!(sandbox.succeeds(&photos, &[]).contains("6 photos"));
+        assert_eq!(sandbox.log(), STEPS);
         fs::remove_file(photos.join("Bild ö 0.png")).unwrap();
-        place.fails(&photos, &[], &["--out", "made from", "another folder"]);
+        sandbox.fails(&photos, &[], &["--out", "made from", "another folder"]);
         assert_eq!(listed(&room.join("images")).len(), 6);
     }
 }
 
 #[test]
 fn a_segmenter_labels_the_photos() {
-    let place = Place::new();
-    place.colmap();
-    let (photos, room) = (place.photos(), place.path("room"));
-    place.fails(&photos, &["--contract", "net"], &["no segmenter"]);
-    let model = Onnx::write_sound(place.0.path(), WIDTH, HEIGHT);
+    let sandbox = Sandbox::new();
+    sandbox.colmap();
+    let (photos, room) = (sandbox.photos(), sandbox.path("room"));
+    sandbox.fails(&photos, &["--contract", "net"], &["no segmenter"]);
+    let model = Onnx::write_sound(sandbox.0.path(), WIDTH, HEIGHT);
     let given = ["--segmenter", utf8(&model)];
-    let said = place.succeeds(&photos, &given);
+    let said = sandbox.succeeds(&photos, &given);
     let next = "--set data.raw_labels=labels_segmenter";
     assert!(said.contains(next), "{said}");
     let options = LoadOptions {
@@ -74,7 +74,7 @@ fn a_segmenter_labels_the_photos() {
     for (i, view) in scene.views.iter().enumerate() {
         assert!(view.scores.is_some(), "{}", view.name);
         let raw = view.raw.as_ref().unwrap().map().ids;
-        let truth = LabelMap::read(&place.path(&format!("all/labels/v{i}.png"))).unwrap();
+        let truth = LabelMap::read(&sandbox.path(&format!("all/labels/v{i}.png"))).unwrap();
         let pairs = truth.ids.iter().zip(raw).filter(|(truth, _)| **truth != 0);
         // Red, green, blue and the wall, in the order of the network's names.
         let same = pairs.clone().filter(|(truth, raw)| {
@@ -88,19 +88,19 @@ fn a_segmenter_labels_the_photos() {
     let map = room.join("labels_segmenter").join("Bild ö 0.png");
     let written = || fs::metadata(&map).unwrap().modified().unwrap();
     let before = written();
-    place.succeeds(&photos, &given);
+    sandbox.succeeds(&photos, &given);
     assert_eq!(
-        (before, place.log()),
+        (before, sandbox.log()),
         (written(), STEPS.map(str::to_owned).to_vec())
     );
 }
 
 #[test]
 fn one_lens_is_asked_for() {
-    let place = Place::new();
-    place.colmap();
-    place.succeeds(&place.photos(), &[]);
-    let arguments = fs::read_to_string(place.path("arguments")).unwrap();
+    let sandbox = Sandbox::new();
+    sandbox.colmap();
+    sandbox.succeeds(&sandbox.photos(), &[]);
+    let arguments = fs::read_to_string(sandbox.path("arguments")).unwrap();
     for part in [
         "single_camera 1",
         "--SiftExtraction.use_gpu 0",
@@ -132,16 +132,16 @@ fn photos_are_turned_by_their_orientation_where_that_gives_one_size() {
         ([(30, 20); 2], [6, 1], (30, 20)),
         ([(30, 20); 2], [3, 1], (30, 20)),
     ] {
-        let place = Place::new();
-        place.script("colmap", "exit 0");
-        let photos = place.path("photos");
+        let sandbox = Sandbox::new();
+        sandbox.script("colmap", "exit 0");
+        let photos = sandbox.path("photos");
         fs::create_dir(&photos).unwrap();
         for i in 0..2 {
             photo(&photos.join(format!("{i}.jpg")), sizes[i], orientations[i]);
         }
         let given = fs::read(photos.join("0.jpg")).unwrap();
-        place.fails(&photos, &[], &["none of 2 photos", "texture"]);
-        let images = place.path("room/images");
+        sandbox.fails(&photos, &[], &["none of 2 photos", "texture"]);
+        let images = sandbox.path("room/images");
         assert_eq!(
             exif(&images, "0.jpg"),
             (size, 1, true),
@@ -160,23 +160,23 @@ fn photos_are_turned_by_their_orientation_where_that_gives_one_size() {
             assert!(differ(&photos, &images) > 10, "upside down");
         }
     }
-    let place = Place::new();
-    place.colmap();
-    let photos = place.path("photos");
+    let sandbox = Sandbox::new();
+    sandbox.colmap();
+    let photos = sandbox.path("photos");
     fs::create_dir(&photos).unwrap();
     for (i, size) in [(30, 20), (30, 20), (30, 24)].into_iter().enumerate() {
         photo(&photos.join(format!("{i}.jpg")), size, 1);
     }
-    place.fails(&photos, &[], &["2 of 30x20, 1 of 30x24", "one size"]);
+    sandbox.fails(&photos, &[], &["2 of 30x20, 1 of 30x24", "one size"]);
     photo(&photos.join("2.jpeg"), (30, 20), 1);
-    place.fails(&photos, &[], &["2.jpeg and 2.jpg", "before the extension"]);
+    sandbox.fails(&photos, &[], &["2.jpeg and 2.jpg", "before the extension"]);
 }
 
 #[test]
 fn what_is_missing_is_named_with_its_remedy() {
-    let place = Place::new();
-    let photos = place.photos();
-    place.fails(
+    let sandbox = Sandbox::new();
+    let photos = sandbox.photos();
+    sandbox.fails(
         &photos,
         &[],
         &[
@@ -185,30 +185,30 @@ fn what_is_missing_is_named_with_its_remedy() {
             "pip install pycolmap",
         ],
     );
-    place.script("python3", "exit 1");
-    place.fails(
+    sandbox.script("python3", "exit 1");
+    sandbox.fails(
         &photos,
         &["--python", "python3"],
         &["pycolmap", "python3 cannot import it", "pip install"],
     );
-    place.colmap();
-    let video = place.path("walk.mp4");
+    sandbox.colmap();
+    let video = sandbox.path("walk.mp4");
     fs::write(&video, "film").unwrap();
-    place.fails(
+    sandbox.fails(
         &video,
         &[],
         &["no such program: ffmpeg", "apt-get install ffmpeg"],
     );
-    place.fails(
-        &place.path("nothing"),
+    sandbox.fails(
+        &sandbox.path("nothing"),
         &[],
         &["no such file or folder", "nothing"],
     );
-    let heic = place.path("heic");
+    let heic = sandbox.path("heic");
     fs::create_dir(&heic).unwrap();
-    place.fails(&heic, &[], &["0 PNG or JPEG files", "two or more"]);
+    sandbox.fails(&heic, &[], &["0 PNG or JPEG files", "two or more"]);
     fs::write(heic.join("a.HEIC"), b"\0\0\0\x18ftypheic").unwrap();
-    place.fails(&heic, &[], &["1 HEIC files", "mogrify"]);
+    sandbox.fails(&heic, &[], &["1 HEIC files", "mogrify"]);
     for command in [&["data", "check"][..], &["train", "--data"]] {
         let message = fails(&[command, &[utf8(&heic)]].concat(), 1);
         assert!(
@@ -225,41 +225,41 @@ fn what_is_missing_is_named_with_its_remedy() {
     );
     fs::copy(heic.join("a.HEIC"), heic.join("a.jpg")).unwrap();
     fs::copy(heic.join("a.HEIC"), heic.join("b.jpg")).unwrap();
-    place.fails(&heic, &[], &["a.jpg", "found HEIC", "mogrify"]);
-    fs::remove_dir_all(place.path("room")).unwrap();
-    fs::create_dir(place.path("room")).unwrap();
-    fs::write(place.path("room/mine.txt"), "years of work").unwrap();
-    place.fails(&photos, &[], &["--out", "mine.txt", "new folder"]);
-    assert!(place.log().is_empty());
+    sandbox.fails(&heic, &[], &["a.jpg", "found HEIC", "mogrify"]);
+    fs::remove_dir_all(sandbox.path("room")).unwrap();
+    fs::create_dir(sandbox.path("room")).unwrap();
+    fs::write(sandbox.path("room/mine.txt"), "years of work").unwrap();
+    sandbox.fails(&photos, &[], &["--out", "mine.txt", "new folder"]);
+    assert!(sandbox.log().is_empty());
 }
 
 #[test]
 fn videos_beside_the_photos_are_named() {
-    let place = Place::new();
-    let photos = place.photos();
-    place.colmap();
+    let sandbox = Sandbox::new();
+    let photos = sandbox.photos();
+    sandbox.colmap();
     for name in ["IMG_2.MOV", "IMG_3.mp4", "._IMG_1.MOV"] {
         fs::write(photos.join(name), "film").unwrap();
     }
-    let output = place.run(&photos, &[]);
+    let output = sandbox.run(&photos, &[]);
     let warnings = text(&output.stderr);
     assert!(output.status.success(), "{warnings}");
     for part in ["2 videos", "IMG_2.MOV", "coseg from-photos VIDEO"] {
         assert!(warnings.contains(part), "{part}: {warnings}");
     }
-    assert_eq!(listed(&place.path("room/images")).len(), 6);
+    assert_eq!(listed(&sandbox.path("room/images")).len(), 6);
 }
 
 #[test]
 fn a_program_that_fails_is_quoted_and_continued() {
-    let place = Place::new();
-    let photos = place.photos();
-    place.script(
+    let sandbox = Sandbox::new();
+    let photos = sandbox.photos();
+    sandbox.script(
         "colmap",
         "test $1 != help || exit 0; for i in 1 2 3 4 5 6 7 8; do echo \"line $i\"; done; \
          echo 'no room' >&2; echo 'at least two images are needed' >&2; exit 3",
     );
-    place.fails(
+    sandbox.fails(
         &photos,
         &[],
         &[
@@ -270,30 +270,30 @@ fn a_program_that_fails_is_quoted_and_continued() {
             "continues",
         ],
     );
-    let images = place.path("room/images");
+    let images = sandbox.path("room/images");
     let first = fs::metadata(images.join("Bild ö 0.png"))
         .unwrap()
         .modified()
         .unwrap();
-    place.colmap();
-    place.succeeds(&photos, &[]);
+    sandbox.colmap();
+    sandbox.succeeds(&photos, &[]);
     let again = fs::metadata(images.join("Bild ö 0.png"))
         .unwrap()
         .modified()
         .unwrap();
     assert_eq!(
-        (first, place.log()),
+        (first, sandbox.log()),
         (again, STEPS.map(str::to_owned).to_vec())
     );
 }
 
 #[test]
 fn a_stop_ends_the_programs_too() {
-    let place = Place::new();
-    let photos = place.photos();
-    let begun = place.path("begun");
-    let stopped = place.path("stopped");
-    let left = place.path("left");
+    let sandbox = Sandbox::new();
+    let photos = sandbox.photos();
+    let begun = sandbox.path("begun");
+    let stopped = sandbox.path("stopped");
+    let left = sandbox.path("left");
     // A child that outlives the stop says so.
     let wait = format!(
         "test $1 != help || exit 0; \
@@ -302,9 +302,9 @@ fn a_stop_ends_the_programs_too() {
         utf8(&left),
         utf8(&begun)
     );
-    place.script("colmap", &wait);
-    let out = place.path("room");
-    let mut running = place
+    sandbox.script("colmap", &wait);
+    let out = sandbox.path("room");
+    let mut running = sandbox
         .command(&[utf8(&photos), "--out", utf8(&out)])
         .spawn()
         .unwrap();
@@ -325,19 +325,19 @@ fn a_stop_ends_the_programs_too() {
     fs::write(&stopped, "").unwrap();
     std::thread::sleep(Duration::from_millis(2000));
     assert!(!left.exists(), "what COLMAP started goes on");
-    place.colmap();
-    place.succeeds(&photos, &[]);
+    sandbox.colmap();
+    sandbox.succeeds(&photos, &[]);
 }
 
 #[test]
 fn the_sharpest_frames_of_a_video_are_taken() {
-    let place = Place::new();
-    let photos = place.photos();
-    let video = place.path("Gang 1.mp4");
+    let sandbox = Sandbox::new();
+    let photos = sandbox.photos();
+    let video = sandbox.path("Gang 1.mp4");
     fs::write(&video, "film").unwrap();
-    place.colmap();
-    let dir = utf8(place.0.path()).to_owned();
-    let model = fs::read_to_string(place.path("model/images.txt")).unwrap();
+    sandbox.colmap();
+    let dir = utf8(sandbox.0.path()).to_owned();
+    let model = fs::read_to_string(sandbox.path("model/images.txt")).unwrap();
     let frames = (0..3).fold(model, |text, i| {
         text.replace(
             &format!("Bild ö {i}.png"),
@@ -345,16 +345,16 @@ fn the_sharpest_frames_of_a_video_are_taken() {
         )
     });
     let three: Vec<&str> = frames.lines().take(6).collect();
-    fs::write(place.path("model/images.txt"), three.join("\n")).unwrap();
+    fs::write(sandbox.path("model/images.txt"), three.join("\n")).unwrap();
     for i in 0..3 {
         let photo = image::open(photos.join(format!("Bild ö {i}.png"))).unwrap();
         photo
             .into_rgb8()
-            .save(place.path(&format!("frame_000{}.jpg", i + 1)))
+            .save(sandbox.path(&format!("frame_000{}.jpg", i + 1)))
             .unwrap();
     }
     // Seven frames, and the sharpness of each.
-    place.script(
+    sandbox.script(
         "ffmpeg",
         &format!(
             "echo \"$*\" >>'{dir}/ffmpeg'
@@ -363,14 +363,14 @@ fn the_sharpest_frames_of_a_video_are_taken() {
             *select=*) cp '{dir}'/frame_*.jpg .;; esac"
         ),
     );
-    let said = place.succeeds(&video, &["--frames", "3"]);
+    let said = sandbox.succeeds(&video, &["--frames", "3"]);
     assert!(said.contains("3 photos"), "{said}");
-    let calls = fs::read_to_string(place.path("ffmpeg")).unwrap();
+    let calls = fs::read_to_string(sandbox.path("ffmpeg")).unwrap();
     assert!(
         calls.contains("(eq(n,0)+(eq(n,3)+eq(n,6)))") && calls.contains("file:/"),
         "{calls}"
     );
-    let record = read_json(&place.path("room/from-photos.json"));
+    let record = read_json(&sandbox.path("room/from-photos.json"));
     assert_eq!(record["photos"], 3);
-    place.fails(&video, &["--frames", "4"], &["masks or frames"]);
+    sandbox.fails(&video, &["--frames", "4"], &["masks or frames"]);
 }

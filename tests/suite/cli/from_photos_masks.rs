@@ -3,7 +3,7 @@
 use crate::support::exif_photo::photo;
 use crate::support::plates::{HEIGHT, WIDTH};
 use crate::support::program::{listed, text, utf8};
-use crate::support::programs::Place;
+use crate::support::programs::Sandbox;
 use coseg::data::{LoadOptions, load};
 use image::{GrayImage, Luma};
 use std::fs;
@@ -23,14 +23,14 @@ fn pixel(path: &Path, x: u32, y: u32) -> u8 {
 #[test]
 fn masks_go_to_colmap_and_into_the_scene_folder() {
     for python in [false, true] {
-        let place = Place::new();
-        let photos = place.photos();
-        let masks = place.path("people");
-        let room = place.path("room");
+        let sandbox = Sandbox::new();
+        let photos = sandbox.photos();
+        let masks = sandbox.path("people");
+        let room = sandbox.path("room");
         if python {
-            place.pycolmap();
+            sandbox.pycolmap();
         } else {
-            place.colmap();
+            sandbox.colmap();
         }
         fs::create_dir(&masks).unwrap();
         // Of half the size.
@@ -39,9 +39,9 @@ fn masks_go_to_colmap_and_into_the_scene_folder() {
             mask(&masks.join(name), half, |x, _| x < half.0 / 2);
         }
         let given = ["--masks", utf8(&masks)];
-        let said = place.succeeds(&photos, &given);
+        let said = sandbox.succeeds(&photos, &given);
         assert!(said.contains("6 photos (2 with masks)"), "{said}");
-        let arguments = fs::read_to_string(place.path("arguments")).unwrap();
+        let arguments = fs::read_to_string(sandbox.path("arguments")).unwrap();
         let to_colmap = room.join("masks");
         assert!(arguments.contains(utf8(&to_colmap)), "{arguments}");
         assert_eq!(python, !arguments.contains("--ImageReader.mask_path"));
@@ -58,16 +58,16 @@ fn masks_go_to_colmap_and_into_the_scene_folder() {
         let masked: Vec<bool> = scene.views.iter().map(|view| view.mask.is_some()).collect();
         assert_eq!(masked, [false, true, false, true, false, false]);
         // They are part of what the folder was made from.
-        place.succeeds(&photos, &given);
-        place.fails(&photos, &[], &["--out", "made from", "masks"]);
+        sandbox.succeeds(&photos, &given);
+        sandbox.fails(&photos, &[], &["--out", "made from", "masks"]);
     }
 }
 
 #[test]
 fn masks_are_turned_with_their_photos() {
-    let place = Place::new();
-    place.script("colmap", "exit 0");
-    let (photos, masks) = (place.path("photos"), place.path("people"));
+    let sandbox = Sandbox::new();
+    sandbox.script("colmap", "exit 0");
+    let (photos, masks) = (sandbox.path("photos"), sandbox.path("people"));
     fs::create_dir(&photos).unwrap();
     fs::create_dir(&masks).unwrap();
     for name in ["a.jpg", "b.jpg"] {
@@ -77,11 +77,11 @@ fn masks_are_turned_with_their_photos() {
     mask(&masks.join("a.png"), (30, 20), |_, y| y < 10);
     mask(&masks.join("b.jpg.png"), (20, 30), |_, y| y < 15);
     let given = ["--masks", utf8(&masks)];
-    let output = place.run(&photos, &given);
+    let output = sandbox.run(&photos, &given);
     let said = text(&output.stderr);
     assert!(said.contains("none of 2 photos"), "{said}");
     assert!(!said.contains("EXIF"), "{said}");
-    let written = place.path("room/masks");
+    let written = sandbox.path("room/masks");
     let corners = |name: &str| {
         let places = [(0, 0), (19, 0), (0, 29), (19, 29)];
         places.map(|(x, y)| pixel(&written.join(name), x, y))
@@ -97,9 +97,9 @@ fn masks_of_photos_that_turn_without_a_trace_are_taken_as_stored() {
         ((30, 20), 3, [255, 255, 0, 0]),
         ((20, 20), 6, [255, 0, 255, 0]),
     ] {
-        let place = Place::new();
-        place.script("colmap", "exit 0");
-        let (photos, masks) = (place.path("photos"), place.path("people"));
+        let sandbox = Sandbox::new();
+        sandbox.script("colmap", "exit 0");
+        let (photos, masks) = (sandbox.path("photos"), sandbox.path("people"));
         fs::create_dir(&photos).unwrap();
         fs::create_dir(&masks).unwrap();
         for name in ["a.jpg", "b.jpg", "c.jpg"] {
@@ -109,7 +109,7 @@ fn masks_of_photos_that_turn_without_a_trace_are_taken_as_stored() {
         for name in ["b.png", "c.png"] {
             mask(&masks.join(name), (width, height), |_, y| y < 10);
         }
-        let output = place.run(&photos, &["--masks", utf8(&masks)]);
+        let output = sandbox.run(&photos, &["--masks", utf8(&masks)]);
         let said = text(&output.stderr);
         let warnings: Vec<&str> = said.lines().filter(|line| line.contains("EXIF")).collect();
         let [warning] = warnings[..] else {
@@ -119,7 +119,7 @@ fn masks_of_photos_that_turn_without_a_trace_are_taken_as_stored() {
             warning.contains("b.jpg") && warning.contains("as the photo is stored"),
             "{said}"
         );
-        let written = place.path("room/masks/b.jpg.png");
+        let written = sandbox.path("room/masks/b.jpg.png");
         let (right, low) = (width - 1, height - 1);
         let corners = [(0, 0), (right, 0), (0, low), (right, low)];
         assert_eq!(
@@ -132,9 +132,9 @@ fn masks_of_photos_that_turn_without_a_trace_are_taken_as_stored() {
 
 #[test]
 fn nothing_is_written_before_all_masks_are_right() {
-    let place = Place::new();
-    place.script("colmap", "exit 0");
-    let (photos, masks) = (place.path("photos"), place.path("people"));
+    let sandbox = Sandbox::new();
+    sandbox.script("colmap", "exit 0");
+    let (photos, masks) = (sandbox.path("photos"), sandbox.path("people"));
     fs::create_dir(&photos).unwrap();
     fs::create_dir(&masks).unwrap();
     let names: Vec<String> = (10..60).map(|i| format!("{i}.jpg")).collect();
@@ -146,9 +146,9 @@ fn nothing_is_written_before_all_masks_are_right() {
     let last = masks.join("59.jpg.png");
     let whole = fs::read(&last).unwrap();
     let refused = |parts: &[&str]| {
-        place.fails(&photos, &given, &[&["59.jpg.png"], parts].concat());
+        sandbox.fails(&photos, &given, &[&["59.jpg.png"], parts].concat());
         for part in ["images", "masks", "from-photos.json"] {
-            assert!(!place.path("room").join(part).exists(), "{part}");
+            assert!(!sandbox.path("room").join(part).exists(), "{part}");
         }
     };
     mask(&last, (30, 30), |_, y| y < 10);
@@ -161,30 +161,30 @@ fn nothing_is_written_before_all_masks_are_right() {
     refused(&["image data"]);
     // The same folder is filled once it is corrected.
     fs::write(&last, whole).unwrap();
-    place.fails(&photos, &given, &["none of 50 photos"]);
-    assert_eq!(listed(&place.path("room/images")), names);
-    assert_eq!(listed(&place.path("room/masks")).len(), 50);
+    sandbox.fails(&photos, &given, &["none of 50 photos"]);
+    assert_eq!(listed(&sandbox.path("room/images")), names);
+    assert_eq!(listed(&sandbox.path("room/masks")).len(), 50);
 }
 
 #[test]
 fn masks_that_fit_no_photo_are_refused() {
-    let place = Place::new();
-    place.colmap();
-    let (photos, masks) = (place.photos(), place.path("people"));
+    let sandbox = Sandbox::new();
+    sandbox.colmap();
+    let (photos, masks) = (sandbox.photos(), sandbox.path("people"));
     let given = ["--masks", utf8(&masks)];
-    place.fails(&photos, &given, &["no such folder", "people"]);
+    sandbox.fails(&photos, &given, &["no such folder", "people"]);
     fs::create_dir(&masks).unwrap();
     mask(&masks.join("Bild 1.png"), (80, 64), |x, _| x < 9);
-    place.fails(
+    sandbox.fails(
         &photos,
         &given,
         &["--masks", "no mask of any photo", "a.jpg.png"],
     );
     // The photos themselves are not masks.
     let of_photos = ["--masks", utf8(&photos)];
-    place.fails(&photos, &of_photos, &["--masks", "no mask of any photo"]);
-    let video = place.path("walk.mp4");
+    sandbox.fails(&photos, &of_photos, &["--masks", "no mask of any photo"]);
+    let video = sandbox.path("walk.mp4");
     fs::write(&video, "film").unwrap();
-    place.fails(&video, &given, &["--masks", "masks of a video"]);
-    assert!(place.log().is_empty());
+    sandbox.fails(&video, &given, &["--masks", "masks of a video"]);
+    assert!(sandbox.log().is_empty());
 }

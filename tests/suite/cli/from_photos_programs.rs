@@ -1,7 +1,7 @@
 //! `coseg from-photos` with the real ffmpeg, colmap and pycolmap, where they are there.
 
 use crate::support::program::{listed, text, utf8};
-use crate::support::programs::Place;
+use crate::support::programs::Sandbox;
 use crate::support::{shared_dir, skip_without_program};
 use std::fs;
 use std::path::Path;
@@ -39,16 +39,16 @@ fn ffmpeg_gives_the_frames_that_were_chosen() {
     if !is_there(Command::new("ffmpeg").arg("-version"), "ffmpeg") {
         return;
     }
-    let place = Place::new();
-    place.script("colmap", "exit 0");
-    place.script("ffmpeg", "exec ffmpeg \"$@\"");
+    let sandbox = Sandbox::new();
+    sandbox.script("colmap", "exit 0");
+    sandbox.script("ffmpeg", "exec ffmpeg \"$@\"");
     // Each third frame is sharp, at uneven times; the number of the frame is its brightness.
     let picture = "color=c=black:s=64x48:r=90,format=yuv420p,geq=lum='20+10*N+(mod(X,2)*30)*eq(mod(N,3),1)':cb=128:cr=128,\
         setpts=N+floor(N*N/6)";
-    let video = place.path("100% test: ä.mp4");
+    let video = sandbox.path("100% test: ä.mp4");
     film(picture, "12", &video);
-    place.fails(&video, &["--frames", "4"], &["none of 4 photos"]);
-    let room = place.path("room");
+    sandbox.fails(&video, &["--frames", "4"], &["none of 4 photos"]);
+    let room = sandbox.path("room");
     let images = room.join("images");
     assert_eq!(listed(&images).len(), 4);
     for (i, name) in listed(&images).iter().enumerate() {
@@ -62,13 +62,13 @@ fn ffmpeg_gives_the_frames_that_were_chosen() {
         );
     }
     // More frames than ffmpeg takes terms.
-    let long = place.path("long.mp4");
+    let long = sandbox.path("long.mp4");
     film("testsrc=s=64x48:r=30,format=yuv420p", "260", &long);
     fs::remove_dir_all(&room).unwrap();
-    place.fails(&long, &["--frames", "250"], &["none of 250 photos"]);
+    sandbox.fails(&long, &["--frames", "250"], &["none of 250 photos"]);
     fs::remove_dir_all(&room).unwrap();
     fs::write(&long, "no film").unwrap();
-    place.fails(
+    sandbox.fails(
         &long,
         &[],
         &["ffmpeg failed", "Invalid data", "that it can play"],
@@ -94,14 +94,14 @@ fn colmap_and_pycolmap_find_the_poses_of_real_photos() {
         .iter()
         .filter(|(_, there)| *there)
     {
-        let place = Place::new();
-        place.script("colmap", "exec colmap \"$@\"");
-        let photos = place.path("fox");
+        let sandbox = Sandbox::new();
+        sandbox.script("colmap", "exec colmap \"$@\"");
+        let photos = sandbox.path("fox");
         fs::create_dir(&photos).unwrap();
         for name in listed(&fox).iter().take(6) {
             fs::copy(fox.join(name), photos.join(name)).unwrap();
         }
-        let said = place.succeeds(&photos, arguments);
+        let said = sandbox.succeeds(&photos, arguments);
         assert!(
             said.contains("6 frames, no problems"),
             "{}: {said}",

@@ -1,7 +1,9 @@
 //! Photos whose EXIF data ask programs to turn them: label maps of the turned photos do not fit, and the error says so.
 
+use crate::support::assert_names;
 use crate::support::exif_photo::photo;
 use crate::support::plates::{HEIGHT, WIDTH, scene};
+use coseg::Error;
 use coseg::data::{LabelMap, LoadOptions, check, load};
 use std::path::Path;
 use tempfile::TempDir;
@@ -14,23 +16,21 @@ fn folder() -> TempDir {
 
 /// The error that `load` gives, the only one that `check` reports.
 #[track_caller]
-fn fault(dir: &Path) -> String {
-    let fault = load(dir, &LoadOptions::default())
-        .expect_err("a fault")
-        .to_string();
+fn fault(dir: &Path) -> Error {
+    let fault = load(dir, &LoadOptions::default()).expect_err("a fault");
     let problems = check(dir, &LoadOptions::default()).problems;
     assert!(
-        problems.len() == 1 && problems[0].to_string() == fault,
+        problems.len() == 1 && problems[0].to_string() == fault.to_string(),
         "{problems:?}"
     );
     fault
 }
 
+/// Checks that `fault` has all `parts` and does not ask for a photo of another size.
 #[track_caller]
-fn says(message: &str, parts: &[&str]) {
-    parts
-        .iter()
-        .for_each(|part| assert!(message.contains(part), "{part:?} is not in: {message}"));
+fn assert_turned(fault: &Error, parts: &[&str]) {
+    assert_names(fault, parts);
+    let message = fault.to_string();
     assert!(!message.contains("scale the photo"), "{message}");
 }
 
@@ -52,11 +52,11 @@ fn label_maps_of_turned_photos_are_told_from_maps_of_another_size() {
         "EXIF",
         "before COLMAP",
     ];
-    says(&fault(dir), &parts);
+    assert_turned(&fault(dir), &parts);
     // Where the photo says it, so does the error.
     photo(&dir.join("images/v1.png"), (WIDTH, HEIGHT), 6);
-    says(&fault(dir), &parts);
-    says(
+    assert_turned(&fault(dir), &parts);
+    assert_turned(
         &fault(dir),
         &["its photo as it is stored, whose EXIF orientation is 6"],
     );
@@ -68,7 +68,7 @@ fn label_maps_of_turned_photos_are_told_from_maps_of_another_size() {
     }
     .write(&dir.join("raw/v1.png"))
     .expect("map");
-    let message = fault(dir);
+    let message = fault(dir).to_string();
     assert!(
         message.contains("scale the photo") && !message.contains("EXIF"),
         "{message}"
@@ -79,9 +79,8 @@ fn label_maps_of_turned_photos_are_told_from_maps_of_another_size() {
 fn turned_photos_are_told_from_photos_of_another_size() {
     let folder = folder();
     photo(&folder.path().join("images/v4.png"), (HEIGHT, WIDTH), 8);
-    let message = fault(folder.path());
-    says(
-        &message,
+    assert_turned(
+        &fault(folder.path()),
         &[
             "images/v4.png",
             "64x80 pixels, of EXIF orientation 8",

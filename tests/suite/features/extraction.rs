@@ -5,7 +5,7 @@ use crate::support::linear_probe::{ProbeScore, ProbeView, linear_probe};
 use crate::support::pictures::{picture, pictures, scene, view};
 use coseg::config::{FeatureConfig, FeatureSource};
 use coseg::data::{Classes, LabelMap, LoadOptions, Scene, Split, View, load};
-use coseg::features::{FeatureMap, Reduction, ViewFeatures, descriptor};
+use coseg::features::{FeatureMap, FeatureReduction, ViewFeatures, descriptor};
 use image::RgbImage;
 
 fn descriptor_config() -> FeatureConfig {
@@ -101,7 +101,7 @@ fn extract_with_tests(
     seed: u64,
 ) -> (Vec<ViewFeatures>, Vec<ViewFeatures>) {
     let device = crate::support::device();
-    let reduction = Reduction::fit(scene, config, seed, &device, &mut || Ok(()));
+    let reduction = FeatureReduction::fit(scene, config, seed, &device, &mut || Ok(()));
     let mut reduction = reduction.expect("maps");
     let train: Vec<_> = reduction
         .training_views()

@@ -234,7 +234,7 @@ fn views_are_told_of_and_may_end_it() {
             found => (Some(found.expect("association")), told),
         }
     };
-    let looks = objects::Association::steps(&scene);
+    let looks = objects::AssociatedObjects::steps(&scene);
     assert_eq!(looks, (2 + 4) * 4 + 2);
     assert_eq!(until(usize::MAX), (Some(found(&gaussians, &scene)), looks));
     // While the segments of views are looked at, in sweeps, while maps of training and test views are made.

@@ -35,7 +35,7 @@ fn sorted(gaussians: &Gaussians, origin: DVec3) -> Vec<[i64; 3]> {
 }
 
 #[test]
-fn given_gaussians_are_labelled_as_they_are() {
+fn initial_gaussians_are_labelled_as_they_are() {
     let folder = tempfile::tempdir().unwrap();
     let (plates, labels) = plates::plates();
     let (config, out) = beginning_with(folder.path(), &plates);
@@ -72,7 +72,7 @@ fn given_gaussians_are_labelled_as_they_are() {
 }
 
 #[test]
-fn given_gaussians_are_trained_further() {
+fn initial_gaussians_are_trained_further() {
     let folder = tempfile::tempdir().unwrap();
     let (mut plates, _) = plates::plates();
     plates.sh.iter_mut().for_each(|c| *c *= 0.8);

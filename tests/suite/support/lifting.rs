@@ -4,7 +4,7 @@ use burn::tensor::Device;
 use coseg::config::{FeatureConfig, UnprojectionConfig};
 use coseg::data::{Scene, View};
 use coseg::error::Result;
-use coseg::features::{Pca, Reduction, SCALES, ViewFeatures};
+use coseg::features::{FeatureReduction, Pca, SCALES, ViewFeatures};
 use coseg::raster::Settings;
 use coseg::segmentation::unprojection::{self, Unprojected};
 use coseg::splat::Gaussians;
@@ -24,7 +24,7 @@ pub fn extract(
     seed: u64,
     device: &Device,
 ) -> Result<FeatureSet> {
-    let mut reduction = Reduction::fit(scene, config, seed, device, &mut || Ok(()))?;
+    let mut reduction = FeatureReduction::fit(scene, config, seed, device, &mut || Ok(()))?;
     let views = reduction.training_views().collect::<Result<_>>()?;
     Ok(FeatureSet {
         name: reduction.name,

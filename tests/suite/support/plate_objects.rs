@@ -35,13 +35,13 @@ pub fn plate_scene() -> (Gaussians, Scene) {
 }
 
 /// The association that nothing stops.
-pub fn associate(gaussians: &Gaussians, scene: &Scene) -> Result<objects::Association> {
+pub fn associate(gaussians: &Gaussians, scene: &Scene) -> Result<objects::AssociatedObjects> {
     let go_on = &mut |_| Ok(());
     objects::associate(gaussians, scene, &Settings::default(), go_on)
 }
 
 /// The association, which succeeds.
-pub fn found(gaussians: &Gaussians, scene: &Scene) -> objects::Association {
+pub fn found(gaussians: &Gaussians, scene: &Scene) -> objects::AssociatedObjects {
     associate(gaussians, scene).expect("association")
 }
 

@@ -10,13 +10,13 @@ use std::process::{Command, Output};
 use tempfile::TempDir;
 
 /// A folder of photos and one for programs, which is all of the PATH.
-pub struct Place(pub TempDir);
+pub struct Sandbox(pub TempDir);
 
-impl Place {
+impl Sandbox {
     pub fn new() -> Self {
-        let place = Self(tempfile::tempdir().unwrap());
-        fs::create_dir(place.path("bin")).unwrap();
-        place
+        let sandbox = Self(tempfile::tempdir().unwrap());
+        fs::create_dir(sandbox.path("bin")).unwrap();
+        sandbox
     }
 
     pub fn path(&self, name: &str) -> PathBuf {
@@ -62,7 +62,7 @@ impl Place {
         assert!(install.unwrap().success());
     }
 
-    /// A `colmap` that notes its steps in `log` and gives the model of [`Place::photos`].
+    /// A `colmap` that notes its steps in `log` and gives the model of [`Sandbox::photos`].
     pub fn colmap(&self) {
         let dir = utf8(self.0.path()).to_owned();
         self.script(

@@ -123,9 +123,9 @@ impl Vocabulary {
     }
 }
 
-/// Whether the raw labels `files` need a class table: all but those that bring their own or have none. Returns the text to
+/// Whether the raw labels `files` require a class table: all but those that bring their own or have none. Returns the text to
 /// add to the help if the table is missing.
-pub(crate) fn needs_classes(
+pub(crate) fn requires_classes(
     dir: &Path,
     options: &LoadOptions,
     files: &[RawFile],

@@ -105,8 +105,8 @@ fn mask_of_cells(mask: &Mask, camera: &Camera, cells: &Camera) -> Mask {
     let (from, to) = (axes(cells), axes(camera));
     let pixel = |axis: usize, cell: usize| {
         let ((center, focal, _), (pixel_center, pixel_focal, pixels)) = (from[axis], to[axis]);
-        let place = (cell as f64 + 0.5 - center) * pixel_focal / focal + pixel_center;
-        (place.max(0.0) as usize).min(pixels.saturating_sub(1))
+        let position = (cell as f64 + 0.5 - center) * pixel_focal / focal + pixel_center;
+        (position.max(0.0) as usize).min(pixels.saturating_sub(1))
     };
     Mask::new(cells.width, cells.height, |i| {
         let [x, y] = [pixel(0, i % cells.width), pixel(1, i / cells.width)];
