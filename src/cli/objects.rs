@@ -105,17 +105,17 @@ impl ObjectsArgs {
         let projected = Projected::new(&scene.ply.gaussians.splats(), &camera, &settings)?;
         let picked = pick(&projected, &scene.ply.gaussians, &scene.labels, [x, y]);
         let world = |point: DVec3| point + scene.ply.origin;
-        let line = match (picked, self.json) {
-            (None, true) => "null".to_owned(),
-            (None, false) => format!("{frame} {x},{y}: no Gaussian"),
-            (Some(p), true) => {
+        let line = match picked {
+            None if self.json => "null".to_owned(),
+            None => format!("{frame} {x},{y}: no Gaussian"),
+            Some(p) if self.json => {
                 let point = world(p.point).to_array();
                 format!(
                     "{:#}",
                     json!({"id": p.id, "name": scene.name(p.id), "share": p.weight, "point": point})
                 )
             }
-            (Some(p), false) => {
+            Some(p) => {
                 let at = world(p.point);
                 format!(
                     "{frame} {x},{y}: {} {}, {:.0} % of the pixel, at x {:.2}, y {:.2}, z {:.2}",

@@ -102,13 +102,14 @@ fn panoptic(
             .truth
             .iter()
             .zip(instances)
-            .map(
-                |(&class, &instance)| match (known(class), stuff.contains(&class), instance) {
-                    (false, ..) | (true, false, 0) => 0,
-                    (true, true, _) => segments.id(class, 0),
-                    (true, false, _) => segments.id(class, instance),
-                },
-            )
+            .map(|(&class, &instance)| {
+                let is_stuff = stuff.contains(&class);
+                if !known(class) || !is_stuff && instance == 0 {
+                    0
+                } else {
+                    segments.id(class, if is_stuff { 0 } else { instance })
+                }
+            })
             .collect();
         // Objects without a class show nothing.
         let is_known = |id: u16| known(class_of[usize::from(id)]);

@@ -190,7 +190,8 @@ impl LabelErrors {
     pub fn of<'a>(rows: impl Iterator<Item = &'a [f64]>, classes: usize) -> Self {
         let flux = Flux::new(rows.map(|row| (row, 1.0)), classes);
         let won = flux.won();
-        let (mut product, mut square) = (0.0, 0.0);
+        let mut product = 0.0;
+        let mut square = 0.0;
         for a in 0..classes {
             for b in 0..a {
                 let both = flux.at(a, b) + flux.at(b, a);

@@ -27,12 +27,18 @@ pub(super) fn painting(
 /// Rectangles of primary colours between dark bars.
 fn blocks(x: f64, y: f64, [a, b, c]: [DVec3; 3]) -> DVec3 {
     let paper = rgb(0xece5d3);
-    let inside = match (x > -0.3, y > 0.25, x > 0.45, y > -0.45) {
-        (false, true, ..) => a,
-        (true, _, true, false) => b,
-        (false, false, _, false) => c,
-        (true, true, true, _) => c,
-        _ => paper,
+    let left = x <= -0.3;
+    let right = x > 0.45;
+    let top = y > 0.25;
+    let bottom = y <= -0.45;
+    let inside = if left && top {
+        a
+    } else if right && bottom {
+        b
+    } else if left && bottom || right && top {
+        c
+    } else {
+        paper
     };
     let bar = band(x + 0.3, 0.035, 0.03).max(band(y - 0.25, 0.04, 0.035));
     let bar = bar

@@ -91,12 +91,13 @@ impl Convention {
         // The camera's side of the matrix.
         let lines = if wanted.to_camera { "rows" } else { "columns" };
         let inverts = self.to_camera != wanted.to_camera;
-        match (inverts, self.opencv != wanted.opencv) {
-            (true, false) => format!("invert each {matrix}"),
-            (true, true) => {
-                format!("invert each {matrix}, then negate its second and third {lines}")
-            }
-            (false, _) => format!("negate the second and third {lines} of each {matrix}"),
+        let negates = self.opencv != wanted.opencv;
+        if !inverts {
+            format!("negate the second and third {lines} of each {matrix}")
+        } else if negates {
+            format!("invert each {matrix}, then negate its second and third {lines}")
+        } else {
+            format!("invert each {matrix}")
         }
     }
 }

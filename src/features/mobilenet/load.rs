@@ -81,11 +81,13 @@ impl<'a> Weights<'a> {
         shape: [usize; 3],
         stride: usize,
     ) -> Result<Convolution> {
-        let [conv, norm] = match (self.nested, last) {
-            (true, false) => [format!("{place}.0"), format!("{place}.1")],
-            (true, true) => [place.to_string(), (place + 1).to_string()],
+        let [conv, norm] = if !self.nested {
             // Convolution, normalisation and activation are counted one by one.
-            (false, _) => [(3 * place).to_string(), (3 * place + 1).to_string()],
+            [(3 * place).to_string(), (3 * place + 1).to_string()]
+        } else if last {
+            [place.to_string(), (place + 1).to_string()]
+        } else {
+            [format!("{place}.0"), format!("{place}.1")]
         };
         let key = |part: String| format!("{block}.conv.{part}");
         self.convolution(&key(conv), &key(norm), shape, stride)

@@ -107,14 +107,15 @@ fn parameters_backward(
         write_zeros(d_screen, screen * i, screen);
         terminate!();
     }
-    let (slope, du, dv) = (
-        splats[SPLAT * i + 2],
-        splats[SPLAT * i + 3],
-        splats[SPLAT * i + 4],
-    );
+    let slope = splats[SPLAT * i + 2];
+    let du = splats[SPLAT * i + 3];
+    let dv = splats[SPLAT * i + 4];
     let at = sums * i;
-    let (sum_u, sum_v) = (moments[at + 1], moments[at + 2]);
-    let (sum_uu, sum_uv, sum_vv) = (moments[at + 3], moments[at + 4], moments[at + 5]);
+    let sum_u = moments[at + 1];
+    let sum_v = moments[at + 2];
+    let sum_uu = moments[at + 3];
+    let sum_uv = moments[at + 4];
+    let sum_vv = moments[at + 5];
     let p = to_camera(view, &offset_from_camera(view, &read3(means, 3 * i)));
     let e = ewa(view, &p, log_scales, rotations, i);
     let yy = dot(&e.m2, &e.m2) + view[LOW_PASS];

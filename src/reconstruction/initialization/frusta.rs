@@ -218,8 +218,9 @@ fn disagreement(differences: &[(u8, u16)]) -> f64 {
 fn focus_distance(views: &[&View]) -> f64 {
     let (mean, baseline) = spread(views.iter().map(|v| v.camera.center));
     let fallback = if baseline > 0.0 { 10.0 * baseline } else { 1.0 };
-    // normal equations of sum |(I - d d^T) (x - c)|^2
-    let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
+    // Normal equations of sum |(I - d d^T) (x - c)|^2
+    let mut a = DMat3::ZERO;
+    let mut b = DVec3::ZERO;
     for view in views {
         let d = view.camera.rotation.transpose().z_axis;
         let p = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);

@@ -68,10 +68,8 @@ fn rows_do_not_decide_which_gaussians_are_pruned() {
     let folder = tempfile::tempdir().expect("a folder");
     let config = with_unseen(folder.path());
     let all = plates::plates().0.len() + 3;
-    let (few, many) = (
-        [Variant::Vote, Variant::PerGaussian],
-        [Variant::Vote, Variant::PerGaussian, Variant::Ours],
-    );
+    let few = [Variant::Vote, Variant::PerGaussian];
+    let many = [Variant::Vote, Variant::PerGaussian, Variant::Ours];
     let out = |name: &str| folder.path().join(name);
     let before = whole(&rows(&config, &few), &out("run"));
     let pruned = before.pruned.expect("reported");

@@ -170,10 +170,12 @@ fn follow(
         let [dx, dy] = STEPS[direction];
         at = [at[0] + dx, at[1] + dy];
         let [left, right] = AHEAD[direction].map(|[dx, dy]| is_inside(at[0] + dx, at[1] + dy));
-        let turned = match (left, right) {
-            (_, false) => (direction + 1) % 4,
-            (true, true) => (direction + 3) % 4,
-            (false, true) => direction,
+        let turned = if !right {
+            (direction + 1) % 4
+        } else if left {
+            (direction + 3) % 4
+        } else {
+            direction
         };
         if turned != direction {
             corners.push([at[0] as usize, at[1] as usize]);
