@@ -309,7 +309,7 @@ fn digest_held_out(scene: &Scene) -> Sha256 {
     joined(&parts.collect::<Vec<_>>())
 }
 
-/// The ids of a map, where there is one.
+/// The ids of a map, if any.
 fn digest_map(map: Option<&LabelRuns>, hash: &mut Sha256) {
     let ids = map.into_iter().flat_map(|runs| runs.map().ids);
     hash.update(ids.flat_map(u16::to_le_bytes).collect::<Vec<u8>>());

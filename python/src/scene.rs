@@ -139,7 +139,7 @@ impl Scene {
         Renderer::new(gaussians, labels, RenderOptions::from(&config), &device)
     }
 
-    /// The scene after `edits` or, where there are none, after `objects`.
+    /// The scene after `edits` or, if there are none, after `objects`.
     fn edited(&self, objects: &ObjectEdits, edits: Option<&Path>) -> Result<Self> {
         ensure!(edits.is_some() || !objects.is_empty(),
             argument "edit"; found "no operation"; expected "edits, or some of keep, remove, turn and move";

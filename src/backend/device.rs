@@ -1,4 +1,4 @@
-//! Which burn device a run uses. The order when several are compiled in: wgpu (where there is an adapter), flex, ndarray;
+//! Which burn device a run uses. The order when several are compiled in: wgpu (if there is an adapter), flex, ndarray;
 //! `--backend` overrides the order. Only `--backend cuda` selects cuda, which has never been run.
 
 use crate::error::{Error, Result, invalid};

@@ -11,7 +11,7 @@ pub struct Resident<T>(Mutex<Option<T>>);
     allow(dead_code, reason = "only GPUs keep copies")
 )]
 impl<T: Clone> Resident<T> {
-    /// The copy for which `is_here` holds. `make` makes it where there is none.
+    /// The copy for which `is_here` holds. `make` makes it if there is none.
     pub fn get(&self, is_here: impl Fn(&T) -> bool, make: impl FnOnce() -> T) -> T {
         // A panic in `make` leaves the slot as it was.
         let mut slot = self.0.lock().unwrap_or_else(PoisonError::into_inner);

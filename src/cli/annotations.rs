@@ -131,7 +131,7 @@ impl<'a> Annotations<'a> {
     }
 }
 
-/// Copies the `photo` of a frame into `folder` where there is one, else writes the rendered picture. Returns the file name.
+/// Copies the `photo` of a frame, if any, into `folder`, else writes the rendered picture there. Returns the file name.
 fn write_image(
     folder: &Path,
     name: &str,

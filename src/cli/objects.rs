@@ -14,11 +14,11 @@ use std::path::PathBuf;
 
 const HELP: &str = "\
 Without --pixel: every label of the scene with its name, number of Gaussians, and the centre and size of its box in
-world units. A box leaves out the outermost 1 % of the centres on each side, at least one where there are three or more.
+world units. A box leaves out the outermost 1 % of the centres on each side, at least one if there are three or more.
 --json: id, name, gaussians, and the corners low and high of the box.
 
 With --frame and --pixel: the label that covers most of that pixel, its share of the pixel, and where its Gaussians are.
---json: id, name, share, point; null where there is no Gaussian.
+--json: id, name, share, point; null if there is no Gaussian.
 
 Examples:
   coseg objects --scene runs/room

@@ -14,7 +14,7 @@ pub fn run(command: &mut Command, missing: &str, failed: &str) -> Result<()> {
     expect_success(command, &done, failed)
 }
 
-/// Runs `command` to its end, which may be a failure. `missing`: what to do where there is no such program.
+/// Runs `command` to its end, which may be a failure. `missing`: what to do if there is no such program.
 pub fn output(command: &mut Command, missing: &str) -> Result<Output> {
     let program = command.get_program().to_string_lossy().into_owned();
     command.output().map_err(|e| match e.kind() {

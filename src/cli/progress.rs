@@ -16,7 +16,7 @@ pub struct Bars {
     last: Option<CurvePoint>,
 }
 
-/// Held-out figures in a few words; empty where there are none.
+/// Held-out figures in a few words; empty if there are none.
 fn figures(point: &CurvePoint) -> String {
     let psnr = point.held_out.psnr.map(|v| format!(" PSNR {v:.2} dB"));
     let ssim = point.held_out.ssim.map(|v| format!(" SSIM {v:.3}"));

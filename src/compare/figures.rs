@@ -9,7 +9,7 @@ use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
-/// What is measured of a cell. Scores are in 0..1; `None` where there is nothing to measure.
+/// What is measured of a cell. Scores are in 0..1; `None` if there is nothing to measure.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
     /// `miou`, `miou_per_view` and `accuracy` of the held-out views.

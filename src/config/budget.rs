@@ -23,7 +23,7 @@ pub enum Budget {
 display_as_serialized!(Budget);
 
 impl Budget {
-    /// The number, where there is one.
+    /// The number, if any.
     pub fn limit(self) -> Option<usize> {
         match self {
             Self::AtMost(limit) => Some(limit),

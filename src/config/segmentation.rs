@@ -210,7 +210,7 @@ pub struct SegmentationConfig {
 }
 
 impl SegmentationConfig {
-    /// `rows`, or what its absence stands for where there is a truth.
+    /// `rows`, or what its absence stands for if there is a truth.
     pub fn rows(&self) -> &[Variant] {
         self.rows.as_deref().unwrap_or(&Variant::COMPARED)
     }

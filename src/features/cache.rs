@@ -23,7 +23,7 @@ pub fn entry(dir: &Path, image: &image::RgbImage, extractor: &str) -> PathBuf {
     dir.join(format!("{:x}.safetensors", hash.finalize()))
 }
 
-/// The maps stored at `path`. None where there are none, or with a warning where they are damaged.
+/// The maps stored at `path`. None if there are none, or with a warning where they are damaged.
 pub fn load(path: &Path) -> Option<[FeatureMap; SCALES]> {
     if !path.exists() {
         return None;

@@ -44,7 +44,7 @@ pub fn read(dir: &Path, stem: &str) -> Result<[FeatureMap; SCALES]> {
     maps.collect::<Result<_>>().map(by_scale)
 }
 
-/// The files of view `stem`: the bundle, or the maps of one to four scales. None where there are none.
+/// The files of view `stem`: the bundle, or the maps of one to four scales. None if there are none.
 pub fn found(dir: &Path, stem: &str) -> Vec<PathBuf> {
     let bundle = dir.join(format!("{stem}.safetensors"));
     if bundle.exists() {

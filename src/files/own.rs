@@ -193,7 +193,7 @@ pub(super) fn stamp(path: &Path) {
     }
 }
 
-/// Time and size of the file at `path`, or that a link there leads to, which change with its content; `None` where there is none.
+/// Time and size of the file at `path`, or that a link there leads to, which change with its content; `None` if there is none.
 pub fn stamp_of(path: &Path) -> Option<Stamp> {
     stamp_at(&fs::metadata(path).ok()?)
 }
@@ -238,7 +238,7 @@ pub fn remove_folder(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The lines of the record of `folder`; none where there is no record.
+/// The lines of the record of `folder`; none if there is no record.
 fn read(folder: &Path) -> Result<HashSet<String>> {
     let path = folder.join(RECORD);
     if fs::symlink_metadata(&path).is_err() {

@@ -99,7 +99,7 @@ impl Confusion {
     }
 }
 
-/// Scores that count the pixels of a set of views, each in 0..1; `None` where there is nothing to score.
+/// Scores that count the pixels of a set of views, each in 0..1; `None` if there is nothing to score.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PixelScores {
     /// Mean IoU of all views counted together, over the classes present in their truth.

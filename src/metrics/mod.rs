@@ -1,7 +1,7 @@
 //! Scores: PSNR, SSIM, mIoU, boundary IoU and accuracy of label maps, association accuracy and panoptic
 //! quality of instance maps, also by class, Calinski-Harabasz and Davies-Bouldin of clusterings.
 //!
-//! No score is ever NaN: where there is nothing to score the answer is `None`.
+//! No score is ever NaN: if there is nothing to score, the answer is `None`.
 
 mod assignment;
 mod boundary;

@@ -78,7 +78,7 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// `gaussians` on `device`, and a label for each where there are any; positions in the coordinates of the cameras.
+    /// `gaussians` on `device`, and a label for each if there are any; positions in the coordinates of the cameras.
     ///
     /// # Errors
     /// As [`Gaussians::check`]; [`crate::Error::Argument`] for options that are not finite.

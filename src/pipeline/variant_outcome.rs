@@ -23,7 +23,7 @@ pub struct VariantOutcome {
     pub curve: Vec<CurvePoint>,
     /// Bytes of everything learned.
     pub learnable_bytes: usize,
-    /// Learning rate, where there is one.
+    /// Learning rate, if any.
     pub rate: Option<f64>,
     /// Steps in which each Gaussian fine-tuned the scores of a decoder.
     pub fine_tuning_steps: Option<usize>,

@@ -100,7 +100,7 @@ struct StageTwo<'a> {
     evidence: LabelEvidence<'a>,
     /// The last encodings, and the weights that they were made with.
     encodings: Option<(SpatialConfig, Encodings)>,
-    /// Name of the encoder's weights; those of the random encoder only where there are no others.
+    /// Name of the encoder's weights; those of the random encoder only if there are no others.
     spatial: String,
     /// Scores of the lifted features.
     lifted: OnceCell<Option<FieldScores>>,

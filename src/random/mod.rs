@@ -46,7 +46,7 @@ pub fn stream(seed: u64, purpose: Purpose, index: u64) -> ChaCha8Rng {
     rng
 }
 
-/// The one of `all` that `iteration` (from 0) takes: a fresh shuffle every epoch; 0 where there is none.
+/// The one of `all` that `iteration` (from 0) takes: a fresh shuffle every epoch; 0 if there is none.
 pub(crate) fn in_epochs(
     mut all: Vec<usize>,
     seed: u64,

@@ -72,7 +72,7 @@ impl Schedule {
         }
     }
 
-    /// Indices of the training views that judge the number of Gaussians: the held-back ones, or all where there are too few.
+    /// Indices of the training views that judge the number of Gaussians: the held-back ones, or all if there are too few.
     pub fn judges(&self) -> &[usize] {
         &self.judges
     }

@@ -138,7 +138,7 @@ mod tests {
 
     const VIEWS: usize = 2;
 
-    /// A scene of two views and the device, where there is one.
+    /// A scene of two views and the device, if any.
     fn scene() -> Option<(Scene, Device)> {
         let device = gpu_of_tests()?;
         let options = BuiltinOptions {

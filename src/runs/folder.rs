@@ -130,7 +130,7 @@ impl RunFolder {
         atomic::write_bytes(self.file(CONFIG), config.to_toml()?.as_bytes())
     }
 
-    /// Peak memory of the earlier part of the run, where there is one.
+    /// Peak memory of the earlier part of the run, if any.
     pub fn peak_memory_before(&self) -> Option<u64> {
         let text = std::fs::read(self.file(METRICS)).ok()?;
         let metrics: Metrics = serde_json::from_slice(&text).ok()?;
@@ -200,7 +200,7 @@ impl StartedRun {
     }
 }
 
-/// The identities beside the scene `scene` of `gaussians` Gaussians and `classes` classes, where there are some.
+/// The identities beside the scene `scene` of `gaussians` Gaussians and `classes` classes, if any.
 ///
 /// # Errors
 /// As [`Identities::read`]; [`crate::Error::Input`] for other numbers of Gaussians or classes.

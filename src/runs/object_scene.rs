@@ -84,7 +84,7 @@ pub fn check_output(
     }
     ensure!(has_table(&names, classes)? || own::check(&names).is_ok(),
         &names, "classes"; found "another class table"; expected "that of the scene's labels, or no file";
-        help "write into another folder, or add --force where there are no photos beside it");
+        help "write into another folder, or add --force if there are no photos beside it");
     ensure!(own::check(out).is_ok(), argument "--out"; found "{}, which this command did not write", out.display();
         expected "a new file, or one that this command wrote"; help "name another file, or write over it with --force");
     Ok(())

@@ -66,7 +66,7 @@ fn of_graphdeco(folder: &Path) -> Option<PathBuf> {
     Some(newest.1)
 }
 
-/// The class table in the file `table`, or the one beside the scene `scene`; empty where there is none.
+/// The class table in the file `table`, or the one beside the scene `scene`; empty if there is none.
 ///
 /// # Errors
 /// As [`Classes::read`].
@@ -109,7 +109,7 @@ pub fn read_scene(path: &Path) -> Result<PlyScene> {
 /// What `--cameras` names, or else the cameras beside the scene `scene` or in its model folder of graphdeco's 3DGS.
 ///
 /// # Errors
-/// [`Error::Argument`] where there are none.
+/// [`Error::Argument`] if there are none.
 pub fn cameras_path(cameras: Option<&Path>, scene: &Path) -> Result<PathBuf> {
     if let Some(path) = cameras {
         return Ok(path.to_owned());
@@ -187,7 +187,7 @@ pub fn frame_with_pixel<'a>(
     Ok(found)
 }
 
-/// The settings that rendered the run of the scene `scene`, see [`Config::rendering_of`]; defaults where there are none.
+/// The settings that rendered the run of the scene `scene`, see [`Config::rendering_of`]; defaults if there are none.
 /// Other programs have files called config.toml too: one that cannot be used is a warning, not an error.
 pub fn rendering_beside(scene: &Path) -> Config {
     let file = scene.with_file_name(CONFIG);

@@ -145,7 +145,7 @@ impl PointIndex {
         Ok((Neighbours { k, indices }, distances))
     }
 
-    /// Root mean square distance of each point to its `k` nearest other positions, or to all where there are fewer. `None` where
+    /// Root mean square distance of each point to its `k` nearest other positions, or to all if there are fewer. `None` where
     /// there is no other.
     pub fn rms_distances(&self, k: usize) -> Vec<Option<f64>> {
         let mut distances = vec![None; self.len()];

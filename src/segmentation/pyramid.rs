@@ -211,7 +211,7 @@ impl Dependencies {
 /// in far fewer steps. The paper does not mention this; `standardise = false` leaves the features as they are.
 #[derive(Clone, Debug)]
 pub struct Standardisation {
-    /// `[1, C]` mean and reciprocal spread of each level, then of the set below them; `None` where there are no features. The
+    /// `[1, C]` mean and reciprocal spread of each level, then of the set below them; `None` if there are no features. The
     /// reciprocal is 0 for channels that do not vary.
     channels: Vec<Option<[Tensor<2>; 2]>>,
 }
@@ -240,7 +240,7 @@ impl Standardisation {
     }
 }
 
-/// Mean and reciprocal spread of each channel, where there are any values.
+/// Mean and reciprocal spread of each channel, if there are values.
 fn mean_and_factor(features: &Tensor<2>) -> Option<[Tensor<2>; 2]> {
     if features.shape().num_elements() == 0 {
         return None;

@@ -40,7 +40,7 @@ struct Entry {
 }
 
 impl Index {
-    /// The index of `folder`; empty where there is none.
+    /// The index of `folder`; empty if there is none.
     ///
     /// # Errors
     /// [`crate::Error::Io`]; [`crate::Error::Input`] for an index that does not parse, and for a folder that holds other files.

@@ -241,16 +241,16 @@ pub struct Thumbnail {
     pub split: Split,
     /// The photo, undistorted; black where a mask leaves pixels out.
     pub photo: RgbImage,
-    /// Raw labels, where there are some; of the photo's size.
+    /// Raw labels, if any; of the photo's size.
     pub raw: Option<LabelMap>,
     /// Whether the ids of raw labels are segments of this view.
     pub are_segments: bool,
-    /// True labels, where there are some; of the photo's size.
+    /// True labels, if any; of the photo's size.
     pub truth: Option<LabelMap>,
 }
 
 /// At most `count` views, `width` pixels wide, and the class table for their labels. They are chosen evenly, among views with raw
-/// labels where there are any.
+/// labels if there are any.
 ///
 /// # Errors
 /// As [`crate::data::load`].

@@ -52,7 +52,7 @@ pub(crate) fn list_sound(dir: &Path, options: &LoadOptions) -> Result<Listing> {
     Problems::first_of(|problems| list(dir, options, problems))
 }
 
-/// The number of `frames` and the first few names; `None` where there are none.
+/// The number of `frames` and the first few names; `None` if there are none.
 fn listed<'a>(frames: impl Iterator<Item = &'a Frame>) -> Option<(usize, String)> {
     let names: Vec<&str> = frames.map(|frame| &*frame.name).collect();
     (!names.is_empty()).then(|| (names.len(), first_names(&names)))

@@ -54,7 +54,7 @@ pub(super) fn find(dir: &Path, options: &LoadOptions) -> Result<Option<Layout>> 
     Ok(layout)
 }
 
-/// The one layout whose files lie in `dir`; `None` where there are no such files.
+/// The one layout whose files lie in `dir`; `None` if there are no such files.
 fn detect(dir: &Path, options: &LoadOptions) -> Result<Option<Layout>> {
     let found = markers(dir, options);
     let is_named = options.transforms != LoadOptions::default().transforms;
@@ -109,7 +109,7 @@ fn unread_transforms(dir: &Path, options: &LoadOptions, layout: Layout) -> Optio
     let other = options.layout == Layout::Auto && layout != Layout::Transforms;
     let file = transforms::marker(dir, options).filter(|_| other)?;
     Some(format!(
-        "{file} is not read: the folder is of layout {layout}; data.layout=transforms reads it instead"
+        "{file} is not read: the folder has the layout {layout}; data.layout=transforms reads it instead"
     ))
 }
 

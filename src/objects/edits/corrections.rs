@@ -186,7 +186,7 @@ impl Corrections {
         file.save(path)
     }
 
-    /// Reads what [`Self::write`] wrote; `None` where there is no such file.
+    /// Reads what [`Self::write`] wrote; `None` if there is no such file.
     ///
     /// # Errors
     /// As [`Checkpoint::load`] and [`Checkpoint::take`]; [`crate::Error::Input`] for a label that is not a class.

@@ -107,7 +107,7 @@ impl<'a> HeldOut<'a> {
         }
     }
 
-    /// Against true labels, where there are any.
+    /// Against true labels, if any.
     fn labels(&self, found: &[(&View, LabelRuns)], void: Void) -> LabelScores {
         let classes = &self.inputs.scene.classes;
         let pairs = || {

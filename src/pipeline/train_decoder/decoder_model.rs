@@ -209,7 +209,7 @@ impl<'a> DecoderModel<'a> {
     }
 }
 
-/// The decoder's input for `part` of `pyramid`, its channels multiplied by `factors` where there are any.
+/// The decoder's input for `part` of `pyramid`, its channels multiplied by `factors` if there are any.
 fn part_of(pyramid: &Pyramid, part: &Part, factors: &ChannelFactors) -> Pyramid {
     pyramid.part(&part.rows).scaled(factors)
 }

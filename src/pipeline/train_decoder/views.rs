@@ -284,7 +284,7 @@ impl<'a> TrainingViews<'a> {
     }
 }
 
-/// The class of each pixel of a view whose label a person corrected, [`NO_CLASS`] for the others; empty where there are none.
+/// The class of each pixel of a view whose label a person corrected, [`NO_CLASS`] for the others; empty if there are none.
 struct CorrectedPixels(Vec<u16>);
 
 impl CorrectedPixels {

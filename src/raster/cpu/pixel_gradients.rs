@@ -23,7 +23,7 @@ pub struct PixelGradients<'a, E> {
     pub transmittance: &'a [E],
     /// Gradient of the image, `[H, W, C]`.
     pub d_image: &'a [E],
-    /// Gradient of the transmittance, `[H, W]`, where there is one.
+    /// Gradient of the transmittance, `[H, W]`, if any.
     pub d_transmittance: Option<&'a [E]>,
 }
 

@@ -80,7 +80,7 @@ impl GaussianLabels {
 }
 
 impl SplatView {
-    /// At each pixel the label that weighs most, and the colour where there are `colours` `[N, 3]`.
+    /// At each pixel the label that weighs most, and the colour if there are `colours` `[N, 3]`.
     ///
     /// # Errors
     /// As [`SplatView::blend`].

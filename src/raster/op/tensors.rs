@@ -88,7 +88,7 @@ impl RasterCall {
         [self.camera.width, self.camera.height]
     }
 
-    /// The SH degree in use, where there are SH.
+    /// The SH degree in use, if there are SH.
     #[cfg(feature = "cube")]
     pub(super) fn shown_degree(&self) -> Option<usize> {
         self.has_sh.then_some(self.active_sh_degree)

@@ -31,7 +31,7 @@ pub struct Camera {
     pub height: usize,
 }
 
-/// The mean of camera centres, and the largest distance from it; zeros where there are none.
+/// The mean of camera centres, and the largest distance from it; zeros if there are none.
 pub(crate) fn spread(centers: impl Iterator<Item = DVec3> + Clone) -> (DVec3, f64) {
     let count = centers.clone().count().max(1);
     let mean = centers.clone().sum::<DVec3>() / count as f64;

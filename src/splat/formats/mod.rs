@@ -153,7 +153,7 @@ fn check_positions(gaussians: &Gaussians, positions: &[DVec3]) -> Result<()> {
     Ok(())
 }
 
-/// The labels beside the scene `path`, which has `rows` Gaussians; `None` where there is no such file.
+/// The labels beside the scene `path`, which has `rows` Gaussians; `None` if there is no such file.
 fn labels_beside(path: &Path, rows: usize) -> Result<Option<Vec<u16>>> {
     let beside = label_path(path);
     if !beside.is_file() {

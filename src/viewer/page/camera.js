@@ -69,7 +69,7 @@ class Camera {
     this.turn(this.right, Math.max(least, Math.min(most, rise)), pivot);
   }
 
-  /** Takes the roll out, where there is a horizon. */
+  /** Takes the roll out, if there is a horizon. */
   level(up) {
     const right = cross(this.forward, up);
     if (Math.hypot(...right) < 0.05) return;

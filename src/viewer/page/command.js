@@ -11,7 +11,7 @@ function digitsOf({ low, high }) {
 
 const rounded = (value, digits) => String(Number(value.toFixed(digits)));
 
-/** The command line; nothing where there is nothing to write. */
+/** The command line; nothing if there is nothing to write. */
 function editCommand(scene, edits) {
   if (!edits.operations.length) return "";
   const folder = `${scene.title.replace(/[^\p{L}\p{N}_.-]+/gu, "-").replace(/^[-.]+/, "")}-edited`;

@@ -47,7 +47,7 @@ class Editor {
     this.later = [];
   }
 
-  /** Selects what was selected last in `from`; `to` gets what is selected now. False where there is nothing. */
+  /** Selects what was selected last in `from`; `to` gets what is selected now. False if there is nothing. */
   pickFrom(from, to) {
     const picked = from.pop();
     if (!picked) return false;

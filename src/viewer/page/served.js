@@ -12,7 +12,7 @@ const fetched = async (name) => new Columns(await (await answered(name)).arrayBu
 /** Operations of the file of edits as `saved`, and how often it was saved as `saves`. */
 const savedEdits = async () => (await answered("edits")).json();
 
-/** Has the server write the text of edits; why it has not, if so. Throws where there is no server any more. */
+/** Has the server write the text of edits; why it has not, if so. Throws if there is no server any more. */
 async function saveEdits(scene, text) {
   const answer = await fetch(`edits/${scene.saves}`, { method: "POST", body: text });
   const said = await answer.text();

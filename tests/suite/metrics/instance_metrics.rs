@@ -10,7 +10,7 @@ fn runs(of: &[(u16, usize)]) -> Vec<u16> {
 ///
 /// Object 5 has 8 pixels of the first and 2 without truth: IoU 8 / (10 + 10 - 8 - 2) = 0.8. Object 6 has 4 of the second
 /// and 3 without truth: 4 / (10 + 7 - 4 - 3) = 0.4, no match and a false positive. Object 7 lies by 5 of its 6 pixels
-/// where there is no truth: no false positive.
+/// if there is no truth: no false positive.
 fn case() -> [Vec<u16>; 2] {
     let truth = runs(&[(1, 10), (2, 10), (0, 10)]);
     [

@@ -178,7 +178,7 @@ fn a_mask_of_another_size_is_refused() {
     crate::support::assert_names(&error, &["a mask of 71x97", "97x71"]);
 }
 
-/// The CPU, and a GPU where there is one.
+/// The CPU, and a GPU, if any.
 fn devices() -> Vec<burn::tensor::Device> {
     #[cfg(feature = "wgpu")]
     return crate::support::gpu()

@@ -154,7 +154,7 @@ impl Block {
     /// The folder of the whole scene that this block, which lies in the folder `dir`, belongs to.
     ///
     /// # Errors
-    /// [`Error::Missing`] where there is none; [`Error::Input`] for one that is a block itself.
+    /// [`Error::Missing`] if there is none; [`Error::Input`] for one that is a block itself.
     pub fn scene_folder(&self, dir: &Path) -> Result<PathBuf> {
         let scene = dir.join(&self.scene);
         if !scene.is_dir() {

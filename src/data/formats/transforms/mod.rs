@@ -4,7 +4,7 @@
 //!
 //! +z is up when the file's `convention` says `world z up`, else the cameras tell ([`crate::splat::camera::level_up`]). `split` of the
 //! frames is `train`, `test` or `val` (also `validation`, `eval`); nerfstudio's lists (`train_filenames`, ..) may give it instead.
-//! Validation frames are held out where there are no test frames, else left out. Without a split in the file every 8th frame from the
+//! Validation frames are held out if there are no test frames, else left out. Without a split in the file every 8th frame from the
 //! first on is test. Blender's files, one for each split, are read together. `ply_file_path` names the initial cloud. Frames may lack
 //! labels; where they have some, `classes.json` must be there.
 

@@ -21,7 +21,7 @@ pub(super) fn all(count: usize, split: Option<Split>) -> Splits {
 }
 
 impl Transforms {
-    /// The split of each frame. Validation frames are held out where there are no test frames, else left out.
+    /// The split of each frame. Validation frames are held out if there are no test frames, else left out.
     pub fn splits(&self, notices: &mut Vec<String>, problems: &mut Problems) -> Splits {
         let uses = if self.frames.iter().any(|f| f.split.is_some()) {
             self.uses_by_frame(problems)

@@ -37,7 +37,7 @@ struct Annotation {
     image_id: u64,
     category_id: u64,
     segmentation: Option<Segmentation>,
-    /// Left, top, width and height; read where there is no segmentation.
+    /// Left, top, width and height; read if there is no segmentation.
     #[serde(default)]
     bbox: Value,
 }

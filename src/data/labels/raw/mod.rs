@@ -106,7 +106,7 @@ impl Vocabulary {
             let listed: Vec<_> = names.iter().take(5).map(|(_, name)| *name).collect();
             bail!(file, "categories"; found "{} ..", listed.join(", ");
                 expected "names of the class table, such as {}", classes.entries[0].name;
-                help "rename the classes of classes.json, or remove it where there are no true labels");
+                help "rename the classes of classes.json, or remove it if there are no true labels");
         }
         let others = names.iter().zip(&ids).filter(|(_, id)| id.is_none());
         let others: Vec<&str> = others.map(|((_, name), _)| *name).collect();
@@ -180,7 +180,7 @@ fn folder(dir: &Path, options: &LoadOptions, map: &Path) -> PathBuf {
 }
 
 impl RawLabels {
-    /// Grey maps of class ids; also where there are no raw labels.
+    /// Grey maps of class ids; also if there are no raw labels.
     pub fn grey() -> Self {
         Self {
             source: Source::Grey,
