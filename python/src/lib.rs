@@ -6,6 +6,7 @@ mod camera;
 mod objects;
 mod photos;
 mod progress;
+mod renderer;
 mod scene;
 mod training;
 mod view;

@@ -4,14 +4,14 @@ use crate::arrays::view;
 use crate::camera::{Camera, CameraArgument};
 use crate::objects::{Objects, moves, turns};
 use crate::raised;
+use crate::renderer::{LastRenderer, Look};
 use crate::view::View;
-use coseg::backend::device::{self, BackendName};
 use coseg::data::formats::transforms;
 use coseg::data::{Classes, NamedCamera, read_cameras};
 use coseg::error::{Result, ensure, invalid};
 use coseg::features::FeatureColors;
 use coseg::files::own;
-use coseg::objects::{Edited, Editing, Edits, Identities, RenderOptions, Renderer};
+use coseg::objects::{Edited, Editing, Edits, Identities};
 use coseg::runs::{self, CAMERAS, FEATURE_COLORS, ObjectEdits, ObjectScene};
 use coseg::splat::ply::PlyScene;
 use ndarray::{ArrayView2, ArrayView3, arr1, aview1, aview2};
@@ -20,7 +20,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::OnceLock;
 
 /// Gaussians with labels.
 #[pyclass(frozen, module = "coseg")]
@@ -37,8 +37,7 @@ pub struct Scene {
     pub features: Option<Features>,
     /// Read when they are needed, unless they came with the scene.
     cameras: OnceLock<Vec<NamedCamera>>,
-    /// What rendered the last view.
-    renderer: Mutex<Option<(Look, Renderer)>>,
+    renderer: LastRenderer,
 }
 
 /// Lifted image features.
@@ -46,14 +45,6 @@ pub struct Features {
     /// Of each scale, `[N, dimensions]`.
     pub scales: Vec<Vec<f32>>,
     pub dimensions: usize,
-}
-
-/// How a view is rendered, where not as the run was.
-#[derive(Clone, Copy, PartialEq)]
-struct Look {
-    backend: Option<BackendName>,
-    alpha_max: Option<f64>,
-    background: Option<[f32; 3]>,
 }
 
 impl Scene {
@@ -87,7 +78,7 @@ impl Scene {
             feature_colors: None,
             features: None,
             cameras: OnceLock::new(),
-            renderer: Mutex::new(None),
+            renderer: LastRenderer::default(),
         }
     }
 
@@ -107,36 +98,6 @@ impl Scene {
         let path = runs::cameras_path(None, &self.source)?;
         let frames = read_cameras(&path, None)?;
         Ok(self.cameras.get_or_init(|| frames))
-    }
-
-    /// Renders `camera` by a renderer that is kept for the next view.
-    fn rendered(
-        &self,
-        camera: &coseg::splat::camera::Camera,
-        depth: bool,
-        look: Look,
-    ) -> Result<View> {
-        let mut last = self.renderer.lock().unwrap_or_else(PoisonError::into_inner);
-        let (_, renderer) = match last.take().filter(|(of, _)| *of == look) {
-            Some(fitting) => last.insert(fitting),
-            None => last.insert((look, self.renderer(look)?)),
-        };
-        let camera = camera.moved(-self.ply.origin);
-        let frame = renderer.frame(&camera)?;
-        let depth = depth.then(|| renderer.depth(&camera)).transpose()?;
-        Ok(View { frame, depth })
-    }
-
-    fn renderer(&self, look: Look) -> Result<Renderer> {
-        let mut config = runs::rendering_beside(&self.source);
-        let raster = &mut config.raster;
-        raster.alpha_max = look.alpha_max.unwrap_or(raster.alpha_max);
-        raster.background = look.background.unwrap_or(raster.background);
-        config.validate()?;
-        let device = device::open(look.backend)?;
-        let gaussians = self.ply.gaussians.clone();
-        let labels = self.ply.labels.clone();
-        Renderer::new(gaussians, labels, RenderOptions::from(&config), &device)
     }
 
     /// The scene after `edits` or, if there are none, after `objects`.
@@ -355,8 +316,11 @@ impl Scene {
             alpha_max,
             background,
         };
-        py.detach(|| self.rendered(&camera, depth, look))
-            .map_err(raised)
+        let render = || {
+            self.renderer
+                .render(&self.source, &self.ply, &camera, depth, look)
+        };
+        py.detach(render).map_err(raised)
     }
 
     #[pyo3(signature = (*, keep=None, remove=None, turn=None, r#move=None, edits=None))]
