@@ -31,7 +31,7 @@ pub struct DecoderConfig {
     pub top: usize,
     /// Classes.
     pub classes: usize,
-    /// Whether LayerNorm follows each linear map.
+    /// Whether LayerNorm follows each linear map, as where the example `pretrain_encoder` trains the point encoder.
     #[config(default = false)]
     pub layer_norm: bool,
     /// Seed of the initial weights.
