@@ -267,7 +267,7 @@ fn mistakes_about_objects_say_what_there_is() {
         1,
     );
     assert!(
-        onto.contains("--out") && onto.contains("another file"),
+        onto.contains("--out") && onto.contains("a file other than the scene"),
         "{onto}"
     );
     for taken in [

@@ -144,7 +144,7 @@ fn a_command_writes_over_its_own_output_and_over_others_by_force() {
     // The scene itself, and never the classes of a folder with photos.
     let message = refused(&separate(&out, "0.9", &[]));
     assert!(
-        message.contains("another file") && message.contains("--force"),
+        message.contains("a file other than the scene") && message.contains("--force"),
         "{message}"
     );
     run(&separate(&out, "0.9", &["--force"]));

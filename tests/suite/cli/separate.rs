@@ -70,7 +70,10 @@ fn the_command_writes_objects_that_edit_knows() {
         "wall",
     ]);
     assert!(whole.contains("2 labels, 2 before"), "{whole}");
-    for (out, expected) in [(&scene, "another file"), (&path("wall/s.obj"), ".ply")] {
+    for (out, expected) in [
+        (&scene, "a file other than the scene"),
+        (&path("wall/s.obj"), ".ply"),
+    ] {
         let message = fails(
             &["separate", "--scene", utf8(&scene), "--out", utf8(out)],
             1,
