@@ -116,7 +116,7 @@ impl Photos {
         photo.exif.filter(|_| self.turns)
     }
 
-    /// The file of `photo` without EXIF orientation. One that has none is as it was.
+    /// The file of `photo` without EXIF orientation. A file that has none is returned unchanged.
     ///
     /// # Errors
     /// [`Error::Input`] for a photo that cannot be read; [`Error::Io`].

@@ -140,7 +140,7 @@ impl Solver {
         let models = names(&sparse, |_, path| path.is_dir());
         ensure!(!models.is_empty(), folders.images, "poses"; found "none of {photos} photos placed by {self}";
             expected "photos that show the same things";
-            help "take sharp photos of a place with texture, each of which shares two thirds with the one before");
+            help "take sharp photos of a place with texture, so that each photo shares two thirds with the one before");
         for model in &models {
             for name in names(&sparse.join(model), |_, path| path.is_file()) {
                 let bytes = files::read(&sparse.join(model).join(&name))?;

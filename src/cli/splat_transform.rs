@@ -13,7 +13,7 @@ use std::path::Path;
 use std::process::Command;
 
 const PROGRAM: &str = "splat-transform";
-/// What it says where it finds no GPU, in lower case: an adapter is missing, or making a device without one fails.
+/// What it says where it finds no GPU, in lower case: an adapter is missing, or a device cannot be made without one.
 const WITHOUT_GPU: [&str; 2] = ["adapter", "webgpugraphicsdevice"];
 
 /// Its calls by one command.

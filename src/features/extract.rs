@@ -140,7 +140,7 @@ struct FirstPass {
     digests: Vec<String>,
 }
 
-/// Extracts the maps of the training views `train`, which have their numbers of all ranks.
+/// Extracts the maps of the training views `train`, each with its number among the views of all ranks.
 fn first_pass(
     extractor: &Extractor,
     config: &FeatureConfig,

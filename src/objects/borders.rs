@@ -138,7 +138,7 @@ fn present_sets(
     present
 }
 
-/// The id of the next entry: from 1 on, without the one of unlabelled pixels. There are fewer than u16 has.
+/// The id of the next entry: ids count from 1 and leave out that of unlabelled pixels. There are fewer entries than u16 has values.
 fn next_id(classes: &Classes) -> u16 {
     let next = 1 + classes.len() as u16;
     let skips = classes.ignore != 0 && next >= classes.ignore;

@@ -40,8 +40,8 @@ pub(super) fn apply(
     Ok(())
 }
 
-/// Stores `corrections` in the run folder `out`, in which stage two then begins anew. Empty ones are removed. Storing the same
-/// ones again changes nothing.
+/// Stores `corrections` in the run folder `out`, in which stage two then begins anew. If `corrections` are empty, stored ones are
+/// removed. Storing the same ones again changes nothing.
 ///
 /// # Errors
 /// [`crate::Error::Io`].

@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Copy, PartialEq)]
 struct Version {
     trajectory: &'static str,
-    /// Folder of photos and prefix of their numbers; the same of depth images.
+    /// Folder of photos and prefix of their numbers; below, the same for depth images.
     photos: [&'static str; 2],
     depth: [&'static str; 2],
     /// Folder of true labels.
@@ -112,7 +112,7 @@ fn notice_of_unseen(version: Version, poses: usize, photos: &Numbered) -> Vec<St
     if unseen > 0 { vec![notice] } else { Vec::new() }
 }
 
-/// The camera of photo `number`. `rows` are those of the trajectory at `path`, with their lines.
+/// The camera of photo `number`. `rows` are those of the trajectory at `path`, with their line numbers.
 fn camera(
     path: &Path,
     rows: &[(usize, &str)],

@@ -1,8 +1,8 @@
 //! Backward pass over the tiles: the kernel.
 //!
 //! A cube loads [`LOADED`] Gaussians of its tile at a time and takes [`BATCH`] of them together. First every unit is a pixel: it
-//! blends them once more, front to back, and leaves `alpha' T` and `g = dL/dalpha' alpha'` in shared memory. Then the units share
-//! the Gaussians among them and sum over all pixels; their sums meet in shared memory again. The sums of a tile entry go to its own
+//! blends them once more, front to back, and leaves `alpha' T` and `g = dL/dalpha' alpha'` in shared memory. Then [`LANES`]
+//! units share each Gaussian and sum over all pixels; their sums meet in shared memory again. The sums of a tile entry go to its own
 //! row. The rows of a Gaussian are neighbours, and a second kernel adds them. So there are no float atomics, and the bits are the
 //! same every time. Everything is linear in the gradient of the image, so that channels come in blocks, and the moments of the
 //! blocks add up.

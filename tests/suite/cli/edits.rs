@@ -186,7 +186,7 @@ fn an_output_holds_nothing_of_the_scene_that_it_replaces() {
     edit(&bare);
     assert_eq!(beside(), [false; 2], "names and cameras of another scene");
     edit(&named);
-    // What a person put there stays, and is no reason to use it.
+    // What a person put there stays; the class table that the program wrote is removed.
     std::fs::write(out.join("cameras.json"), "[ ]").unwrap();
     edit(&bare);
     assert_eq!(beside(), [false, true]);

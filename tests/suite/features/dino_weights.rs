@@ -156,7 +156,7 @@ fn unusable_weights_are_named() {
     with("blocks.0.mlp.fc2.weight", &[64, 9], &["[64, 9]", "[64, 8]"]);
     with("blocks.0.ls1.gamma", &[64], &["this tensor"]);
     with("register_tokens", &[1, 4, 64], &["registers"]);
-    // What is not a number of a block is named; of a gap the tensor that is missing.
+    // A block whose number cannot be read is named; for a gap, the tensor that is missing.
     for (name, word) in [
         ("blocks.x.norm1.weight", "blocks.x"),
         ("blocks.123456789.norm1.weight", "blocks.123456789"),

@@ -281,8 +281,8 @@ mod on_gpu {
     use crate::support::device_tensors::on_device;
     use coseg::objects::Frame;
 
-    /// A pixel may differ where a Gaussian is at a cut-off (1 / 255 at most) apart from rounding, a label where two weigh the
-    /// same.
+    /// Apart from rounding, a pixel may differ where a Gaussian is at a cut-off (by 1 / 255 at most), and a label where two weigh
+    /// the same.
     fn assert_alike(got: &Frame, want: &Frame, what: &str) {
         for (got, want) in [(&got.rgb, &want.rgb), (&got.alpha, &want.alpha)] {
             let differ = got

@@ -80,7 +80,7 @@ fn bad_input_is_an_error() {
         apply(all, &balls(&lone), &vec![2; lone.len()]),
         Error::Limit { .. }
     ));
-    // Scales beyond f32's powers are not bodies, and no fault.
+    // A Gaussian whose scale overflows f32 has no body, and is not an error.
     let mut huge = gaussians;
     huge.log_scales[0] = [1e4; 3];
     assert_eq!(separated(&huge, &[2; 3]).labels, [2; 3]);

@@ -252,7 +252,7 @@ fn other_data_is_told_by_the_setting_that_made_it_so() {
         &out,
         ["data.raw_labels", "\"other\"", "\"\"", row],
     );
-    // Another setting that gives the same data is not an obstacle; nor is what says nothing of it.
+    // Another setting that gives the same data is not an obstacle; nor is a setting that has no effect on the data.
     let other = with(&|c| {
         c.data.raw_labels = "same".into();
         c.data.decoded_mb = 0;
