@@ -78,6 +78,7 @@ fn settings(plan: &Plan, scene: &SceneFolder, file: Option<&Path>) -> Result<Con
 #[derive(Serialize, Deserialize)]
 struct Record {
     /// The file that they were taken from; absent where they were trained.
+    // Tables of earlier commits are continued.
     #[serde(rename = "given")]
     initial_scene: Option<PathBuf>,
     commit: String,

@@ -5,12 +5,11 @@
 
 pub use super::formats::block::{BLOCK, Block, Grid, Reading, Region, block_name};
 
-use super::formats::block::{MAX_POINTS, VERSION, nearest};
+use super::formats::block::{PointSample, nearest};
 use crate::data::formats::folder::Problems;
 use crate::data::formats::frame::Frame;
 use crate::data::formats::layout;
 use crate::data::formats::listing::Listing;
-use crate::data::options::evenly;
 use crate::data::{LoadOptions, Points, Split};
 use crate::error::{Result, ensure};
 use crate::files;
@@ -66,16 +65,11 @@ pub fn split(dir: &Path, options: &LoadOptions, counts: [usize; 2]) -> Result<Ve
         let mut start = points.clone();
         let shown: Vec<_> = members.iter().map(|&i| &frames[i]).collect();
         grid.extended(index).thin(&mut start, &shown, origin);
+        let mut block = Block::new(scene.clone(), reading.clone(), grid.clone(), index);
+        block.train = names(Split::Train);
+        block.test = names(Split::Test);
         PlannedBlock {
-            block: Block {
-                version: VERSION,
-                scene: scene.clone(),
-                reading: reading.clone(),
-                grid: grid.clone(),
-                index,
-                train: names(Split::Train),
-                test: names(Split::Test),
-            },
+            block,
             points: start.len(),
         }
     });
@@ -84,9 +78,7 @@ pub fn split(dir: &Path, options: &LoadOptions, counts: [usize; 2]) -> Result<Ve
 
 /// For each block of the grid the frames that belong to it, by number.
 fn members(listing: &Listing, points: &Points, origin: DVec3, grid: &Grid) -> Vec<Vec<usize>> {
-    let chosen = evenly(points.len(), MAX_POINTS).into_iter();
-    let world = |i: usize| DVec3::from(points.positions[i].map(f64::from)) + origin;
-    let places: Vec<DVec3> = chosen.map(world).collect();
+    let places = PointSample::new(points, origin).positions;
     let cells: Vec<[usize; 2]> = places.iter().map(|place| grid.cell(*place)).collect();
     let regions: Vec<_> = grid.indices().map(|index| grid.extended(index)).collect();
     let blocks_of = |frame: &Frame| -> Vec<bool> {

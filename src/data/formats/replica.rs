@@ -68,7 +68,7 @@ pub(crate) fn list(scene: Folder<'_>, problems: &mut Problems) -> Result<Listing
     let text = files::text(&path)?;
     let rows = (1..).zip(text.lines().map(str::trim));
     let rows: Vec<(usize, &str)> = rows.filter(|(_, row)| !row.is_empty()).collect();
-    let mut notices = notice_of_unseen(version, rows.len(), &photos);
+    let mut notices = Vec::from_iter(notice_of_unseen(version, rows.len(), &photos));
     let photos: Vec<(usize, PathBuf)> = photos.into_iter().collect();
     let kept = options.pick(&vec![None; photos.len()]);
     let Some(&(first, _)) = kept.first() else {
@@ -92,9 +92,12 @@ pub(crate) fn list(scene: Folder<'_>, problems: &mut Problems) -> Result<Listing
             frames.push(Frame { truth, ..frame });
         }
     }
-    let [folder, depth_prefix] = version.depth;
+    let [depth_folder, depth_prefix] = version.depth;
     let cloud = sequence::cloud(dir, &frames, scale, |name| {
-        format!("{folder}/{}.png", name.replacen(prefix, depth_prefix, 1))
+        format!(
+            "{depth_folder}/{}.png",
+            name.replacen(prefix, depth_prefix, 1)
+        )
     });
     let classes = Classes::from_names(0, (1..).zip(CLASSES.lines()));
     Ok(Listing {
@@ -105,11 +108,11 @@ pub(crate) fn list(scene: Folder<'_>, problems: &mut Problems) -> Result<Listing
 }
 
 /// Poses without a photo, counted.
-fn notice_of_unseen(version: Version, poses: usize, photos: &Numbered) -> Vec<String> {
+fn notice_of_unseen(version: Version, poses: usize, photos: &Numbered) -> Option<String> {
     let unseen = poses - photos.range(..poses).count();
     let [trajectory, folder] = [version.trajectory, version.photos[0]];
-    let notice = format!("{unseen} of {poses} poses in {trajectory} have no photo in {folder}");
-    if unseen > 0 { vec![notice] } else { Vec::new() }
+    let notice = || format!("{unseen} of {poses} poses in {trajectory} have no photo in {folder}");
+    (unseen > 0).then(notice)
 }
 
 /// The camera of photo `number`. `rows` are those of the trajectory at `path`, with their line numbers.

@@ -60,7 +60,7 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
             expected "photos with poses"; help "export the .sens file of the scan, photos and poses");
     };
     let intrinsics = read_intrinsics(dir, &posed[first].image)?;
-    let frames = frames(folder, &posed, &kept, &intrinsics, problems)?;
+    let frames = list_frames(folder, &posed, &kept, &intrinsics, problems)?;
     let own_classes = dir.join("classes.json").is_file();
     let requires_table = !own_classes && frames.iter().any(|frame| frame.truth.is_some());
     let table = requires_table.then(|| label_table(dir, options));
@@ -105,7 +105,7 @@ fn posed_photos(dir: &Path, photos: Numbered, problems: &mut Problems) -> Vec<Po
 }
 
 /// The frames of the photos that were picked, as `kept`; those whose pose is no rotation are reported.
-fn frames(
+fn list_frames(
     folder: Folder<'_>,
     posed: &[PosedPhoto],
     kept: &[(usize, Split)],

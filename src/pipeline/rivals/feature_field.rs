@@ -6,7 +6,7 @@ use super::super::train_decoder::{
     Adam, DecodedScores, IdentityModel, TrainingViews, ViewSample, identities, parameter_gradients,
     view_at,
 };
-use super::first_parameters;
+use super::initial_parameters;
 use crate::backend::device::upload;
 use crate::data::{Split, View};
 use crate::error::Result;
@@ -39,11 +39,11 @@ pub struct FeatureField {
 }
 
 impl FeatureField {
-    /// Random first parameters, on an autodiff `device`.
+    /// Random initial parameters, on an autodiff `device`.
     fn random(inputs: &SegmentationInputs, device: &Device) -> Self {
         let count = inputs.gaussians.len();
         let channels = SCALES * inputs.config.features.dimensions;
-        let mut rng = first_parameters(inputs);
+        let mut rng = initial_parameters(inputs);
         let features = uniform(count * CHANNELS, INITIAL_RANGE, &mut rng);
         Self {
             features: parameter(features, [count, CHANNELS], device),
@@ -156,12 +156,12 @@ fn train(
         let mut loss = 0.0;
         if !sample.pixels.is_empty() {
             let (view, maps) = &targets[view];
-            let target = target(&sample, view, maps, inputs);
+            let target = target_at(&sample, view, maps, inputs);
             let decoded = field.at(&sample.visible, &sample.pixels)?;
-            let difference = (decoded - constant(target, device)).abs().mean();
-            let gradient = parameter_gradients(&field, &mut difference.backward());
+            let mean_difference = (decoded - constant(target, device)).abs().mean();
+            let gradient = parameter_gradients(&field, &mut mean_difference.backward());
             let named = [("the parameters", &gradient)];
-            let value = finite_loss("segmentation loss", difference.inner(), &named)?;
+            let value = finite_loss("segmentation loss", mean_difference.inner(), &named)?;
             loss = f64::from(value);
             field = adam.step(field, gradient, 1.0);
         }
@@ -177,7 +177,7 @@ fn train(
 }
 
 /// The maps of all scales at the pixels of `sample`, `[P, 4 dimensions]`.
-fn target(
+fn target_at(
     sample: &ViewSample,
     view: &View,
     maps: &ViewFeatures,
@@ -210,7 +210,7 @@ impl LinearHead {
     /// Random weights, on an autodiff `device`.
     pub fn random(inputs: &SegmentationInputs, device: &Device) -> Linear {
         let classes = inputs.scene.classes.len();
-        linear(CHANNELS, classes, &mut first_parameters(inputs), device)
+        linear(CHANNELS, classes, &mut initial_parameters(inputs), device)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::super::segmentation_inputs::SegmentationInputs;
 use super::super::train_decoder::{DecodedScores, IdentityModel, identities};
-use super::first_parameters;
+use super::initial_parameters;
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::select;
@@ -35,7 +35,7 @@ impl Codes {
     pub fn random(inputs: &SegmentationInputs, device: &Device) -> Self {
         let count = inputs.gaussians.len();
         let classes = inputs.scene.classes.len();
-        let mut rng = first_parameters(inputs);
+        let mut rng = initial_parameters(inputs);
         let codes = uniform(count * CODE_CHANNELS, INITIAL_RANGE, &mut rng);
         Self {
             codes: parameter(codes, [count, CODE_CHANNELS], device),

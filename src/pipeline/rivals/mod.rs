@@ -14,6 +14,6 @@ use crate::random::{Purpose, stream};
 use rand_chacha::ChaCha8Rng;
 
 /// The random numbers of initial parameters.
-fn first_parameters(inputs: &SegmentationInputs) -> ChaCha8Rng {
+fn initial_parameters(inputs: &SegmentationInputs) -> ChaCha8Rng {
     stream(inputs.config.seed, Purpose::RivalParameters, 0)
 }

@@ -14,9 +14,9 @@ use std::sync::Arc;
 
 /// Renders `input` seen by `camera` (Eq. 1-4), with gradients to every input.
 ///
-/// `background` is added to the colour channels as `T b`, and gradients flow through it. Gradients of the transmittance itself
-/// cost a second backward pass: the losses of image and transmittance are differentiated one by one, also in the sums of
-/// absolute values. The SH gradient includes the path of the viewing direction to the means.
+/// `background` is added to the colour channels as `T b`, and gradients flow through it. A loss on the transmittance itself costs a
+/// second backward pass. The sums of absolute values of both are then `sum |dI| + sum |dT|` over the pixels, not `sum |dI + dT|`. The
+/// SH gradient includes the path of the viewing direction to the means.
 ///
 /// # Errors
 /// [`Error::Argument`](crate::Error::Argument) for shapes or float types that disagree, neither `sh` nor `features`, or an SH

@@ -1,8 +1,8 @@
 //! Files of Gaussians, and files of labels beside them.
 //!
-//! 3DGS PLY is exact and holds labels. Compressed PLY, SPZ and SOG round the values and reorder the rows; beside a file `NAME` of
-//! theirs, `NAME.labels.json` holds the labels: `{"sha256": .., "labels": [..]}` has the SHA-256 of `NAME` and one class id for each
-//! of its rows.
+//! 3DGS PLY keeps all values, positions rounded to float where they bear it, and holds labels. Compressed PLY, SPZ and SOG round the
+//! values and reorder the rows; beside a file `NAME` of theirs, `NAME.labels.json` holds the labels: `{"sha256": .., "labels": [..]}`
+//! has the SHA-256 of `NAME` and one class id for each of its rows.
 
 mod antimatter15;
 mod compressed_ply;

@@ -144,8 +144,9 @@ fn the_operation_equals_the_slices() {
         };
         let of_transmittance = Loss {
             image: zeros(&both.image),
-            transmittance: both.transmittance,
+            transmittance: both.transmittance.clone(),
         };
+        let mut apart = Vec::new();
         for (loss, on_image) in [(of_image, true), (of_transmittance, false)] {
             let want = gradients(&c, &values, features, &camera, &Settings::default(), &loss);
             let input = leaves.tensors(&device);
@@ -178,7 +179,21 @@ fn the_operation_equals_the_slices() {
             assert_eq!(grad!(input.opacity_logits), want.opacity_logits);
             assert_eq!(grad!(input.features.expect("given")), want.values);
             assert_eq!(grad!(input.screen.expect("given")), want.screen);
+            apart.push(want.means);
         }
+        // The gradient of a loss on both is the sum of the two.
+        let input = leaves.tensors(&device);
+        let out = rasterize(input.clone(), &camera, &Settings::default(), [0.5; 3]).expect("valid");
+        let weights = TensorData::new(both.image, [camera.height, camera.width, features]);
+        let image = out.image * Tensor::<3>::from_data(weights, (&device, DType::F64));
+        let weights = TensorData::new(both.transmittance, [camera.height, camera.width]);
+        let t = out.transmittance * Tensor::<2>::from_data(weights, (&device, DType::F64));
+        let grads = (image.sum() + t.sum()).backward();
+        let sum = apart[0].iter().zip(&apart[1]).map(|(a, b)| a + b);
+        assert_eq!(
+            values_of(input.means.grad(&grads).expect("tracked")),
+            sum.collect::<Vec<f64>>()
+        );
     }
 }
 

@@ -12,14 +12,14 @@ use std::path::{Component, Path, PathBuf};
 /// The name of the file in the folder of a block.
 pub const BLOCK: &str = "block.json";
 /// The version of the file.
-pub(crate) const VERSION: u32 = 1;
+const VERSION: u32 = 1;
 const EXPECTED: &str = "a block that `coseg split` wrote";
 
 /// A block of a scene. Its region follows from the grid and its position there, so that blocks of one grid cover space once.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Block {
-    pub(crate) version: u32,
+    version: u32,
     /// The scene folder, absolute or relative to that of the block.
     pub scene: PathBuf,
     /// How the scene folder was read.
@@ -93,6 +93,19 @@ fn named(name: &str, usual: &str, own: &str) -> String {
 }
 
 impl Block {
+    /// The block `index` of `grid`, without frames.
+    pub(crate) fn new(scene: PathBuf, reading: Reading, grid: Grid, index: [usize; 2]) -> Self {
+        Self {
+            version: VERSION,
+            scene,
+            reading,
+            grid,
+            index,
+            train: Vec::new(),
+            test: Vec::new(),
+        }
+    }
+
     /// Its name, see [`block_name`].
     pub fn name(&self) -> String {
         block_name(self.index)

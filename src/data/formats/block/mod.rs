@@ -5,12 +5,10 @@ mod grid;
 mod region;
 mod visibility;
 
-pub(crate) use self::file::VERSION;
 pub use self::file::{BLOCK, Block, Reading};
 pub use self::grid::{Grid, block_name};
-pub(crate) use self::region::MAX_POINTS;
 pub use self::region::Region;
-pub(crate) use self::visibility::nearest;
+pub(crate) use self::visibility::{PointSample, nearest};
 
 /// Help for a block that does not fit its scene.
 pub(super) const AGAIN: &str = "split the scene again";

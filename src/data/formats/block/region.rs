@@ -1,14 +1,10 @@
 //! A rectangle of the floor, of any height.
 
-use super::visibility::nearest;
+use super::visibility::{PointSample, nearest};
 use crate::data::Points;
 use crate::data::formats::frame::Frame;
-use crate::data::options::evenly;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
-
-/// Points of the initial cloud that photos are looked at with, at most.
-pub(crate) const MAX_POINTS: usize = 200_000;
 
 /// A rectangle of the floor, of any height, half open: its low sides belong to it. Sides may be infinite.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,11 +35,12 @@ impl Region {
     pub(crate) fn thin(&self, points: &mut Points, frames: &[&Frame], origin: DVec3) {
         let world = |i: usize| DVec3::from(points.positions[i].map(f64::from)) + origin;
         let mut kept: Vec<bool> = (0..points.len()).map(|i| self.contains(world(i))).collect();
-        let chosen = evenly(points.len(), MAX_POINTS);
-        let places: Vec<DVec3> = chosen.iter().map(|&i| world(i)).collect();
-        let shown = |frame: &&Frame| nearest(&frame.camera, &places);
+        let sample = PointSample::new(points, origin);
+        let shown = |frame: &&Frame| nearest(&frame.camera, &sample.positions);
         let seen: Vec<_> = frames.par_iter().map(shown).collect();
-        seen.iter().flatten().for_each(|&i| kept[chosen[i]] = true);
+        seen.iter()
+            .flatten()
+            .for_each(|&i| kept[sample.rows[i]] = true);
         points.retain(&kept);
     }
 }

@@ -1,10 +1,33 @@
 //! What photos show of a cloud of points.
 
+use crate::data::Points;
+use crate::data::options::evenly;
 use crate::splat::camera::Camera;
 use glam::DVec3;
 
+/// Points of the initial cloud that photos are looked at with, at most.
+const MAX_POINTS: usize = 200_000;
+
 /// Cells across and down that a photo is divided into.
 const CELLS: [usize; 2] = [16, 12];
+
+/// Points of the initial cloud, evenly over its rows, to look at photos with.
+pub(crate) struct PointSample {
+    /// Their rows in the cloud.
+    pub rows: Vec<usize>,
+    /// Where they are in the world.
+    pub positions: Vec<DVec3>,
+}
+
+impl PointSample {
+    /// A sample of `points`, which are relative to `origin`.
+    pub fn new(points: &Points, origin: DVec3) -> Self {
+        let rows = evenly(points.len(), MAX_POINTS);
+        let world = |&row: &usize| DVec3::from(points.positions[row].map(f64::from)) + origin;
+        let positions = rows.iter().map(world).collect();
+        Self { rows, positions }
+    }
+}
 
 /// For each cell of a photo the number of the nearest of `points`, which are positions in the world: walls hide what is behind
 /// them. Cells without points have none.
