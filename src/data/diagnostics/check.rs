@@ -86,11 +86,8 @@ fn check_listing(listing: &Listing, options: &LoadOptions, problems: &mut Proble
                 let photo = Arc::new(geometry.photo(&file).ok()?);
                 Some((geometry.camera, photo))
             };
-            match poses::of_listing(listing, &points, photo) {
-                Some(poses::Verdict::Misread(fault)) => problems.push(fault),
-                Some(poses::Verdict::Unrelated(notice)) => notices.push(notice),
-                None => {}
-            }
+            let verdict = poses::of_listing(listing, &points, photo);
+            notices.extend(verdict.and_then(|verdict| problems.ok(verdict)));
         }
     }
     notices
