@@ -9,7 +9,7 @@ use crate::config::Layout;
 use crate::data::labels::map_geometry::MapGeometries;
 use crate::data::labels::raw::{self, RawFile, RawLabels};
 use crate::data::{Classes, LoadOptions, Split, WorldUnit};
-use crate::error::{Result, ensure, invalid};
+use crate::error::{Result, bail, ensure, invalid};
 use crate::files::check_views;
 use crate::splat::camera::spread;
 use glam::DVec3;
@@ -17,6 +17,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 /// The frames of a folder and everything known about them.
+#[derive(Default)]
 pub(crate) struct Listing {
     /// How the folder is laid out; never `auto`.
     pub layout: Layout,
@@ -50,7 +51,9 @@ pub(crate) struct Listing {
 }
 
 /// Where the initial cloud comes from.
+#[derive(Default)]
 pub(crate) enum Cloud {
+    #[default]
     None,
     /// A PLY file.
     Ply(PathBuf),
@@ -87,15 +90,7 @@ impl Listing {
             frames,
             classes: problems.ok(classes).unwrap_or_default(),
             occurring_classes,
-            truth_ids: None,
-            raw: RawLabels::grey(),
-            geometries: MapGeometries::default(),
-            resample_labels: false,
-            cloud: Cloud::None,
-            region: None,
-            whole_extent: None,
-            z_up: false,
-            notices: Vec::new(),
+            ..Self::default()
         }
     }
 
@@ -229,9 +224,9 @@ fn read_classes(dir: &Path, labelled: Option<&str>) -> Result<Classes> {
             Ok(classes)
         }
         None => Ok(Classes::default()),
-        Some(or) => Err(
-            invalid!(&path, "file"; found "nothing"; expected "a class table, as frames have labels";
-            help "list the classes: {{\"0\": \"void\", \"1\": \"wall\", ..}}{or}"),
-        ),
+        Some(or) => {
+            bail!(&path, "file"; found "nothing"; expected "a class table, as frames have labels";
+                help "list the classes: {{\"0\": \"void\", \"1\": \"wall\", ..}}{or}")
+        }
     }
 }

@@ -29,6 +29,7 @@ const SEGMENTS_HELP: &str = "; where ids mean something in their view alone (ins
     add --set data.association=gaussians, or use `coseg associate`";
 
 /// The format of the raw labels of a scene folder.
+#[derive(Default)]
 pub(crate) struct RawLabels {
     source: Source,
     /// Ids are segments of their view, not classes.
@@ -37,7 +38,10 @@ pub(crate) struct RawLabels {
     pub score_ids: Option<Arc<ScoreIds>>,
 }
 
+#[derive(Default)]
 enum Source {
+    /// Grey maps of class ids; also if there are no raw labels.
+    #[default]
     Grey,
     /// Grey maps of ids of the class table beside them.
     Named(own_classes::OwnClasses),
@@ -180,15 +184,6 @@ fn folder(dir: &Path, options: &LoadOptions, map: &Path) -> PathBuf {
 }
 
 impl RawLabels {
-    /// Grey maps of class ids; also if there are no raw labels.
-    pub fn grey() -> Self {
-        Self {
-            source: Source::Grey,
-            are_segments: false,
-            score_ids: None,
-        }
-    }
-
     /// The format of the raw labels `files` of a scene with the table `classes`, and the segmenter's vocabulary where the format
     /// has one.
     ///
@@ -201,7 +196,7 @@ impl RawLabels {
         classes: &Classes,
     ) -> Result<(Self, Option<Vocabulary>)> {
         let Some(first) = files.first().map(|file| file.path) else {
-            return Ok((Self::grey(), None));
+            return Ok((Self::default(), None));
         };
         let are_segments = options.association != Association::None;
         let folder = || folder(dir, options, first);
