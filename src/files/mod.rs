@@ -32,6 +32,14 @@ pub(crate) fn open(path: &Path) -> Result<File> {
     File::open(path).map_err(failed)
 }
 
+/// Refuses a file that is not there; `help` says what the user can do.
+pub(crate) fn expect_file(path: &Path, help: &str) -> Result<()> {
+    if path.is_file() {
+        return Ok(());
+    }
+    Err(Error::missing("file", path, help))
+}
+
 /// The bytes of a file.
 pub(crate) fn read(path: &Path) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();

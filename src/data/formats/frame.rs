@@ -5,7 +5,8 @@ use crate::data::photos::image_file::{ImageFile, proportional};
 use crate::data::photos::lens::{Lens, Undistortion};
 use crate::data::photos::photo::Preprocessing;
 use crate::data::{LabelMap, MapGeometry, Split};
-use crate::error::{Error, Result, invalid};
+use crate::error::{Result, invalid};
+use crate::files::expect_file;
 use crate::splat::camera::Camera;
 use image::RgbImage;
 use std::path::{Component, Path, PathBuf};
@@ -66,10 +67,7 @@ impl Frame {
 
     /// Reads the photo's file without decoding it, and gives the camera for its size. `file` lists the frames, for messages.
     pub fn open(&self, file: &Path) -> Result<(ImageFile, Geometry)> {
-        if !self.image.is_file() {
-            let help = "put the image there or drop the frame";
-            return Err(Error::missing("file", &self.image, help));
-        }
+        expect_file(&self.image, "put the image there or drop the frame")?;
         let image = ImageFile::open(&self.image)?;
         let size = (self.camera.width, self.camera.height);
         if !(self.resizable && proportional(image.size, size)) {
@@ -81,26 +79,20 @@ impl Frame {
 
     /// The camera for a photo of this size.
     pub fn geometry(&self, (width, height): (usize, usize)) -> Result<Geometry> {
-        let camera = self.camera.resized(width, height);
-        if self.lens.is_pinhole() {
-            let preprocessing = Preprocessing::default();
-            return Ok(Geometry {
-                camera,
-                preprocessing,
-            });
+        let mut geometry = Geometry {
+            camera: self.camera.resized(width, height),
+            preprocessing: Preprocessing::default(),
+        };
+        if !self.lens.is_pinhole() {
+            let undistortion = Undistortion::new(&geometry.camera, self.lens).ok_or_else(|| {
+                invalid!(&self.image, "lens distortion"; found "radial {:?}, tangential {:?}", self.lens.k, self.lens.p;
+                    expected "a distortion that does not fold the image over";
+                    help "calibrate again, or undistort the photos with the tool that made the poses")
+            })?;
+            geometry.camera = undistortion.pinhole.clone();
+            geometry.preprocessing.undistortion = Some(undistortion);
         }
-        let undistortion = Undistortion::new(&camera, self.lens).ok_or_else(|| {
-            invalid!(&self.image, "lens distortion"; found "radial {:?}, tangential {:?}", self.lens.k, self.lens.p;
-                expected "a distortion that does not fold the image over";
-                help "calibrate again, or undistort the photos with the tool that made the poses")
-        })?;
-        Ok(Geometry {
-            camera: undistortion.pinhole.clone(),
-            preprocessing: Preprocessing {
-                undistortion: Some(undistortion),
-                ..Preprocessing::default()
-            },
-        })
+        Ok(geometry)
     }
 
     /// The camera for the size of the frame's own camera.

@@ -14,7 +14,7 @@ use crate::data::options::LoadOptions;
 use crate::data::photos::EXTENSIONS;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, Split};
-use crate::error::{Error, Result, bail, ensure, invalid};
+use crate::error::{Result, bail, ensure, invalid};
 use crate::files::{self, Numbered};
 use crate::splat::camera::Camera;
 use rayon::prelude::*;
@@ -133,10 +133,7 @@ fn list_frames(
 
 /// A 4x4 matrix in a file of its own.
 fn read_matrix(path: &Path) -> Result<Pose> {
-    if !path.is_file() {
-        let help = "export it from the .sens file again";
-        return Err(Error::missing("file", path, help));
-    }
+    files::expect_file(path, "export it from the .sens file again")?;
     sequence::pose(&files::text(path)?, path, "matrix")
 }
 

@@ -3,7 +3,7 @@
 use crate::data::Classes;
 use crate::data::photos::image_file::ImageFile;
 use crate::error::{Error, Result, bail, invalid};
-use crate::files::{atomic, check_limit};
+use crate::files::{self, atomic, check_limit};
 use image::{DynamicImage, GrayImage, ImageBuffer, Luma, codecs::png::PngEncoder};
 use std::collections::BTreeSet;
 use std::io::{self, Write};
@@ -55,11 +55,9 @@ impl LabelMap {
             more => format!(", and {more} other unknown ids"),
         };
         let ids: Vec<_> = classes.entries.iter().map(|c| c.id.to_string()).collect();
-        Err(
-            invalid!(path, "{}", self.pixel(i); found "label id {}{more}", self.ids[i];
+        bail!(path, "{}", self.pixel(i); found "label id {}{more}", self.ids[i];
             expected "{} (ignored) or one of the {} class ids [{}]", classes.ignore, ids.len(), ids.join(" ");
-            help "add the id to classes.json or correct the map{or}"),
-        )
+            help "add the id to classes.json or correct the map{or}");
     }
 
     /// Nearest ids at `place(u, v)` for each of `width` x `height` pixels; `place` gives shares of this map's width and
@@ -260,9 +258,7 @@ impl AsRef<[u16]> for LabelMap {
 
 /// Refuses a label map that is not there.
 pub(crate) fn expect_file(path: &Path) -> Result<()> {
-    let help = "put the label map there, or do not name it";
-    let missing = || Error::missing("file", path, help);
-    path.is_file().then_some(()).ok_or_else(missing)
+    files::expect_file(path, "put the label map there, or do not name it")
 }
 
 #[cfg(test)]
