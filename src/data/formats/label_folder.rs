@@ -44,15 +44,18 @@ pub(super) fn choose_raw_files(dir: &Path, options: &LoadOptions, frames: &mut [
         // A frame may name the file.
         frame.drawn = frame.raw.clone().filter(is_json).or(frame.drawn.take());
     }
-    if labelme_fits && labelme_is_used(frames) {
+    let exists = |frame: &Frame| frame.raw.as_ref().is_some_and(|path| path.exists());
+    let has_maps = frames.iter().any(exists);
+    let first_drawn = frames.iter().find_map(|frame| frame.drawn.as_ref());
+    // JSON files are LabelMe's where there are no other labels, or where the first one has shapes.
+    let is_labelme = |first: &PathBuf| !has_maps || labelme::has_shapes(first);
+    if labelme_fits && first_drawn.is_some_and(is_labelme) {
         frames
             .iter_mut()
             .for_each(|frame| frame.raw = frame.drawn.clone());
         return;
     }
     frames.iter_mut().for_each(|frame| frame.drawn = None);
-    let exists = |frame: &Frame| frame.raw.as_ref().is_some_and(|path| path.exists());
-    let has_maps = frames.iter().any(exists);
     let is_used = |file: &ShapeFile| {
         let labelled = frames.iter().filter(|frame| exists(frame));
         let maps = labelled.filter_map(|frame| frame.raw.as_deref());
@@ -68,13 +71,6 @@ pub(super) fn choose_raw_files(dir: &Path, options: &LoadOptions, frames: &mut [
         let without = frames.iter_mut().filter(|frame| !exists(frame));
         without.for_each(|frame| frame.raw = None);
     }
-}
-
-/// Whether the JSON files beside the raw labels of `frames` are LabelMe's: there are no other labels, or the first one has shapes.
-fn labelme_is_used(frames: &[Frame]) -> bool {
-    let first = frames.iter().find_map(|frame| frame.drawn.as_ref());
-    let is_map = |frame: &Frame| frame.raw.as_ref().is_some_and(|map| map.exists());
-    first.is_some_and(|first| labelme::has_shapes(first) || !frames.iter().any(is_map))
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use crate::config::Layout;
 use crate::data::LoadOptions;
 use crate::data::labels::map_geometry::MapGeometries;
 use crate::data::photos::{HEIC_HELP, is_heic, is_photo, is_video};
-use crate::error::{Error, Result, ensure, invalid};
+use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files::names;
 use std::path::Path;
 
@@ -70,10 +70,8 @@ fn detect(dir: &Path, options: &LoadOptions) -> Result<Option<Layout>> {
                 .iter()
                 .map(|(l, file)| format!("{file} ({l})"))
                 .collect();
-            Err(
-                invalid!(dir, "layout"; found "{}", all.join(" and "); expected "the files of one layout";
-                help "choose one with --set data.layout={first}"),
-            )
+            bail!(dir, "layout"; found "{}", all.join(" and "); expected "the files of one layout";
+                help "choose one with --set data.layout={first}")
         }
     }
 }

@@ -99,10 +99,8 @@ impl ImageFile {
         let exif = exif.map_or(String::new(), |exif| {
             format!(", of EXIF orientation {exif}")
         });
-        Err(
-            invalid!(&self.path, "size"; found "{}x{} pixels{exif}", self.size.0, self.size.1;
-            expected "{}x{}, as {whose}", size.0, size.1; help "{}", if across { TURNED_HELP } else { SIZE_HELP }),
-        )
+        bail!(&self.path, "size"; found "{}x{} pixels{exif}", self.size.0, self.size.1;
+            expected "{}x{}, as {whose}", size.0, size.1; help "{}", if across { TURNED_HELP } else { SIZE_HELP });
     }
 
     /// Whether it has the proportions of `width` and `height` swapped, and not those themselves.
@@ -141,12 +139,8 @@ impl ImageFile {
         let mut decoder = reader(&self.bytes, self.format, pixels * PIXEL_BYTES).into_decoder()?;
         let mut exif = decoder.exif_metadata()?.unwrap_or_default();
         let profile = decoder.icc_profile()?;
-        let find = |exif: &[u8]| {
-            self.bytes
-                .windows(exif.len().max(1))
-                .position(|w| w == exif)
-        };
-        let place = find(&exif);
+        let mut parts = self.bytes.windows(exif.len().max(1));
+        let place = parts.position(|part| part == exif);
         let orientation = Orientation::remove_from_exif_chunk(&mut exif);
         if !turns
             && self.format == ImageFormat::Jpeg

@@ -123,14 +123,12 @@ fn shapes<'a>(
 impl Annotation {
     /// What it covers; `None` where it says nothing. `field` gives the names of its keys for errors.
     fn region(self, path: &Path, field: impl Fn(&str) -> String) -> Result<Option<Region>> {
-        let region = match self.segmentation {
-            Some(given) => given.region(path, &field("segmentation"))?,
-            None => None,
-        };
-        match region {
-            None => box_alone(path, &field("bbox"), &self.bbox),
-            Some(region) => Ok(Some(region)),
+        if let Some(given) = self.segmentation
+            && let Some(region) = given.region(path, &field("segmentation"))?
+        {
+            return Ok(Some(region));
         }
+        box_alone(path, &field("bbox"), &self.bbox)
     }
 }
 
@@ -222,23 +220,19 @@ impl Segmentation {
                 let polygons: Vec<Vec<Point>> = lists.into_iter().map(polygon).collect();
                 Ok((!polygons.is_empty()).then_some(Region::Polygons(polygons)))
             }
-            Self::Runs(RunLengths {
-                size: [height, width],
-                counts,
-            }) => {
+            Self::Runs(RunLengths { size, counts }) => {
+                let [height, width] = size;
                 check_pixels(path, width, height)?;
                 let counts = match counts {
                     Counts::Numbers(counts) => Some(counts),
                     Counts::Packed(text) => unpacked(&text),
                 };
                 let runs = counts.and_then(|counts| Runs::of_columns((width, height), counts));
-                match runs {
-                    Some(runs) => Ok(Some(Region::Runs(runs))),
-                    None => Err(
-                        invalid!(path, "{field}.counts"; found "run lengths of another number of pixels";
-                        expected "{width}x{height} pixels in all"; help "{DAMAGED_HELP}"),
-                    ),
-                }
+                let runs = runs.ok_or_else(|| {
+                    invalid!(path, "{field}.counts"; found "run lengths of another number of pixels";
+                        expected "{width}x{height} pixels in all"; help "{DAMAGED_HELP}")
+                })?;
+                Ok(Some(Region::Runs(runs)))
             }
         }
     }

@@ -145,9 +145,7 @@ impl Drawing {
                             .iter()
                             .map(|[x, y]| [x * across, y * down])
                             .collect();
-                        fill(&scaled, photo, |y, run| {
-                            ids[y * width..][run].fill(*id);
-                        });
+                        fill(&scaled, photo, |y, run| ids[y * width..][run].fill(*id));
                     }
                 }
                 Region::Runs(runs) => runs.paint(photo, |pixel| ids[pixel] = *id),

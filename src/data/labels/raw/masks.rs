@@ -80,10 +80,8 @@ fn covered(path: &Path, file: &ImageFile) -> Result<Vec<bool>> {
     let found = file
         .png_color()
         .map_or("JPEG", |_| "a PNG with colours, a palette or alpha");
-    Err(
-        invalid!(path, "pixel format"; found "{found}"; expected "a grey PNG, black where the mask is not";
-        help "write the mask as grey PNG"),
-    )
+    bail!(path, "pixel format"; found "{found}"; expected "a grey PNG, black where the mask is not";
+        help "write the mask as grey PNG");
 }
 
 /// Checks `metadata.csv`, where it is there, against the files: its first column numbers the masks. Whether it is there.
@@ -108,11 +106,9 @@ fn check_table(folder: &Path, files: &Numbered) -> Result<bool> {
             expected "a file {number}.png beside it"; help "{DAMAGED_HELP}");
         listed.insert(number);
     }
-    match files.keys().find(|number| !listed.contains(number)) {
-        None => Ok(true),
-        Some(number) => Err(
-            invalid!(&path, "rows"; found "{} rows, none for {number}.png", listed.len();
-            expected "one for each mask"; help "{DAMAGED_HELP}"),
-        ),
+    if let Some(number) = files.keys().find(|number| !listed.contains(number)) {
+        bail!(&path, "rows"; found "{} rows, none for {number}.png", listed.len();
+            expected "one for each mask"; help "{DAMAGED_HELP}");
     }
+    Ok(true)
 }

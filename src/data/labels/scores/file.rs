@@ -85,18 +85,14 @@ impl ScoreMap {
             path, "tensor probabilities"; found "shape {of_probabilities:?}"; expected "{shape:?}, as of ids";
             help "{DAMAGED_HELP}");
         let [classes, height, width] = shape;
+        let ids = ids.as_chunks::<2>().0.iter().copied();
         let scores = Self {
             grid,
             id_limit,
             width,
             height,
             classes,
-            ids: ids
-                .as_chunks::<2>()
-                .0
-                .iter()
-                .map(|b| u16::from_le_bytes(*b))
-                .collect(),
+            ids: ids.map(u16::from_le_bytes).collect(),
             probabilities: probabilities.to_vec(),
         };
         scores.check(path)?;
@@ -209,9 +205,9 @@ fn tensor<'a>(
     })?;
     match <[usize; 3]>::try_from(view.shape()) {
         Ok(shape) if view.dtype() == kind => Ok((view.data(), shape)),
-        _ => Err(
-            invalid!(path, "{field}"; found "{:?} {:?}", view.dtype(), view.shape();
-            expected "{kind:?} [classes, height, width]"; help "{DAMAGED_HELP}"),
-        ),
+        _ => {
+            bail!(path, "{field}"; found "{:?} {:?}", view.dtype(), view.shape();
+                expected "{kind:?} [classes, height, width]"; help "{DAMAGED_HELP}")
+        }
     }
 }

@@ -19,10 +19,8 @@ const EXTENSION: &str = "scores";
 
 /// The file with the scores of a label map: `scores/NAME.scores` beside `NAME.png`.
 pub fn path_of(map: &Path) -> Option<PathBuf> {
-    Some(
-        map.parent()?
-            .join(name_of(&map.file_stem()?.to_string_lossy())),
-    )
+    let name = name_of(&map.file_stem()?.to_string_lossy());
+    Some(map.parent()?.join(name))
 }
 
 /// The path within the folder of the maps of the scores of `NAME.png`.
