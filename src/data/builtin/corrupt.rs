@@ -327,12 +327,11 @@ fn void_borders(map: &mut LabelMap, params: &Corruption, rng: &mut ChaCha8Rng) {
     for y in 0..h {
         for x in 0..w {
             let i = y * w + x;
-            let column = |x: usize| old[y * w + x] != old[i];
-            let row = |y: usize| old[y * w + x] != old[i];
-            let border = column(x.saturating_sub(reach))
-                || column((x + reach).min(w - 1))
-                || row(y.saturating_sub(reach))
-                || row((y + reach).min(h - 1));
+            let differs = |x: usize, y: usize| old[y * w + x] != old[i];
+            let border = differs(x.saturating_sub(reach), y)
+                || differs((x + reach).min(w - 1), y)
+                || differs(x, y.saturating_sub(reach))
+                || differs(x, (y + reach).min(h - 1));
             // Smoothed noise is bell-shaped about one half; this puts about `void_borders` of it below the gate.
             let gate = 0.5 + 0.42 * (params.void_borders * params.strength.min(1.0) - 0.5);
             if border && noise(x as f64 / cell, y as f64 / cell, seed) < gate {

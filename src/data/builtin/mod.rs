@@ -40,19 +40,7 @@ const _: () = assert!(
 
 /// The ten classes. Carpets count as floor, curtains as window, and small things as the piece they stand on.
 pub fn classes() -> Classes {
-    let names = [
-        (class::WALL, "wall"),
-        (class::FLOOR, "floor"),
-        (class::CEILING, "ceiling"),
-        (class::WINDOW, "window"),
-        (class::PICTURE, "picture"),
-        (class::TABLE, "table"),
-        (class::CHAIR, "chair"),
-        (class::SOFA, "sofa"),
-        (class::CABINET, "cabinet"),
-        (class::LAMP, "lamp"),
-    ];
-    Classes::from_names(0, names)
+    Classes::from_names(0, (1..).zip(class::NAMES))
 }
 
 /// What [`scene_with`] makes.

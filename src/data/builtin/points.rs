@@ -59,10 +59,8 @@ pub fn labelled_points(seed: u64, count: usize) -> LabelledPoints {
         let share = if *fate < 0.01 { 0.3 + 65.0 * fate } else { 1.0 };
         let p = *eye + *d * (hit.t * share) + *offset;
         let color = room.shade(hit, *eye, *d, (16, 2));
-        (
-            (p.as_vec3().to_array(), color),
-            room.solids.all[hit.solid].class,
-        )
+        let class = room.solids.all[hit.solid].class;
+        ((p.as_vec3().to_array(), color), class)
     });
     let ((positions, colors), classes) = made.unzip();
     LabelledPoints {

@@ -136,13 +136,10 @@ impl Room {
         let material = &self.materials[solid.material];
         let mut light = DVec3::splat(material.glow);
         if material.lit > 0.0 {
+            let normal = solid.axes * hit.normal;
             let arriving = match self.light_maps.get(hit.solid) {
                 Some(map) => map.at(p, solid.half),
-                None => {
-                    self.lit(quality)
-                        .arriving(room_point, solid.axes * hit.normal)
-                        .0
-                }
+                None => self.lit(quality).arriving(room_point, normal).0,
             };
             light += arriving * material.lit;
         }
@@ -210,25 +207,20 @@ pub fn render_truth(room: &Room, camera: &Camera) -> Truth {
         (color, hit)
     });
     let pixels: Vec<([u8; 3], Option<Hit>)> = pixels.collect();
-    let solids = || {
-        pixels
-            .iter()
-            .map(|(_, hit)| hit.map(|hit| &room.solids.all[hit.solid]))
-    };
     let bytes = pixels.iter().flat_map(|(color, _)| *color).collect();
-    let ids = solids()
-        .map(|solid| solid.map_or(0, |solid| solid.class))
-        .collect();
+    let seen = |id: fn(&Solid) -> u16| -> Vec<u16> {
+        let of_hit = |hit: Hit| id(&room.solids.all[hit.solid]);
+        let hits = pixels.iter().map(|(_, hit)| hit);
+        hits.map(|hit| hit.map_or(0, of_hit)).collect()
+    };
     Truth {
         image: image::RgbImage::from_raw(w as u32, h as u32, bytes).unwrap_or_default(),
         labels: LabelMap {
             width: w,
             height: h,
-            ids,
+            ids: seen(|solid| solid.class),
         },
-        instances: solids()
-            .map(|solid| solid.map_or(0, |solid| solid.instance))
-            .collect(),
+        instances: seen(|solid| solid.instance),
         depth: pixels
             .iter()
             .map(|(_, hit)| hit.map_or(0.0, |hit| hit.t as f32))
