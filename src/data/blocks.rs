@@ -55,15 +55,12 @@ pub fn split(dir: &Path, options: &LoadOptions, counts: [usize; 2]) -> Result<Ve
     let reading = Reading::of(options, listing.layout);
     let frames = std::mem::take(&mut listing.frames);
     let planned = grid.indices().zip(&members).map(|(index, members)| {
+        let shown: Vec<&Frame> = members.iter().map(|&i| &frames[i]).collect();
         let names = |split: Split| {
-            let of_split = members
-                .iter()
-                .map(|&i| &frames[i])
-                .filter(|frame| frame.split == split);
+            let of_split = shown.iter().filter(|frame| frame.split == split);
             of_split.map(|frame| frame.name.clone()).collect()
         };
         let mut start = points.clone();
-        let shown: Vec<_> = members.iter().map(|&i| &frames[i]).collect();
         grid.extended(index).thin(&mut start, &shown, origin);
         let mut block = Block::new(scene.clone(), reading.clone(), grid.clone(), index);
         block.train = names(Split::Train);

@@ -68,12 +68,10 @@ fn is_read_by_scene_above(folder: &Path) -> bool {
 /// The folders whose files make the scene in folder `dir`, and that folder.
 fn folders_read(dir: &Path, options: &LoadOptions) -> BTreeSet<PathBuf> {
     let files = files_read(dir, options);
+    let paths = || files.iter().map(PathBuf::as_path);
     // Raw labels may be folders themselves.
-    let folders = files
-        .iter()
-        .map(PathBuf::as_path)
-        .filter(|file| file.is_dir());
-    let parents = files.iter().filter_map(|file| file.parent());
+    let folders = paths().filter(|file| file.is_dir());
+    let parents = paths().filter_map(Path::parent);
     folders.chain(parents).map(absolute).collect()
 }
 

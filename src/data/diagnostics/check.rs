@@ -109,11 +109,8 @@ impl FrameCheck {
     fn new(listing: &Listing, frame: &Frame, options: &LoadOptions) -> Self {
         let mut problems = Problems::default();
         let mut check = Self::default();
-        let opened = frame
-            .present
-            .then(|| problems.ok(frame.open(&listing.file)))
-            .flatten();
-        let geometry = match opened {
+        let opened = frame.present.then(|| frame.open(&listing.file));
+        let geometry = match opened.and_then(|opened| problems.ok(opened)) {
             Some((file, geometry)) => {
                 problems.ok(geometry.photo(&file));
                 check.turned = frame.may_be_turned(&file);

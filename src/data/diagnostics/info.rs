@@ -109,12 +109,8 @@ struct FrameInfo {
 /// As [`crate::data::load`].
 pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
     let listing = listing(dir, options)?;
-    let frames = in_order(
-        listing
-            .frames
-            .par_iter()
-            .map(|frame| FrameInfo::new(&listing, frame, options)),
-    )?;
+    let read = |frame| FrameInfo::new(&listing, frame, options);
+    let frames = in_order(listing.frames.par_iter().map(read))?;
     let mut sizes = BTreeMap::new();
     for frame in &frames {
         *sizes.entry(frame.size).or_insert(0) += 1;

@@ -32,11 +32,9 @@ impl Listing {
         self.check_sizes()?;
         let room = AtomicUsize::new(options.decoded_mb.saturating_mul(1 << 20));
         let origin = self.origin();
-        let views = self
-            .frames
-            .par_iter()
-            .map(|frame| self.view(frame, options, origin, &room));
-        let (views, turned): (Vec<View>, Vec<bool>) = in_order(views)?.into_iter().unzip();
+        let view = |frame| self.view(frame, options, origin, &room);
+        let views = in_order(self.frames.par_iter().map(view))?;
+        let (views, turned): (Vec<View>, Vec<bool>) = views.into_iter().unzip();
         let scene = Scene {
             name: scene_name(dir),
             classes: self.classes_of(&views),

@@ -94,10 +94,8 @@ pub(crate) fn list(scene: Folder<'_>, problems: &mut Problems) -> Result<Listing
     }
     let [depth_folder, depth_prefix] = version.depth;
     let cloud = sequence::cloud(dir, &frames, scale, |name| {
-        format!(
-            "{depth_folder}/{}.png",
-            name.replacen(prefix, depth_prefix, 1)
-        )
+        let name = name.replacen(prefix, depth_prefix, 1);
+        format!("{depth_folder}/{name}.png")
     });
     let classes = Classes::from_names(0, (1..).zip(CLASSES.lines()));
     Ok(Listing {

@@ -170,14 +170,12 @@ impl Block {
     /// [`Error::Missing`] if there is none; [`Error::Input`] for one that is a block itself.
     pub fn scene_folder(&self, dir: &Path) -> Result<PathBuf> {
         let scene = dir.join(&self.scene);
+        let file = dir.join(BLOCK);
         if !scene.is_dir() {
-            let help = format!(
-                "{} names it: put it there, or {AGAIN}",
-                dir.join(BLOCK).display()
-            );
+            let help = format!("{} names it: put it there, or {AGAIN}", file.display());
             return Err(Error::missing("folder", scene, help));
         }
-        ensure!(!scene.join(BLOCK).exists(), dir.join(BLOCK), "scene"; found "{}, a block itself", self.scene.display();
+        ensure!(!scene.join(BLOCK).exists(), file, "scene"; found "{}, a block itself", self.scene.display();
             expected "the folder of a whole scene"; help "{AGAIN}");
         Ok(scene.canonicalize().unwrap_or(scene))
     }

@@ -1,7 +1,7 @@
 //! A grid of blocks over the floor of a scene. Every point of space lies in one block.
 
 use super::{AGAIN, Region};
-use crate::error::{Result, bail, ensure};
+use crate::error::{Result, ensure};
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -84,12 +84,11 @@ impl Grid {
     /// Refuses blocks in which few cameras stand.
     fn check_cameras(&self, cameras: &[DVec3]) -> Result<()> {
         for index in self.indices() {
-            let count = cameras.iter().filter(|camera| self.cell(**camera) == index);
-            let count = count.count();
-            if count < MIN_CAMERAS {
-                bail!(argument "--blocks"; found "{count} training cameras in block {}: many stand in one place", block_name(index);
-                    expected "at least {MIN_CAMERAS} cameras for each block"; help "ask for fewer blocks");
-            }
+            let inside = cameras.iter().filter(|camera| self.cell(**camera) == index);
+            let count = inside.count();
+            ensure!(count >= MIN_CAMERAS,
+                argument "--blocks"; found "{count} training cameras in block {}: many stand in one place", block_name(index);
+                expected "at least {MIN_CAMERAS} cameras for each block"; help "ask for fewer blocks");
         }
         Ok(())
     }

@@ -102,13 +102,9 @@ impl ModelCamera {
 }
 
 fn model_name(number: i32) -> String {
-    let names = MODELS
-        .into_iter()
-        .map(|(name, ..)| name)
-        .chain(UNSUPPORTED_MODELS.split_ascii_whitespace());
-    let name = usize::try_from(number)
-        .ok()
-        .and_then(|number| names.into_iter().nth(number));
+    let supported = MODELS.into_iter().map(|(name, ..)| name);
+    let mut names = supported.chain(UNSUPPORTED_MODELS.split_ascii_whitespace());
+    let name = usize::try_from(number).ok().and_then(|i| names.nth(i));
     name.map_or_else(|| format!("model number {number}"), str::to_owned)
 }
 

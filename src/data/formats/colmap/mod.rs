@@ -80,11 +80,7 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
     let points = model::find(&model.folder, "points3D");
     let mut notices: Vec<String> = model.others.into_iter().collect();
     // Where the photos lie in the scene folder itself, it has other pictures too.
-    if below(Path::new(&options.images))
-        .components()
-        .next()
-        .is_some()
-    {
+    if below(Path::new(&options.images)) != Path::new("") {
         notices.extend(model::unplaced(&dir.join(&options.images), &images));
     }
     if points.is_none() {

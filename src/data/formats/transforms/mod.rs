@@ -165,10 +165,7 @@ fn image_path(dir: &Path, file: &str) -> PathBuf {
     if path.extension().is_some() || path.is_file() {
         return path;
     }
-    let mut paths = EXTENSIONS
-        .into_iter()
-        .map(|extension| path.with_extension(extension));
-    paths
-        .find(|path| path.is_file())
-        .unwrap_or_else(|| path.with_extension("png"))
+    let paths = EXTENSIONS.map(|extension| path.with_extension(extension));
+    let found = paths.into_iter().find(|path| path.is_file());
+    found.unwrap_or_else(|| path.with_extension("png"))
 }

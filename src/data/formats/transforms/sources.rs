@@ -60,10 +60,8 @@ fn files(dir: &Path, options: &LoadOptions) -> Option<Vec<(String, Option<Split>
 
 /// The first of the files that list the frames of `dir`, if there are any.
 pub(crate) fn marker(dir: &Path, options: &LoadOptions) -> Option<String> {
-    files(dir, options)?
-        .into_iter()
-        .next()
-        .map(|(name, _)| name)
+    let (first, _) = files(dir, options)?.into_iter().next()?;
+    Some(first)
 }
 
 impl Sources {
