@@ -74,9 +74,10 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
             let view: &View = &scene.views[i];
             Some((view.camera.moved(scene.origin), view.image.pixels().ok()?))
         };
-        if let Some(verdict) = poses::of_listing(&listing, &scene.points, photo) {
-            let message = verdict.unwrap_or_else(|fault| fault.to_string());
-            tracing::warn!("{message}");
+        match poses::of_listing(&listing, &scene.points, photo) {
+            Some(poses::Verdict::Misread(fault)) => tracing::warn!("{fault}"),
+            Some(poses::Verdict::Unrelated(notice)) => tracing::warn!("{notice}"),
+            None => {}
         }
     }
     Ok(scene)

@@ -86,8 +86,11 @@ fn check_listing(listing: &Listing, options: &LoadOptions, problems: &mut Proble
                 let photo = Arc::new(geometry.photo(&file).ok()?);
                 Some((geometry.camera, photo))
             };
-            let verdict = poses::of_listing(listing, &points, photo);
-            notices.extend(verdict.and_then(|verdict| problems.ok(verdict)));
+            match poses::of_listing(listing, &points, photo) {
+                Some(poses::Verdict::Misread(fault)) => problems.push(fault),
+                Some(poses::Verdict::Unrelated(notice)) => notices.push(notice),
+                None => {}
+            }
         }
     }
     notices

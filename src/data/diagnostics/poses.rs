@@ -9,7 +9,7 @@ use crate::config::Layout;
 use crate::data::Points;
 use crate::data::formats::listing::{Cloud, Listing};
 use crate::data::options::evenly;
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, invalid};
 use crate::splat::camera::Camera;
 use glam::DVec3;
 use image::RgbImage;
@@ -45,8 +45,14 @@ const MIN_RIGHT_SEEN: f64 = 0.9;
 /// Below this share, points and photos are unrelated.
 const MAX_UNRELATED_SEEN: f64 = 0.02;
 
-/// A conflict between the cloud and the poses: a fault where the poses follow another convention, a notice where they fit in none.
-pub(crate) type Verdict = Result<String>;
+/// A conflict between the cloud and the poses.
+#[derive(Debug)]
+pub(crate) enum Verdict {
+    /// The poses follow another convention.
+    Misread(Error),
+    /// They fit in no convention. This is a notice.
+    Unrelated(String),
+}
 
 /// A camera in world units, with its photo if colours are compared there.
 struct CheckedView {
@@ -167,7 +173,7 @@ fn verdict(
             100.0 * by_agreement.median_share,
             by_agreement.agreement
         );
-        return Some(Err(misread(layout, file, &found, by_agreement.convention)));
+        return Some(misread(layout, file, &found, by_agreement.convention));
     }
     // From here on colours say nothing, and points of depth images are in front of cameras in any convention.
     if by_agreement.agreement >= MAX_WRONG_AGREEMENT
@@ -187,10 +193,10 @@ fn verdict(
         let found = format!(
             "poses by which the photos hold {seen:.0} % of the initial points; {other:.0} %"
         );
-        return Some(Err(misread(layout, file, &found, by_seen.convention)));
+        return Some(misread(layout, file, &found, by_seen.convention));
     }
     (as_read.seen_share < MAX_UNRELATED_SEEN && by_seen.seen_share <= MIN_RIGHT_SEEN).then(|| {
-        Ok(format!(
+        Verdict::Unrelated(format!(
             "{}: the photos hold {:.1} % of the initial points, in every convention of poses: points and poses may be in \
              different coordinates",
             file.display(),
@@ -200,7 +206,7 @@ fn verdict(
 }
 
 /// The fault of poses in another convention; `found` says how well both conventions fit.
-fn misread(layout: Layout, file: &Path, found: &str, meant: Convention) -> Error {
+fn misread(layout: Layout, file: &Path, found: &str, meant: Convention) -> Verdict {
     let mut path = file.to_owned();
     let field = match layout {
         Layout::Auto | Layout::Transforms => "transform_matrix of the frames",
@@ -212,8 +218,10 @@ fn misread(layout: Layout, file: &Path, found: &str, meant: Convention) -> Error
             "matrices"
         }
     };
-    invalid!(path, "{field}"; found "{found} if they are {}", meant.name();
-        expected "{}", Convention::of(layout).description(); help "{}", meant.help(layout))
+    Verdict::Misread(
+        invalid!(path, "{field}"; found "{found} if they are {}", meant.name();
+        expected "{}", Convention::of(layout).description(); help "{}", meant.help(layout)),
+    )
 }
 
 impl Fit {
