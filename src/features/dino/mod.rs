@@ -16,7 +16,7 @@ mod position;
 pub use super::transformer::HEAD;
 
 use super::transformer::{Block, Style};
-use super::{FeatureMap, SCALES, Steps, normalized};
+use super::{FeatureMap, SCALES, Steps, each_scale, normalized};
 use crate::error::Result;
 use burn::module::{Module, Param};
 use burn::nn::{LayerNorm, Linear};
@@ -105,12 +105,11 @@ impl Vit {
     pub fn maps(&self, image: &image::RgbImage) -> Result<[FeatureMap; SCALES]> {
         let tokens = self.forward(normalized(image, &self.device())?);
         let rows = (image.height() as usize).div_ceil(self.patch);
-        let mut maps: [FeatureMap; SCALES] = Default::default();
-        for (map, tap) in maps.iter_mut().zip(self.taps()) {
-            let tokens = self.normalized(tokens[tap].clone());
-            *map = self.map(tokens, rows, &format!("DINO block {tap}"))?;
-        }
-        Ok(maps)
+        let taps = self.taps();
+        each_scale(|n| {
+            let tokens = self.normalized(tokens[taps[n]].clone());
+            self.map(tokens, rows, &format!("DINO block {}", taps[n]))
+        })
     }
 
     fn map(&self, tokens: Tensor<3>, rows: usize, name: &str) -> Result<FeatureMap> {

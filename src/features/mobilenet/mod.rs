@@ -5,7 +5,7 @@
 
 mod load;
 
-use super::{FeatureMap, SCALES, Steps, normalized};
+use super::{FeatureMap, SCALES, Steps, each_scale, normalized};
 use crate::error::Result;
 use burn::module::{Module, Param};
 use burn::tensor::module::conv2d;
@@ -136,12 +136,11 @@ impl MobileNetV2 {
     /// [`crate::Error::Device`] when the device fails.
     pub fn maps(&self, image: &image::RgbImage) -> Result<[FeatureMap; SCALES]> {
         let scales = self.forward(normalized(image, &self.device())?);
-        let mut maps: [FeatureMap; SCALES] = Default::default();
-        for (n, scale) in scales.into_iter().enumerate() {
+        each_scale(|n| {
             let name = format!("MobileNetV2 scale {}", n + 1);
-            maps[n] = FeatureMap::from_tensor(scale.permute([0, 2, 3, 1]), Some(STEPS[n]), &name)?;
-        }
-        Ok(maps)
+            let cells = scales[n].clone().permute([0, 2, 3, 1]);
+            FeatureMap::from_tensor(cells, Some(STEPS[n]), &name)
+        })
     }
 
     fn device(&self) -> Device {
