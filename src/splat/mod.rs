@@ -195,11 +195,16 @@ pub(crate) fn median(values: impl Iterator<Item = f64>) -> f64 {
 
 /// The rotation of a quaternion (w, x, y, z) of any length. A quaternion of length 0 gives the identity, as in the rasterizer.
 pub(crate) fn rotation(quaternion: &[f32; 4]) -> DQuat {
+    scaled_rotation(quaternion).normalize()
+}
+
+/// The [`rotation`] of a quaternion, times its length.
+fn scaled_rotation(quaternion: &[f32; 4]) -> DQuat {
     let [w, x, y, z] = quaternion.map(f64::from);
     let q = DQuat::from_xyzw(x, y, z, w);
     if q.length_squared() < ZERO_QUATERNION {
         DQuat::IDENTITY
     } else {
-        q.normalize()
+        q
     }
 }
