@@ -8,7 +8,7 @@ pub use super::scene::PlyScene;
 
 use super::scene::{floats_lose, origin_of};
 use super::{compressed_ply, logit, sh_degree};
-use crate::error::{Result, ensure, invalid};
+use crate::error::{Result, bail, ensure};
 use crate::files::atomic;
 use crate::files::ply::{self, PlyFile};
 use crate::splat::Gaussians;
@@ -133,11 +133,7 @@ fn checked_row(
     cells: &[f64; COLUMNS],
     opacity: usize,
 ) -> Result<[f64; COLUMNS]> {
-    let bad = |column: usize, expected: &str, help: &str| {
-        let name = columns[column].as_deref().unwrap_or_default();
-        invalid!(path, "row {row}, column {name}"; found "{}", cells[column]; expected "{expected}";
-            help "{help}")
-    };
+    let name = |column: usize| columns[column].as_deref().unwrap_or_default();
     let mut cells = *cells;
     if cells[opacity].is_infinite() {
         let byte = if cells[opacity] > 0.0 { 255 } else { 0 };
@@ -145,16 +141,13 @@ fn checked_row(
     }
     // A value that does not fit an f32 counts as not finite.
     if let Some(column) = cells.iter().position(|&v| !(v as f32).is_finite()) {
-        let help = "remove this Gaussian (splat-transform --filter-nan)";
-        return Err(bad(column, "a finite number", help));
+        bail!(path, "row {row}, column {}", name(column); found "{}", cells[column]; expected "a finite number";
+            help "remove this Gaussian (splat-transform --filter-nan)");
     }
     // 0 without a label column.
-    let label = opacity + 8;
-    let id = cells[label];
-    if id.fract() != 0.0 || !(0.0..=65_535.0).contains(&id) {
-        let help = "correct or drop the label column";
-        return Err(bad(label, "a class id from 0 to 65535", help));
-    }
+    let id = cells[opacity + 8];
+    ensure!(id.fract() == 0.0 && (0.0..=65_535.0).contains(&id), path, "row {row}, column {}", name(opacity + 8);
+        found "{id}"; expected "a class id from 0 to 65535"; help "correct or drop the label column");
     Ok(cells)
 }
 
