@@ -123,10 +123,8 @@ impl<'a> FeatureReduction<'a> {
                 let maps =
                     kept.map_or_else(|| cached_maps(&self.extractor, self.config, view), Ok)?;
                 let reduce = |n: usize| self.reductions[n].apply(&maps[n], &map_name(view, n));
-                Ok(ViewFeatures {
-                    view: view.name.clone(),
-                    maps: each_scale(reduce)?,
-                })
+                let view = view.name.clone();
+                each_scale(reduce).map(|maps| ViewFeatures { view, maps })
             });
             reduced.collect::<Vec<_>>()
         })
