@@ -56,12 +56,22 @@ impl Trainer<'_> {
     }
 
     fn size_limit(&self, rule: SizeRule) -> SizeLimit {
-        let by_distance = rule == SizeRule::Distance;
-        let prunes = by_distance || self.iteration > self.schedule.reset_every();
-        SizeLimit {
-            share: if prunes { PRUNE_SCALE } else { f32::INFINITY },
-            extent: self.extent as f32,
-            center: by_distance.then(|| self.center.as_vec3().to_array()),
+        let extent = self.extent as f32;
+        match rule {
+            SizeRule::Distance => SizeLimit {
+                share: PRUNE_SCALE,
+                extent,
+                center: Some(self.center.as_vec3().to_array()),
+            },
+            SizeRule::Extent => SizeLimit {
+                share: if self.iteration > self.schedule.reset_every() {
+                    PRUNE_SCALE
+                } else {
+                    f32::INFINITY
+                },
+                extent,
+                center: None,
+            },
         }
     }
 }

@@ -31,12 +31,17 @@ pub(crate) struct Pass {
     pub loss: f64,
 }
 
+/// Loss and gradients of a step.
+pub(super) struct BatchPass {
+    /// Means over its views.
+    pub gradients: ParameterGradients,
+    /// Sum over its views.
+    pub loss: f64,
+}
+
 impl Trainer<'_> {
-    /// The passes of the iterations `batch`, divided among ranks: the mean of the gradients, and the sum of the losses.
-    pub(super) fn batch_pass(
-        &mut self,
-        batch: &RangeInclusive<usize>,
-    ) -> Result<(ParameterGradients, f64)> {
+    /// The passes of the iterations `batch`, divided among ranks.
+    pub(super) fn batch_pass(&mut self, batch: &RangeInclusive<usize>) -> Result<BatchPass> {
         let mut loss = 0.0;
         let mut sum: Option<ParameterGradients> = None;
         for iteration in ranks::share(batch.clone()) {
@@ -61,8 +66,10 @@ impl Trainer<'_> {
         let mut loss = [loss];
         ranks::sum(&mut loss);
         let views = batch.clone().count();
-        let gradients = ParameterGradients::mean(sum, views, &self.parameters)?;
-        Ok((gradients, loss[0]))
+        Ok(BatchPass {
+            gradients: ParameterGradients::mean(sum, views, &self.parameters)?,
+            loss: loss[0],
+        })
     }
 
     /// Checks now and then that all ranks have the same Gaussians.

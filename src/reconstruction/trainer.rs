@@ -5,6 +5,7 @@ use super::initialization::initial_gaussians;
 use super::optimizer::Parameters;
 use super::schedule::{Schedule, center, extent};
 use super::state::TrainerState;
+use super::step::BatchPass;
 use crate::backend::device::read;
 use crate::config::Config;
 use crate::data::{Scene, Split, View, ViewCache};
@@ -199,7 +200,7 @@ impl<'a> Trainer<'a> {
         let start = Instant::now();
         let batch = self.batch();
         let views = batch.clone().count();
-        let (gradients, loss) = self.batch_pass(&batch)?;
+        let BatchPass { gradients, loss } = self.batch_pass(&batch)?;
         let rates = self.rates(*batch.start(), views);
         self.iteration = *batch.end();
         self.parameters
