@@ -173,6 +173,14 @@ pub(crate) fn bounds(points: impl Iterator<Item = DVec3>) -> Option<(DVec3, DVec
     corners.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
 }
 
+/// Moves `positions` by `offset`, in f64.
+pub(crate) fn shift(positions: &mut [[f32; 3]], offset: DVec3) {
+    for position in positions {
+        let moved = DVec3::from(position.map(f64::from)) + offset;
+        *position = moved.as_vec3().to_array();
+    }
+}
+
 /// The numbers of the rows whose value `is_wanted` accepts, ascending.
 pub(crate) fn rows_where<T>(
     values: impl IntoIterator<Item = T>,
