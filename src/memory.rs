@@ -13,13 +13,8 @@ const FLOAT: u64 = size_of::<f32>() as u64;
 pub(crate) fn check_building(gaussians: usize, sh_degree: usize) -> Result<()> {
     let parameters = 11 + 3 * (sh_degree + 1).pow(2);
     let what = format!("memory of {gaussians} Gaussians");
-    let bytes = product(&[gaussians, parameters]);
-    within(
-        &what,
-        bytes,
-        available(),
-        "lower building.max_gaussians or building.random_points",
-    )
+    let help = "lower building.max_gaussians or building.random_points";
+    check(&what, &[gaussians, parameters], help)
 }
 
 /// Refuses `tables` of scores, of each Gaussian for each class.
@@ -29,19 +24,16 @@ pub(crate) fn check_building(gaussians: usize, sh_degree: usize) -> Result<()> {
 pub(crate) fn check_scores(gaussians: usize, classes: usize, tables: usize) -> Result<()> {
     let what =
         format!("memory of {tables} tables of scores, {gaussians} Gaussians by {classes} classes");
-    let bytes = product(&[gaussians, classes, tables]);
-    within(
-        &what,
-        bytes,
-        available(),
-        "have fewer classes, Gaussians or segmentation.rows",
-    )
+    let help = "have fewer classes, Gaussians or segmentation.rows";
+    check(&what, &[gaussians, classes, tables], help)
 }
 
-/// The product of these counts.
-fn product(counts: &[usize]) -> u64 {
+/// Refuses as many values as the product of `counts` where the system tells that less memory is free.
+fn check(what: &str, counts: &[usize], help: &str) -> Result<()> {
     let counts = counts.iter().map(|&count| count as u64);
-    counts.fold(FLOAT, u64::saturating_mul)
+    let bytes = counts.fold(FLOAT, u64::saturating_mul);
+    let available = proc_bytes("/proc/meminfo", "MemAvailable:");
+    within(what, bytes, available, help)
 }
 
 fn within(what: &str, bytes: u64, available: Option<u64>, help: &str) -> Result<()> {
@@ -50,11 +42,6 @@ fn within(what: &str, bytes: u64, available: Option<u64>, help: &str) -> Result<
     ensure!(bytes <= most, limit "{what}"; found "{}", megabytes(bytes);
         expected "{}, which this machine has free", megabytes(most); help "{help}");
     Ok(())
-}
-
-/// Free memory, bytes, where the system tells.
-fn available() -> Option<u64> {
-    proc_bytes("/proc/meminfo", "MemAvailable:")
 }
 
 /// The bytes in the line of `file` that begins with `key`, where the system has such a file.

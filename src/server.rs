@@ -13,6 +13,7 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use rand::TryRngCore;
 use rand::rngs::OsRng;
+use serde::Serialize;
 use std::convert::Infallible;
 use std::io;
 use std::net::{IpAddr, TcpListener};
@@ -169,12 +170,20 @@ async fn guarded(State(host): State<String>, request: Request, next: Next) -> Re
 
 /// An answer that is a page.
 pub(crate) fn html(page: String) -> Response {
-    typed("text/html; charset=utf-8", Body::from(page))
+    typed("text/html; charset=utf-8", page)
 }
 
 /// An answer of a MIME type.
-pub(crate) fn typed(kind: &'static str, body: Body) -> Response {
-    ([(header::CONTENT_TYPE, kind)], body).into_response()
+pub(crate) fn typed(kind: &'static str, body: impl Into<Body>) -> Response {
+    ([(header::CONTENT_TYPE, kind)], body.into()).into_response()
+}
+
+/// An answer that is `value` as JSON.
+pub(crate) fn json(value: &impl Serialize) -> Response {
+    match serde_json::to_string(value) {
+        Ok(text) => typed("application/json", text),
+        Err(error) => failed(error),
+    }
 }
 
 /// An answer that says what went wrong.

@@ -135,15 +135,10 @@ impl WeightFile {
         let file = SafeTensors::deserialize(bytes).map_err(|e| unreadable(origin, "header", e))?;
         let (_, header) =
             SafeTensors::read_metadata(bytes).map_err(|e| unreadable(origin, "header", e))?;
-        let metadata = header
-            .metadata()
-            .iter()
-            .flatten()
-            .map(|(k, v)| (k.clone(), v.clone()))
-            .collect();
+        let notes = header.metadata().iter().flatten();
         let mut weights = Self {
             origin: origin.to_owned(),
-            metadata,
+            metadata: notes.map(|(k, v)| (k.clone(), v.clone())).collect(),
             ..Self::default()
         };
         for (name, view) in file.iter().filter(|(name, _)| keep(name)) {
@@ -195,10 +190,8 @@ impl WeightFile {
 
     /// Adds a tensor under `name`, without a leading `module.` (DataParallel).
     pub fn insert(&mut self, name: &str, tensor: HostTensor) {
-        self.tensors.insert(
-            name.strip_prefix("module.").unwrap_or(name).to_owned(),
-            tensor,
-        );
+        let name = name.strip_prefix("module.").unwrap_or(name);
+        self.tensors.insert(name.to_owned(), tensor);
     }
 
     /// The tensor `name`, its trailing extents of 1 dropped (1x1 convolutions are linear maps).
@@ -215,18 +208,14 @@ impl WeightFile {
             found = &found[..found.len() - 1];
         }
         if found != shape {
-            return Err(self.problem(
-                name,
-                format!("shape {:?}", tensor.shape),
-                format!("{shape:?}"),
-            ));
+            let found = format!("shape {:?}", tensor.shape);
+            return Err(self.problem(name, found, format!("{shape:?}")));
         }
         match tensor.values.iter().position(|v| !v.is_finite()) {
-            Some(i) => Err(self.problem(
-                name,
-                format!("{} at element {i}", tensor.values[i]),
-                "finite values",
-            )),
+            Some(i) => {
+                let found = format!("{} at element {i}", tensor.values[i]);
+                Err(self.problem(name, found, "finite values"))
+            }
             None => Ok(&tensor.values),
         }
     }

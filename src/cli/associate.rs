@@ -68,12 +68,8 @@ impl AssociateArgs {
         let mut colored = classes.clone();
         color_all_apart(&ply.gaussians, &ids, &mut colored)?;
         colored.write(&out.join("classes.json"))?;
-        ply::write(
-            &out.join("scene.ply"),
-            &ply.gaussians,
-            ply.origin,
-            Some(&ids),
-        )?;
+        let path = out.join("scene.ply");
+        ply::write(&path, &ply.gaussians, ply.origin, Some(&ids))?;
         terminal::say(&format!(
             "{}: maps in labels, cameras.json, classes.json and scene.ply",
             out.display()

@@ -90,7 +90,12 @@ fn vector(text: &str, separator: char) -> Option<DVec3> {
 impl EditArgs {
     /// Edits and writes.
     pub fn run(self) -> Result<()> {
-        let objects = self.objects();
+        let objects = ObjectEdits {
+            keep: self.keep,
+            remove: self.remove,
+            turns: self.turn,
+            moves: self.moves,
+        };
         ensure!(self.paint || self.edits.is_some() || !objects.is_empty(), argument "coseg edit"; found "no operation";
             expected "--edits, --keep, --remove, --turn, --move or --paint";
             help "say what to change; `coseg edit --help` has examples");
@@ -105,10 +110,8 @@ impl EditArgs {
         let (mut edited, done) = match &self.edits {
             Some(file) => {
                 let edits = Edits::read(file)?;
-                (
-                    scene.edited(editing, &edits)?,
-                    format!("edits: {}", edits.operations.len()),
-                )
+                let done = format!("edits: {}", edits.operations.len());
+                (scene.edited(editing, &edits)?, done)
             }
             None => objects.apply(&scene, editing)?,
         };
@@ -121,25 +124,13 @@ impl EditArgs {
         let out = self.scene.write(&scene, &edited)?;
         let (left, all) = (edited.labels.len(), scene.labels.len());
         let mut said = format!("{}: {left} of {all} Gaussians", out.display());
-        let painted = self
-            .paint
-            .then(|| "painted in the colours of their labels".to_owned());
-        let parts = [Some(done).filter(|done| !done.is_empty()), painted];
-        for part in parts.into_iter().flatten() {
-            said.push_str("; ");
-            said.push_str(&part);
+        if !done.is_empty() {
+            said += &format!("; {done}");
+        }
+        if self.paint {
+            said += "; painted in the colours of their labels";
         }
         terminal::say(&said);
         Ok(())
-    }
-
-    /// What --keep, --remove, --turn and --move ask for.
-    fn objects(&self) -> ObjectEdits {
-        ObjectEdits {
-            keep: self.keep.clone(),
-            remove: self.remove.clone(),
-            turns: self.turn.clone(),
-            moves: self.moves.clone(),
-        }
     }
 }

@@ -104,8 +104,10 @@ impl ExportArgs {
             expected "a name that ends in .ply, .compressed.ply, .points.ply, .spz, .las, .laz, .sog or .glb, or a folder"; help "change the name");
         ensure!(format.is_none() || self.format.is_none(), argument "--format"; found "a file as --out"; expected "a folder";
             help "leave it out: the name of a file says its format");
-        let is_whole = format.is_some() && self.only.is_empty();
-        if is_whole && ply.labels.is_none() {
+        if let Some(format) = format
+            && self.only.is_empty()
+            && ply.labels.is_none()
+        {
             let rows = (0..ply.gaussians.len() as u32).collect();
             let scene = ObjectScene {
                 path,
@@ -114,28 +116,20 @@ impl ExportArgs {
                 classes: Classes::default(),
                 objects: Vec::new(),
             };
-            return self.write(
-                &scene,
-                format.unwrap_or(FileFormat::Ply),
-                vec![(self.out.clone(), rows)],
-            );
+            return self.write(&scene, format, vec![(self.out.clone(), rows)]);
         }
         let scene = ObjectScene::new(path, ply, self.input.classes.as_deref())?;
         let only = scene.ids(&self.only, "--only")?;
-        let chosen = scene
-            .objects
-            .iter()
-            .filter(|object| only.is_empty() || only.contains(&object.id));
+        let objects = scene.objects.iter();
+        let chosen = objects.filter(|object| only.is_empty() || only.contains(&object.id));
         if let Some(format) = format {
             let mut rows: Vec<u32> = chosen.flat_map(|object| &object.rows).copied().collect();
             rows.sort_unstable();
             return self.write(&scene, format, vec![(self.out.clone(), rows)]);
         }
         let format = self.format.unwrap_or(FileFormat::Ply);
-        let digits = scene
-            .objects
-            .last()
-            .map_or(1, |object| object.id.to_string().len());
+        let last = scene.objects.last();
+        let digits = last.map_or(1, |object| object.id.to_string().len());
         let part = |object: &coseg::objects::Object| {
             let name = safe(scene.name(object.id).unwrap_or("label"));
             let file = format!("{:0digits$}_{name}{}", object.id, format.parts().0);
@@ -233,12 +227,6 @@ impl ExportArgs {
 
 /// A name as a part of a file name: letters, digits and `-` stay, others become `_`.
 pub fn safe(name: &str) -> String {
-    let stays = |c: char| {
-        if c.is_alphanumeric() || c == '-' {
-            c
-        } else {
-            '_'
-        }
-    };
-    name.chars().take(50).map(stays).collect()
+    let start: String = name.chars().take(50).collect();
+    start.replace(|c: char| !c.is_alphanumeric() && c != '-', "_")
 }

@@ -59,18 +59,11 @@ impl FrameFiles<'_> {
             ..
         }: &Frame,
     ) -> Result<()> {
-        let file = |extension| self.file(&format!("relevancy.{extension}"));
-        match self.format {
-            Format::Npy => write_npy(&file("npy"), &[height, width], relevancy),
-            Format::Png => {
-                let share = |value: &f32| (value - least) / (most - least).max(f32::EPSILON);
-                let shares: Vec<f32> = relevancy.iter().map(share).collect();
-                pictures::write(
-                    &file("png"),
-                    &pictures::heated(rgb, &shares, width, height)?,
-                )
-            }
-        }
+        self.write_values("relevancy", &[height, width], relevancy, |path| {
+            let share = |value: &f32| (value - least) / (most - least).max(f32::EPSILON);
+            let shares: Vec<f32> = relevancy.iter().map(share).collect();
+            pictures::write(path, &pictures::heated(rgb, &shares, width, height)?)
+        })
     }
 
     /// Writes normals, `[H, W, 3]` world directions.

@@ -25,16 +25,14 @@ pub fn print(scores: &HeldOutScores, what: &str) {
     };
     line("", &of_pixels(&scores.labels.pixels));
     if let Some(s) = &scores.instances {
-        line(
-            "",
-            &[
-                ("accuracy", s.accuracy),
-                ("mIoU", s.miou),
-                ("PQ", s.panoptic.pq),
-                ("SQ", s.panoptic.sq),
-                ("RQ", s.panoptic.rq),
-            ],
-        );
+        let figures = [
+            ("accuracy", s.accuracy),
+            ("mIoU", s.miou),
+            ("PQ", s.panoptic.pq),
+            ("SQ", s.panoptic.sq),
+            ("RQ", s.panoptic.rq),
+        ];
+        line("", &figures);
     }
     if let Some(s) = &scores.semantic {
         let quality = s.panoptic.unwrap_or_default();
@@ -43,10 +41,8 @@ pub fn print(scores: &HeldOutScores, what: &str) {
             ("PQ of things", quality.things.pq),
             ("PQ of stuff", quality.stuff.pq),
         ];
-        line(
-            ", by class",
-            &[&of_pixels(&s.pixels)[..], &panoptic].concat(),
-        );
+        let figures = [&of_pixels(&s.pixels)[..], &panoptic].concat();
+        line(", by class", &figures);
     }
 }
 

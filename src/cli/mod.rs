@@ -66,12 +66,8 @@ pub struct Cli {
 fn version() -> &'static str {
     static VERSION: LazyLock<String> = LazyLock::new(|| {
         let cuda = cfg!(feature = "cuda").then_some(BackendName::Cuda);
-        let names: Vec<String> = BackendName::compiled()
-            .iter()
-            .copied()
-            .chain(cuda)
-            .map(|b| b.to_string())
-            .collect();
+        let compiled = BackendName::compiled().iter().copied().chain(cuda);
+        let names: Vec<String> = compiled.map(|b| b.to_string()).collect();
         format!("{} ({})", env!("CARGO_PKG_VERSION"), names.join(", "))
     });
     &VERSION
@@ -292,11 +288,8 @@ pub fn or_usage_error<T>(read: Result<T>) -> Result<T> {
         _ => false,
     };
     if let Some(error) = read.as_ref().err().filter(|error| is_usage(error)) {
-        clap::Error::raw(
-            ErrorKind::ValueValidation,
-            format!("{}\n", terminal::escaped(&error.to_string())),
-        )
-        .exit();
+        let message = format!("{}\n", terminal::escaped(&error.to_string()));
+        clap::Error::raw(ErrorKind::ValueValidation, message).exit();
     }
     read
 }

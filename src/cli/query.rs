@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 use coseg::backend::device::open_cpu;
 use coseg::config::{Config, FeatureSource};
 use coseg::data::{LoadOptions, NamedCamera, Scene, Split, check_outputs};
-use coseg::error::{Error, Result, ensure, invalid};
+use coseg::error::{Error, Result, bail, ensure};
 use coseg::features::Activation;
 use coseg::features::clip::{TextEncoder, Tokenizer};
 use coseg::files::own;
@@ -158,10 +158,8 @@ impl QueryArgs {
     /// The folder of the maps.
     fn folder<'a>(&self, config: &'a Config) -> Result<&'a Path> {
         let FeatureSource::Import(folder) = &config.features.source else {
-            return Err(
-                invalid!(argument "--features"; found "nothing"; expected "a folder of feature maps";
-                help "give it, or a run with features.source.import; features of other sources cannot be compared with a text"),
-            );
+            bail!(argument "--features"; found "nothing"; expected "a folder of feature maps";
+                help "give it, or a run with features.source.import; features of other sources cannot be compared with a text");
         };
         let help = "give the folder of the feature maps";
         if !folder.is_dir() {
@@ -213,10 +211,8 @@ impl QueryArgs {
             ensure!(square > 0.0, &self.weights, "text embedding"; found "zeros for {text}"; expected "a direction";
                 help "give weights of CLIP");
             let scale = square.sqrt().recip();
-            Ok(embedding
-                .iter()
-                .map(|v| (scale * f64::from(*v)) as f32)
-                .collect())
+            let scaled = |v: &f32| (scale * f64::from(*v)) as f32;
+            Ok(embedding.iter().map(scaled).collect())
         };
         self.texts.iter().chain(negatives).map(embedding).collect()
     }

@@ -68,11 +68,7 @@ impl SelectArgs {
         let threshold = self.threshold.unwrap_or(growth.proposed);
         let rows = growth.rows(threshold);
         let (ids, edited) = scene.named(&[(&self.name, &rows)], "--name")?;
-        let id = ids
-            .into_iter()
-            .flatten()
-            .next()
-            .unwrap_or(scene.classes.ignore);
+        let id = ids[0].unwrap_or(scene.classes.ignore);
         let out = self.scene.write(&scene, &edited)?;
         let changes_over = |row: &&u32| {
             let label = scene.labels[**row as usize];
@@ -103,10 +99,7 @@ impl SelectArgs {
                     expected "a pixel at least half covered by Gaussians"; help "point at the middle of the thing")
             })
         };
-        self.frames
-            .iter()
-            .zip(&self.pixels)
-            .map(gaussian_below)
-            .collect()
+        let pixels = self.frames.iter().zip(&self.pixels);
+        pixels.map(gaussian_below).collect()
     }
 }

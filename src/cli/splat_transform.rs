@@ -78,11 +78,8 @@ impl SplatTransform {
             if done.status.success() || self.without_gpu || !has_no_gpu {
                 let lines = said.lines().filter(|line| !is_stack_line(line));
                 done.stderr = lines.collect::<Vec<_>>().join("\n").into_bytes();
-                return program::expect_success(
-                    &command,
-                    &done,
-                    "write a .ply file and convert that",
-                );
+                let failed = "write a .ply file and convert that";
+                return program::expect_success(&command, &done, failed);
             }
             tracing::warn!("{PROGRAM} finds no GPU; it continues with --gpu cpu, which is slow");
             self.without_gpu = true;

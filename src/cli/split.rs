@@ -52,7 +52,7 @@ impl SplitArgs {
         let planned = split(&self.data, &options, self.blocks)?;
         self.check_folders(&planned)?;
         for PlannedBlock { block, points } in &planned {
-            let folder = self.folder(&block.name());
+            let folder = self.out.join(block.name());
             block.write(&folder)?;
             let run = Path::new("runs").join(block.name());
             terminal::say(&format!(
@@ -67,10 +67,6 @@ impl SplitArgs {
         Ok(())
     }
 
-    fn folder(&self, name: &str) -> PathBuf {
-        self.out.join(name)
-    }
-
     /// Refuses to write over files of others, and to mix with the blocks of another split.
     fn check_folders(&self, planned: &[PlannedBlock]) -> Result<()> {
         let wanted: Vec<String> = planned.iter().map(|planned| planned.block.name()).collect();
@@ -80,7 +76,7 @@ impl SplitArgs {
         ensure!(others.is_empty(), argument "--out"; found "{}, which has a block {} of another split", self.out.display(), others[0];
             expected "a new folder, or one of the same number of blocks"; help "name a new folder");
         for name in &wanted {
-            let folder = self.folder(name);
+            let folder = self.out.join(name);
             own::check(folder.join(BLOCK))?;
             if !folder.join(BLOCK).exists() {
                 check_outputs("--out", &[&folder], None)?;

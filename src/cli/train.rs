@@ -174,21 +174,17 @@ impl TrainArgs {
     }
 
     /// Who listens to the run: the terminal, and a browser where `--view` asks for it.
-    #[cfg(feature = "serve")]
+    #[cfg_attr(not(feature = "serve"), expect(unused_variables))]
     fn progress(&self, config: &Config) -> Result<Box<dyn Progress>> {
-        if !self.view {
-            return Ok(Box::new(Bars::default()));
+        let bars = Bars::default();
+        #[cfg(feature = "serve")]
+        if self.view {
+            let alpha_max = config.raster.alpha_max;
+            let watch = Watched::start(self.listen, &scene_name(config), alpha_max, bars)?;
+            terminal::note(&format!("watch: {}", watch.address()));
+            return Ok(Box::new(watch));
         }
-        let alpha_max = config.raster.alpha_max;
-        let watch = Watched::start(self.listen, &scene_name(config), alpha_max, Bars::default())?;
-        terminal::note(&format!("watch: {}", watch.address()));
-        Ok(Box::new(watch))
-    }
-
-    /// Who listens to the run.
-    #[cfg(not(feature = "serve"))]
-    fn progress(&self, _: &Config) -> Result<Box<dyn Progress>> {
-        Ok(Box::new(Bars::default()))
+        Ok(Box::new(bars))
     }
 
     /// Labels the photos by the segmenter, if one is given; its labels become the raw ones.

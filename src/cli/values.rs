@@ -43,7 +43,7 @@ pub fn name(text: &str) -> Result<String, String> {
 
 /// A number from 0 to 1.
 pub fn share(text: &str) -> Result<f32, String> {
-    let share = text.trim().parse().ok();
-    let share = share.filter(|share: &f32| (0.0..=1.0).contains(share));
-    share.ok_or_else(|| "expected a number from 0 to 1".into())
+    number(text, "a number from 0 to 1", |share| {
+        (0.0..=1.0).contains(share)
+    })
 }

@@ -130,10 +130,7 @@ impl ViewArgs {
         let labels = ply
             .labels
             .unwrap_or_else(|| classes.unlabelled(gaussians.len()));
-        let cameras = self
-            .cameras
-            .clone()
-            .or_else(|| cameras_path(None, path).ok());
+        let cameras = cameras_path(self.cameras.as_deref(), path).ok();
         let cameras = cameras.map_or_else(|| Ok(Vec::new()), |file| read_cameras(&file, None))?;
         act(Viewer {
             title: &title(path),

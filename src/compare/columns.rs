@@ -12,18 +12,10 @@ pub(super) struct Column {
     /// The value 1 in the unit of the title.
     pub unit: f64,
     decimals: usize,
-    best: Best,
+    /// 1 where the highest figure is the best, which is set in bold, -1 where the lowest is. Costs are not compared.
+    best_sign: Option<f64>,
     /// The figure of a cell.
     pub of: fn(&Figures) -> Option<f64>,
-}
-
-/// Which figure of a column is the best, set in bold.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Best {
-    Highest,
-    Lowest,
-    /// Costs are not compared.
-    None,
 }
 
 impl Column {
@@ -33,7 +25,7 @@ impl Column {
         of: fn(&Figures) -> Option<f64>,
     ) -> Self {
         Self {
-            best: Best::Highest,
+            best_sign: Some(1.0),
             ..Self::cost(key, title, (100.0, 1), of)
         }
     }
@@ -49,19 +41,14 @@ impl Column {
             title,
             unit,
             decimals,
-            best: Best::None,
+            best_sign: None,
             of,
         }
     }
 
     /// The row that is the best beyond the spread, see [`best`].
     pub fn best(&self, rows: &[Option<Statistic>], all: usize) -> Option<usize> {
-        let sign = match self.best {
-            Best::Highest => 1.0,
-            Best::Lowest => -1.0,
-            Best::None => return None,
-        };
-        best(rows, all, sign)
+        best(rows, all, self.best_sign?)
     }
 
     /// `52.3 ± 0.4`. A cost that is the same under all seeds has no spread.
@@ -69,7 +56,7 @@ impl Column {
         let number = |value: f64| format!("{:.*}", self.decimals, self.unit * value);
         let mean = number(statistic.mean);
         match statistic.spread {
-            Some(spread) if self.best != Best::None || number(spread) != number(0.0) => {
+            Some(spread) if self.best_sign.is_some() || number(spread) != number(0.0) => {
                 format!("{mean} ± {}", number(spread))
             }
             _ => mean,
@@ -102,13 +89,13 @@ pub(super) static COLUMNS: [Column; 8] = [
 /// The columns of feature fields, for tables that have some.
 pub(super) static FIELD_COLUMNS: [Column; 4] = [
     Column {
-        best: Best::Highest,
+        best_sign: Some(1.0),
         ..Column::cost("calinski_harabasz", "CH", (1.0, 1), |f| {
             f.field?.calinski_harabasz
         })
     },
     Column {
-        best: Best::Lowest,
+        best_sign: Some(-1.0),
         ..Column::cost("davies_bouldin", "DB", (1.0, 2), |f| {
             f.field?.davies_bouldin
         })

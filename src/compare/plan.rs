@@ -2,7 +2,7 @@
 
 use super::CellId;
 use crate::config::{BuildingConfig, Config, Variant};
-use crate::error::{Error, Result, bail, ensure};
+use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files;
 use serde::Deserialize;
 use std::collections::BTreeSet;
@@ -278,13 +278,9 @@ impl Plan {
                 found,
                 expected,
                 help,
-            } => Error::input(
-                &self.path,
-                format!("{location}, {key}"),
-                found,
-                expected,
-                help,
-            ),
+            } => {
+                invalid!(&self.path, "{location}, {key}"; found "{found}"; expected "{expected}"; help "{help}")
+            }
             other => other,
         }
     }

@@ -87,11 +87,8 @@ fn check_options(plan: &Plan, options: &Options) -> Result<()> {
         }
     }
     let names: Vec<&str> = plan.scenes.iter().map(|scene| &*scene.name).collect();
-    let unknown = options
-        .gaussians
-        .keys()
-        .find(|name| !names.contains(&&***name));
-    if let Some(unknown) = unknown {
+    let mut named = options.gaussians.keys();
+    if let Some(unknown) = named.find(|name| !names.contains(&&***name)) {
         bail!(argument "--gaussians"; found "{unknown}"; expected "a scene of the plan: {}", names.join(", ");
             help "name one of these");
     }
@@ -246,11 +243,8 @@ impl<'a> Comparison<'a> {
             self.progress,
         )?;
         for job in jobs {
-            let row = outcome
-                .rows
-                .iter()
-                .find(|row| row.variant == job.row.variant);
-            let Some(row) = row else {
+            let mut rows = outcome.rows.iter();
+            let Some(row) = rows.find(|row| row.variant == job.row.variant) else {
                 bail!(&self.plan.path, "labels {:?}", id.labels; found "{} without raw labels", id.scene;
                     expected "training photos with raw labels"; help "name them by data.raw_labels or data.transforms");
             };

@@ -3,6 +3,7 @@
 use super::Config;
 use crate::error::{Error, Result, bail, invalid};
 use crate::files::line_at;
+use std::fmt::Display;
 use std::path::Path;
 use toml::{Table, Value};
 
@@ -131,7 +132,7 @@ impl Assignment<'_> {
             other => other.to_string(),
         };
         let help = "write it as expected, or leave the key out";
-        fault(self.file, &self.key, found, expected, help.into())
+        fault(self.file, &self.key, found, expected, help)
     }
 
     /// The error for a part of the key that its section does not have. `known` lists the keys of the section.
@@ -161,13 +162,7 @@ impl Assignment<'_> {
             || "docs/settings.md lists the keys".into(),
             |key| format!("did you mean {key}?"),
         );
-        fault(
-            self.file,
-            &key,
-            "an unknown key".into(),
-            "a known key".into(),
-            help,
-        )
+        fault(self.file, &key, "an unknown key", "a known key", help)
     }
 }
 
@@ -205,9 +200,9 @@ fn insert(table: &mut Table, keys: &[&str], emptied: usize, value: &Value) {
 pub(super) fn fault(
     file: Option<(&Path, &str)>,
     key: &str,
-    found: String,
-    expected: String,
-    help: String,
+    found: impl Display,
+    expected: impl Display,
+    help: impl Display,
 ) -> Error {
     match file {
         Some((path, text)) => {

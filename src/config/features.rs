@@ -2,7 +2,7 @@
 
 use super::display_as_serialized;
 use super::range::{Range, checked};
-use crate::error::{Result, ensure, invalid};
+use crate::error::{Result, ensure};
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use std::path::PathBuf;
@@ -56,15 +56,10 @@ impl FeatureConfig {
             FeatureSource::Segmenter(_) => "segmenter",
             _ => return Ok(()),
         };
-        if self.weights.is_some() {
-            return Ok(());
-        }
-        let expected =
-            format!("a path to {network} weights, because features.source asks for {network}");
-        Err(
-            invalid!(setting "features.weights"; found "nothing"; expected "{expected}";
-            help "give it, or name another features.source, such as \"descriptor\", which needs no weights"),
-        )
+        ensure!(self.weights.is_some(), setting "features.weights"; found "nothing";
+            expected "a path to {network} weights, because features.source asks for {network}";
+            help "give it, or name another features.source, such as \"descriptor\", which needs no weights");
+        Ok(())
     }
 }
 

@@ -172,11 +172,7 @@ impl Scene {
         self.views
             .iter_mut()
             .for_each(|view| view.camera.center += shift);
-        for position in &mut self.points.positions {
-            *position = (glam::Vec3::from(*position).as_dvec3() + shift)
-                .as_vec3()
-                .to_array();
-        }
+        crate::splat::shift(&mut self.points.positions, shift);
         Self { origin, ..self }
     }
 

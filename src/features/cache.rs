@@ -4,7 +4,7 @@
 //! hash of the weights). It holds the four maps and where their cells are. A damaged entry is computed
 //! again.
 
-use super::{FeatureMap, SCALES, Steps};
+use super::{FeatureMap, SCALES, Steps, each_scale};
 use crate::checkpoint::{Checkpoint, Scalar};
 use crate::error::Result;
 use crate::files::own;
@@ -39,21 +39,19 @@ pub fn load(path: &Path) -> Option<[FeatureMap; SCALES]> {
 fn read(path: &Path) -> Result<[FeatureMap; SCALES]> {
     let mut file = Checkpoint::load(path, KIND)?;
     let steps: [Option<[f64; 2]>; SCALES] = file.get("steps")?;
-    let mut maps: [FeatureMap; SCALES] = Default::default();
-    for (n, map) in maps.iter_mut().enumerate() {
+    each_scale(|n| {
         let name = format!("scale{}", n + 1);
         let &[height, width, channels] = file.shape(&name)? else {
             return Err(file.wrong(name, "another shape", "[H, W, C]"));
         };
-        *map = FeatureMap {
+        Ok(FeatureMap {
             height,
             width,
             channels,
             data: file.take(&name, &[height, width, channels])?,
             steps: steps[n].map(|[stride, offset]| Steps::new(stride, offset)),
-        };
-    }
-    Ok(maps)
+        })
+    })
 }
 
 /// Writes `maps` to `path`, whole or not at all.

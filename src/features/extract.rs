@@ -1,6 +1,6 @@
 //! From a scene to reduced feature maps.
 
-use super::{Extractor, FeatureMap, Moments, Pca, SCALES, cache};
+use super::{Extractor, FeatureMap, Moments, Pca, SCALES, cache, each_scale};
 use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::{Scene, Split, View};
 use crate::error::{Result, bail, ensure};
@@ -122,7 +122,9 @@ impl<'a> FeatureReduction<'a> {
             let reduced = batch.par_iter().zip(kept).map(|(view, kept)| {
                 let maps =
                     kept.map_or_else(|| cached_maps(&self.extractor, self.config, view), Ok)?;
-                reduce_view(view, &maps, &self.reductions)
+                let reduce = |n: usize| self.reductions[n].apply(&maps[n], &map_name(view, n));
+                let view = view.name.clone();
+                each_scale(reduce).map(|maps| ViewFeatures { view, maps })
             });
             reduced.collect::<Vec<_>>()
         })
@@ -176,21 +178,6 @@ fn first_pass(
         }
     }
     Ok(seen)
-}
-
-fn reduce_view(
-    view: &View,
-    maps: &[FeatureMap; SCALES],
-    reductions: &[Pca; SCALES],
-) -> Result<ViewFeatures> {
-    let mut reduced: [FeatureMap; SCALES] = Default::default();
-    for (n, out) in reduced.iter_mut().enumerate() {
-        *out = reductions[n].apply(&maps[n], &map_name(view, n))?;
-    }
-    Ok(ViewFeatures {
-        view: view.name.clone(),
-        maps: reduced,
-    })
 }
 
 /// The name of a map in errors.

@@ -1,7 +1,7 @@
 //! Feature maps from files: `STEM.1.npy` to `STEM.4.npy`, or `STEM.safetensors` with `scale1` to `scale4`. Their cells
 //! divide the image evenly.
 
-use super::{FeatureMap, SCALES};
+use super::{FeatureMap, SCALES, by_scale};
 use crate::error::{Result, ensure, invalid};
 use crate::files::{self, extension};
 use crate::weights::floats;
@@ -36,12 +36,7 @@ pub fn expect(dir: &Path, stem: &str) -> Result<()> {
 /// [`crate::Error::Input`] when files are absent, truncated, of another type or shape; [`crate::Error::NonFinite`] on NaN or infinity.
 pub fn read(dir: &Path, stem: &str) -> Result<[FeatureMap; SCALES]> {
     expect(dir, stem)?;
-    let bundle = dir.join(format!("{stem}.safetensors"));
-    if bundle.exists() {
-        return read_bundle(&bundle, SCALES).map(by_scale);
-    }
-    let maps = (1..=SCALES).map(|n| read_npy(&dir.join(format!("{stem}.{n}.npy"))));
-    maps.collect::<Result<_>>().map(by_scale)
+    read_found(dir, stem, SCALES).map(by_scale)
 }
 
 /// The files of view `stem`: the bundle, or the maps of one to four scales. None if there are none.
@@ -54,14 +49,14 @@ pub fn found(dir: &Path, stem: &str) -> Vec<PathBuf> {
     maps.take_while(|path| path.exists()).collect()
 }
 
-/// The maps of view `stem` at the scales that there are, one to four.
+/// The maps of view `stem` at the scales that there are, one to four. A bundle must have `least` of them or more.
 ///
 /// # Errors
 /// As [`read`].
-pub fn read_found(dir: &Path, stem: &str) -> Result<Vec<FeatureMap>> {
+pub fn read_found(dir: &Path, stem: &str, least: usize) -> Result<Vec<FeatureMap>> {
     match &found(dir, stem)[..] {
         [] => expect(dir, stem).map(|()| Vec::new()),
-        [bundle] if extension(bundle) == "safetensors" => read_bundle(bundle, 1),
+        [bundle] if extension(bundle) == "safetensors" => read_bundle(bundle, least),
         maps => maps.iter().map(|path| read_npy(path)).collect(),
     }
 }
@@ -103,11 +98,6 @@ fn read_npy(path: &Path) -> Result<FeatureMap> {
         }
     };
     checked(path, "data", [height, width, channels], data)
-}
-
-fn by_scale(maps: Vec<FeatureMap>) -> [FeatureMap; SCALES] {
-    let mut maps = maps.into_iter();
-    std::array::from_fn(|_| maps.next().unwrap_or_default())
 }
 
 /// The maps of a safetensors file, of `least` scales or more.

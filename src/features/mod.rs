@@ -171,6 +171,16 @@ fn naming_source(mut error: Error, source: &FeatureSource) -> Error {
     error
 }
 
+/// What `map` gives for each scale, counted from 0, or its first error.
+fn each_scale(map: impl FnMut(usize) -> Result<FeatureMap>) -> Result<[FeatureMap; SCALES]> {
+    (0..SCALES).map(map).collect::<Result<_>>().map(by_scale)
+}
+
+fn by_scale(maps: Vec<FeatureMap>) -> [FeatureMap; SCALES] {
+    let mut maps = maps.into_iter();
+    std::array::from_fn(|_| maps.next().unwrap_or_default())
+}
+
 /// The image as `[1, 3, H, W]`, normalised as networks trained on ImageNet expect it.
 ///
 /// # Errors

@@ -125,16 +125,24 @@ impl Weights<'_> {
         }
     }
 
+    /// What `of` makes of the shape of a tensor.
+    pub fn shape<T>(
+        &self,
+        name: &str,
+        expected: &str,
+        of: impl Fn(&[usize]) -> Option<T>,
+    ) -> Result<T> {
+        let shape = self.file.shape(name)?;
+        of(shape).ok_or_else(|| self.problem(name, format!("shape {shape:?}"), expected))
+    }
+
     /// The outputs of the layer `name` of `width` inputs.
     pub fn outputs(&self, name: &str, width: usize) -> Result<usize> {
-        let weight = format!("{name}.weight");
-        match *self.file.shape(&weight)? {
-            [hidden, found] if found == width && hidden > 0 => Ok(hidden),
-            ref other => {
-                let expected = format!("[hidden, {width}]");
-                Err(self.problem(&weight, format!("shape {other:?}"), expected))
-            }
-        }
+        let expected = format!("[hidden, {width}]");
+        self.shape(&format!("{name}.weight"), &expected, |shape| match *shape {
+            [hidden, found] if found == width && hidden > 0 => Some(hidden),
+            _ => None,
+        })
     }
 
     /// The layer whose weights have the shape `[out, in]`, or `[out, ...]` with the extents of the inputs.

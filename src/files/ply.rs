@@ -149,17 +149,6 @@ impl PlyFile {
         &self.header.comments
     }
 
-    /// An error that names the file and a field of it.
-    pub fn error(
-        &self,
-        field: impl std::fmt::Display,
-        found: impl std::fmt::Display,
-        expected: &str,
-        help: &str,
-    ) -> Error {
-        invalid!(&self.path, "{field}"; found "{found}"; expected "{expected}"; help "{help}")
-    }
-
     /// Reads every row and hands it to `each` with its number. Cell `i` of a row is column `columns[i]`; a `None`
     /// stays 0. Columns that are not named are ignored.
     ///

@@ -44,19 +44,21 @@ pub(super) struct Pairs(BTreeMap<(u16, u16), u64>);
 
 impl Pairs {
     /// Counts one view; pixels past the shorter slice are not counted.
-    pub fn add(&mut self, truth: &[u16], prediction: &[u16]) {
+    pub fn of(truth: &[u16], prediction: &[u16]) -> Self {
+        let mut pairs = Self::default();
         let mut run: Option<((u16, u16), u64)> = None;
         // Neighbours mostly have the same pair: one look-up for each run.
         for pair in truth.iter().copied().zip(prediction.iter().copied()) {
             match &mut run {
                 Some((last, n)) if *last == pair => *n += 1,
                 _ => {
-                    self.count(run);
+                    pairs.count(run);
                     run = Some((pair, 1));
                 }
             }
         }
-        self.count(run);
+        pairs.count(run);
+        pairs
     }
 
     fn count(&mut self, run: Option<((u16, u16), u64)>) {
@@ -116,9 +118,7 @@ pub struct PanopticQuality(BTreeMap<u16, ClassMatches>);
 impl PanopticQuality {
     /// Counts one image, `[H, W]` segment ids, 0 is none. `classes` tells the class of a true and of a predicted segment.
     pub fn add(&mut self, truth: &[u16], prediction: &[u16], classes: [&dyn Fn(u16) -> u16; 2]) {
-        let mut pairs = Pairs::default();
-        pairs.add(truth.as_ref(), prediction.as_ref());
-        self.count(&pairs, classes);
+        self.count(&Pairs::of(truth, prediction), classes);
     }
 
     pub(super) fn count(
@@ -180,8 +180,7 @@ pub fn instance_scores(
     let mut per_view = PanopticQuality::default();
     let one: &dyn Fn(u16) -> u16 = &|_| 0;
     for (truth, prediction) in views {
-        let mut pairs = Pairs::default();
-        pairs.add(truth.as_ref(), prediction.as_ref());
+        let pairs = Pairs::of(truth.as_ref(), prediction.as_ref());
         per_view.count(&pairs, [one, one]);
         pooled.merge(&pairs);
     }

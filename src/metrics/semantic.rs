@@ -115,8 +115,7 @@ fn panoptic(
         let is_known = |id: u16| known(class_of[usize::from(id)]);
         let shown = view.objects.iter();
         let shown: Vec<u16> = shown.map(|&id| if is_known(id) { id } else { 0 }).collect();
-        let mut pairs = Pairs::default();
-        pairs.add(&truth, &shown);
+        let pairs = Pairs::of(&truth, &shown);
         pooled.merge(&pairs);
         each.push(pairs);
     }

@@ -206,17 +206,10 @@ impl LabelErrors {
         }
         let total: f64 = won.iter().sum();
         let right: f64 = (0..classes).map(|c| flux.at(c, c)).sum();
+        let rest = |part: f64, all: f64| if all > 0.0 { 1.0 - part / all } else { 0.0 };
         Self {
-            share: if total > 0.0 {
-                1.0 - right / total
-            } else {
-                0.0
-            },
-            preference: if square > 0.0 {
-                1.0 - product / square
-            } else {
-                0.0
-            },
+            share: rest(right, total),
+            preference: rest(product, square),
         }
     }
 

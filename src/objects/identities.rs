@@ -2,7 +2,7 @@
 
 use super::largest::first_largest;
 use crate::data::Classes;
-use crate::error::{Result, bail, invalid};
+use crate::error::{Result, bail};
 use crate::weights::{HostTensor, WeightFile};
 use std::path::Path;
 
@@ -54,28 +54,22 @@ impl Identities {
     /// [`crate::Error::Io`]; [`crate::Error::Input`] when the file is damaged or has no 2D tensor `scores` of finite
     /// numbers.
     pub fn read(path: &Path) -> Result<Self> {
+        const HELP: &str = "write the run again with `coseg train`";
         let mut file = WeightFile::open_sealed(path)?;
-        match file.tensors.remove(SCORES) {
-            Some(HostTensor { shape, values }) if shape.len() == 2 => {
-                if let Some(i) = values.iter().position(|score| !score.is_finite()) {
-                    let row = i / shape[1];
-                    bail!(path, "{SCORES}, row {row}"; found "{}", values[i]; expected "finite numbers";
-                        help "write the run again with `coseg train`");
-                }
-                Ok(Self {
-                    classes: shape[1],
-                    scores: values,
-                })
-            }
-            other => {
-                let shape = other.map(|tensor| tensor.shape);
-                let found = shape.map_or("nothing".into(), |shape| format!("shape {shape:?}"));
-                Err(
-                    invalid!(path, "{}", SCORES; found "{found}"; expected "a 2D tensor";
-                    help "write the run again with `coseg train`"),
-                )
-            }
+        let Some(HostTensor { shape, values }) = file.tensors.remove(SCORES) else {
+            bail!(path, "{SCORES}"; found "nothing"; expected "a 2D tensor"; help "{HELP}");
+        };
+        let [_, classes] = shape[..] else {
+            bail!(path, "{SCORES}"; found "shape {shape:?}"; expected "a 2D tensor"; help "{HELP}");
+        };
+        if let Some(i) = values.iter().position(|score| !score.is_finite()) {
+            let row = i / classes;
+            bail!(path, "{SCORES}, row {row}"; found "{}", values[i]; expected "finite numbers"; help "{HELP}");
         }
+        Ok(Self {
+            scores: values,
+            classes,
+        })
     }
 }
 

@@ -102,11 +102,10 @@ impl Encodings {
         };
         let all: Vec<u32> = (0..inputs.gaussians.len() as u32).collect();
         let mut scene = join(&self.scene, all, switches, inputs)?;
-        let mut views: Vec<Encoded> = self
-            .views
-            .iter()
-            .map(|view| join(&view.encoding, view.visible.clone(), switches, inputs))
-            .collect::<Result<_>>()?;
+        let of_view =
+            |view: &EncodedView| join(&view.encoding, view.visible.clone(), switches, inputs);
+        let views = self.views.iter().map(of_view);
+        let mut views = views.collect::<Result<Vec<Encoded>>>()?;
         if inputs.config.segmentation.standardise {
             let scales = Standardisation::of(&scene.pyramid);
             for encoded in views.iter_mut().chain([&mut scene]) {
@@ -139,11 +138,8 @@ fn join(
         };
         let points: Vec<u32> = rows.iter().map(|&row| points[row as usize]).collect();
         let values = features.rows(scale, &points);
-        Ok(upload(
-            values,
-            [rows.len(), features.dimensions],
-            inputs.device,
-        ))
+        let size = [rows.len(), features.dimensions];
+        Ok(upload(values, size, inputs.device))
     };
     Ok(Encoded {
         pyramid: Pyramid::new(encoding, switches, image)?,

@@ -5,7 +5,7 @@ use crate::config::Config;
 use crate::data::{Scene, Split};
 use crate::error::{Result, bail, ensure};
 use crate::files::atomic;
-use crate::splat::{Gaussians, formats};
+use crate::splat::{self, Gaussians, formats};
 use burn::tensor::Device;
 use std::path::Path;
 
@@ -45,12 +45,7 @@ pub(crate) fn load_initial_scene(
             expected "{} or more, as building.gaussians has, or \"unlimited\"", gaussians.len();
             help "raise it");
     }
-    let shift = ply.origin - scene.origin;
-    for mean in &mut gaussians.means {
-        *mean = (glam::Vec3::from(*mean).as_dvec3() + shift)
-            .as_vec3()
-            .to_array();
-    }
+    splat::shift(&mut gaussians.means, ply.origin - scene.origin);
     compare_with_photos(path, &gaussians, scene, config, device)?;
     Ok(gaussians)
 }

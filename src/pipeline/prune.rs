@@ -50,7 +50,8 @@ pub fn prune(
 ) -> Result<Pruning> {
     scene.expect_training_views()?;
     let views: Vec<&View> = scene.split(Split::Train).collect();
-    let judges = evenly(&views, JUDGES);
+    let every = views.len().div_ceil(JUDGES);
+    let judges: Vec<&View> = views.iter().copied().step_by(every).collect();
     let mut rng = stream(config.seed, Purpose::Pruning, 0);
     let mut rows: Vec<u32> = (0..gaussians.len() as u32).collect();
     let before = PrunedScene::new(gaussians, &config.raster, device).psnr(&judges, &[])?;
@@ -84,10 +85,4 @@ pub fn prune(
         before,
         kept: rows,
     })
-}
-
-/// At most `count` of `views`, evenly spaced.
-fn evenly<'a>(views: &[&'a View], count: usize) -> Vec<&'a View> {
-    let every = views.len().div_ceil(count).max(1);
-    views.iter().copied().step_by(every).collect()
 }

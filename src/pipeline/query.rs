@@ -100,18 +100,14 @@ impl LiftedMaps<'_> {
         advance: &mut dyn FnMut(usize),
     ) -> Result<Vec<Vec<f32>>> {
         let settings = Settings::from(&self.config.raster);
+        let resolution = self.config.unprojection.resolution;
         let parts = vec![range.len(); scales];
         let mut lifted = LiftedViews::new(self.gaussians, &parts, self.device);
         for (number, view) in views.iter().enumerate() {
             let maps = self.maps(view, channels, Some(scales))?;
             let maps: Vec<FeatureMap> = maps.iter().map(|map| directions(map, range)).collect();
-            lifted.add(
-                &view.camera,
-                &maps,
-                view.mask.as_ref(),
-                self.config.unprojection.resolution,
-                &settings,
-            )?;
+            let mask = view.mask.as_ref();
+            lifted.add(&view.camera, &maps, mask, resolution, &settings)?;
             advance(number + 1);
         }
         Ok(lifted.finish()?.buffers)
@@ -119,7 +115,7 @@ impl LiftedMaps<'_> {
 
     /// The maps of `view`, which must have `channels` channels at each scale, and `scales` scales if that is known.
     fn maps(&self, view: &View, channels: usize, scales: Option<usize>) -> Result<Vec<FeatureMap>> {
-        let maps = import::read_found(self.folder, &view.name)?;
+        let maps = import::read_found(self.folder, &view.name, 1)?;
         let field = format!("view {}", view.name);
         if let Some(scales) = scales {
             ensure!(maps.len() == scales, self.folder, "{field}"; found "{} scales", maps.len();
@@ -184,11 +180,8 @@ fn directions(map: &FeatureMap, range: &Range<usize>) -> FeatureMap {
     let cells = out.data.chunks_exact_mut(range.len());
     for (out, cell) in cells.zip(map.data.chunks_exact(map.channels)) {
         // In f64, where squares of f32 neither overflow nor vanish.
-        let length = cell
-            .iter()
-            .map(|v| f64::from(*v).powi(2))
-            .sum::<f64>()
-            .sqrt();
+        let square: f64 = cell.iter().map(|v| f64::from(*v).powi(2)).sum();
+        let length = square.sqrt();
         if length > 0.0 {
             let values = out.iter_mut().zip(&cell[range.clone()]);
             values.for_each(|(out, v)| *out = (f64::from(*v) / length) as f32);

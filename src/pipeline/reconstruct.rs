@@ -25,6 +25,7 @@ const CORRECTIONS: &str = "corrections.safetensors";
 const INITIAL_KIND: &str = "initial Gaussians";
 
 /// Result of stage one.
+#[derive(Default)]
 pub(crate) struct Reconstruction {
     /// In spatial order.
     pub gaussians: Gaussians,
@@ -152,13 +153,9 @@ fn take(
     }
     Ok(Reconstruction {
         gaussians: gaussians.select(&gaussians.spatial_order()),
-        curve: Vec::new(),
-        reviews: Vec::new(),
-        seconds: 0.0,
-        earlier: 0.0,
         complete: true,
-        steps: 0,
         new,
+        ..Reconstruction::default()
     })
 }
 

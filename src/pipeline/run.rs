@@ -100,12 +100,9 @@ impl Outcome {
 
     /// The variant whose identities the scene stores: `ours` where it was trained, else the last with identities.
     pub fn stored(&self) -> Option<(&VariantOutcome, &Identities)> {
-        let has_identities = |row: &VariantOutcome| row.identities.is_some();
-        let row = self
-            .rows
-            .iter()
-            .find(|r| r.variant == Variant::Ours && has_identities(r));
-        let row = row.or_else(|| self.rows.iter().rfind(|r| has_identities(r)))?;
+        let rows = || self.rows.iter().filter(|row| row.identities.is_some());
+        let ours = rows().find(|row| row.variant == Variant::Ours);
+        let row = ours.or_else(|| rows().next_back())?;
         Some((row, row.identities.as_ref()?))
     }
 
@@ -231,14 +228,8 @@ impl Outcome {
         let scene = &mut self.scene;
         let gaussians = &self.gaussians;
         corrections.check(gaussians, &scene.classes, &files.corrections())?;
-        corrections::apply(
-            corrections,
-            scene,
-            gaussians,
-            &self.config,
-            device,
-            progress,
-        )?;
+        let config = &self.config;
+        corrections::apply(corrections, scene, gaussians, config, device, progress)?;
         progress.scene(&self.scene);
         Ok(())
     }
@@ -260,14 +251,8 @@ impl Outcome {
         let classes = self.corrections.as_ref().map(Corrections::classes);
         let classes = classes.unwrap_or(&self.scene.classes).len();
         memory::check_scores(self.gaussians.len(), classes, score_tables(config))?;
-        let lifted = lift(
-            &self.gaussians,
-            &self.scene,
-            self.test,
-            config,
-            device,
-            progress,
-        )?;
+        let scene = &self.scene;
+        let lifted = lift(&self.gaussians, scene, self.test, config, device, progress)?;
         self.gaussians = lifted.gaussians;
         progress.gaussians(&self.gaussians, None);
         self.test = lifted.pruned.scores_after;

@@ -7,6 +7,7 @@ use crate::raster::{Projected, Settings};
 use crate::reconstruction::initialization::{initial_gaussians, logit};
 use crate::splat::{Gaussians, rows_where};
 use serde::Serialize;
+use std::borrow::Cow;
 
 /// Longer side of the pictures in which Gaussians are counted, in pixels.
 const PICTURE_SIDE: usize = 240;
@@ -43,22 +44,19 @@ pub fn suggest(
     config: &Config,
 ) -> Result<Vec<Suggestion>> {
     let views: Vec<&View> = scene.split(Split::Train).collect();
-    let stand_ins = match gaussians {
-        Some(_) => None,
+    let gaussians = match gaussians {
+        Some(gaussians) => Cow::Borrowed(gaussians),
         None => {
             let mut points = initial_gaussians(scene, &views, config)?;
             points.opacity_logits.fill(logit(OPACITY));
-            Some(points)
+            Cow::Owned(points)
         }
-    };
-    let Some(gaussians) = gaussians.or(stand_ins.as_ref()) else {
-        return Ok(Vec::new());
     };
     let settings = Settings::from(&config.raster);
     let mut worth = vec![0.0; gaussians.len()];
     let mut shown: Vec<Vec<u32>> = Vec::with_capacity(views.len());
     for view in &views {
-        let weights = weights(gaussians, view, &settings)?;
+        let weights = weights(&gaussians, view, &settings)?;
         shown.push(rows_where(&weights, |weight| *weight >= MIN_SHOWN_WEIGHT));
         for (worth, weight) in worth.iter_mut().zip(weights) {
             *worth += f64::from(weight);

@@ -118,10 +118,7 @@ pub fn decoder_training<'a>(
     }
     // Not `plan.warmup`: a variant under cross-entropy has no warm-up, and is averaged over the same steps as the others.
     let average_from = (config.warmup * plan.config.iterations as f64) as usize;
-    let adam = Adam::new(
-        config.lr,
-        config.batch(),
-        config.average.then_some(average_from),
-    );
+    let average_from = config.average.then_some(average_from);
+    let adam = Adam::new(config.lr, config.batch(), average_from);
     Training::new(model, decoder, adam, classes)
 }

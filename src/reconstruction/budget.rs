@@ -30,13 +30,10 @@ impl<'a> Trainer<'a> {
             Budget::Unlimited => usize::MAX,
             Budget::AtMost(limit) => limit,
             Budget::Auto => {
-                let has_ended = self.reviews.iter().any(Review::learns_photos);
-                match self.reviews.last() {
-                    Some(review) if has_ended || !self.schedule.grows(self.iteration) => {
-                        review.kept
-                    }
-                    _ => usize::MAX,
-                }
+                let learns_photos = self.reviews.iter().any(Review::learns_photos);
+                let has_ended = learns_photos || !self.schedule.grows(self.iteration);
+                let last = self.reviews.last().filter(|_| has_ended);
+                last.map_or(usize::MAX, |review| review.kept)
             }
         }
     }

@@ -88,16 +88,6 @@ impl ParameterGradients {
         ])
     }
 
-    /// Zeros, for `parameters`.
-    fn zeros(parameters: &Parameters) -> Self {
-        Self(
-            parameters
-                .state
-                .each_ref()
-                .map(|state| state.param.zeros_like()),
-        )
-    }
-
     /// The sum of both.
     pub fn plus(self, other: Self) -> Self {
         let mut others = other.0.into_iter();
@@ -112,8 +102,11 @@ impl ParameterGradients {
     /// # Errors
     /// [`Error::Device`] when the device does not return them.
     pub fn mean(own: Option<Self>, views: usize, parameters: &Parameters) -> Result<Self> {
-        let own = own.unwrap_or_else(|| Self::zeros(parameters));
-        let mut means = own.0;
+        let zeros = |state: &AdamTensors<2>| state.param.zeros_like();
+        let mut means = match own {
+            Some(own) => own.0,
+            None => parameters.state.each_ref().map(zeros),
+        };
         for gradient in &mut means {
             let sum = ranks::sum_tensor("gradients", gradient.clone())?;
             *gradient = if views > 1 { sum / views as f64 } else { sum };

@@ -40,7 +40,6 @@ fn held_back(views: usize) -> Vec<usize> {
 #[derive(Clone, Debug)]
 pub struct Schedule {
     config: BuildingConfig,
-    views: usize,
     extent: f64,
     /// Indices of the training views that judge the number of Gaussians.
     judges: Vec<usize>,
@@ -60,7 +59,6 @@ impl Schedule {
         let others = all.iter().copied().filter(|i| !held_back.contains(i));
         Self {
             config: config.clone(),
-            views,
             extent,
             others: others.collect(),
             judges: if held_back.is_empty() {
@@ -121,8 +119,7 @@ impl Schedule {
 
     /// Whether the Gaussians are densified after `step`.
     pub fn densifies(&self, step: usize) -> bool {
-        let latest = (LATEST_START * self.config.iterations as f64) as usize;
-        let from = self.config.densify_from.min(latest);
+        let from = self.config.densify_from.min(self.share(LATEST_START));
         step.is_multiple_of(self.config.densify_every.max(1))
             && step >= from
             && step <= self.densify_until()
@@ -135,7 +132,7 @@ impl Schedule {
 
     /// Steps between two resets.
     pub fn reset_every(&self) -> usize {
-        let passes = PASSES_BETWEEN_RESETS * self.views;
+        let passes = PASSES_BETWEEN_RESETS * self.all.len();
         self.config.reset_every.max(passes).max(1)
     }
 
@@ -171,7 +168,7 @@ impl Schedule {
     }
 
     fn densify_until(&self) -> usize {
-        (f64::from(self.config.densify_until) * self.config.iterations as f64) as usize
+        self.share(self.config.densify_until.into())
     }
 }
 

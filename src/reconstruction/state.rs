@@ -66,16 +66,11 @@ impl TrainerState {
         c.set("seed", &self.seed)?;
         c.set("iteration", &self.iteration)?;
         let values = into_values(self.gaussians.clone());
-        let all = [
-            (&values, ""),
-            (&self.first, ".first"),
-            (&self.second, ".second"),
-        ];
         for (k, width) in widths(self.gaussians.sh_degree).into_iter().enumerate() {
-            for (values, suffix) in all {
-                let name = format!("{}{suffix}", NAMES[k]);
-                c.put(name, &[n, width], values[k].clone())?;
-            }
+            let (name, shape) = (NAMES[k], [n, width]);
+            c.put(name, &shape, values[k].clone())?;
+            c.put(format!("{name}.first"), &shape, self.first[k].clone())?;
+            c.put(format!("{name}.second"), &shape, self.second[k].clone())?;
         }
         c.put("density.gradient", &[n], self.stats.gradient.clone())?;
         c.put("density.visible", &[n], self.stats.visible.clone())?;
@@ -115,9 +110,10 @@ impl TrainerState {
         };
         let mut values = Moments::default();
         for (k, width) in widths(sh_degree).into_iter().enumerate() {
-            values[k] = c.take(NAMES[k], &[n, width])?;
-            state.first[k] = c.take(&format!("{}.first", NAMES[k]), &[n, width])?;
-            state.second[k] = c.take(&format!("{}.second", NAMES[k]), &[n, width])?;
+            let (name, shape) = (NAMES[k], [n, width]);
+            values[k] = c.take(name, &shape)?;
+            state.first[k] = c.take(&format!("{name}.first"), &shape)?;
+            state.second[k] = c.take(&format!("{name}.second"), &shape)?;
         }
         state.gaussians = from_values(values, sh_degree);
         state.stats = GradientStatistics {

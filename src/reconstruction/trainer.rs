@@ -304,12 +304,9 @@ impl<'a> Trainer<'a> {
 
     fn score(&self, view: &View) -> Result<ImageScores> {
         let degree = self.schedule.sh_degree(self.iteration.max(1));
-        let output = rasterize(
-            self.parameters.values(degree),
-            &view.camera,
-            &self.settings,
-            self.config.raster.background,
-        )?;
+        let values = self.parameters.values(degree);
+        let background = self.config.raster.background;
+        let output = rasterize(values, &view.camera, &self.settings, background)?;
         let image = read("image", output.image)?;
         ImageScores::of_view(&image, view)
     }

@@ -92,12 +92,7 @@ fn tiles(report: &Report<'_>) -> Markup {
             }
         }
     };
-    let miou = |row| {
-        m.test
-            .labels
-            .get(&row)
-            .and_then(|scores| scores.pixels.miou)
-    };
+    let miou = |row: Variant| m.test.labels.get(&row)?.pixels.miou;
     html! {
         div.tiles {
             @if let Some(psnr) = m.test.psnr { (tile(format!("{psnr:.2}"), "dB", "held-out PSNR")) }

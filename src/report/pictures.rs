@@ -23,10 +23,8 @@ pub const ERROR_FULL: f32 = 0.1;
 /// # Errors
 /// [`Error::Limit`] when `rgb` does not have `width * height * 3` values.
 pub fn from_floats(rgb: &[f32], width: usize, height: usize) -> Result<RgbImage> {
-    let bytes: Vec<u8> = rgb
-        .iter()
-        .map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8)
-        .collect();
+    let byte = |v: &f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
+    let bytes = rgb.iter().map(byte).collect();
     RgbImage::from_raw(width as u32, height as u32, bytes).ok_or_else(|| {
         invalid!(limit "image values"; found "{}", rgb.len(); expected "{width} x {height} x 3";
             help "pass an [H, W, 3] image")

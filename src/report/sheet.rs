@@ -61,10 +61,8 @@ pub fn contact_sheet(tiles: &[Thumbnail], classes: &Classes) -> RgbImage {
 
 /// The ids of classes that the sheet shows, as a map without pixels.
 fn shown(tiles: &[Thumbnail]) -> LabelMap {
-    let raw = tiles
-        .iter()
-        .filter(|tile| !tile.are_segments)
-        .filter_map(|tile| tile.raw.as_ref());
+    let of_classes = tiles.iter().filter(|tile| !tile.are_segments);
+    let raw = of_classes.filter_map(|tile| tile.raw.as_ref());
     let truth = tiles.iter().filter_map(|tile| tile.truth.as_ref());
     let ids = raw.chain(truth).flat_map(|map| &map.ids).copied().collect();
     LabelMap {

@@ -5,7 +5,7 @@ use super::curves::color;
 use super::units::{duration, percent, thousands};
 use super::{Report, VariantScores};
 use crate::config::Variant;
-use crate::metrics::{InstanceScores, PixelScores, SemanticScores};
+use crate::metrics::{InstanceScores, PanopticScores, PixelScores, SemanticScores};
 use crate::reconstruction::MAX_GAP;
 use indicatif::DecimalBytes;
 use maud::{Markup, html};
@@ -170,6 +170,11 @@ pub(super) fn instances(report: &Report<'_>) -> Option<Markup> {
     })
 }
 
+/// The panoptic quality of objects; without figures where there is none.
+fn quality(scores: &SemanticScores) -> PanopticScores {
+    scores.panoptic.unwrap_or_default()
+}
+
 /// Scores of objects against true classes, and the IoU of each class; nothing where no row has them.
 pub(super) fn objects_by_class(report: &Report<'_>) -> Option<Markup> {
     let rows = rows_with(report, |scores| scores.semantic.as_ref());
@@ -178,18 +183,12 @@ pub(super) fn objects_by_class(report: &Report<'_>) -> Option<Markup> {
         ("mIoU pooled, %", |s| percent(s.pixels.miou)),
         ("mIoU per view, %", |s| percent(s.pixels.miou_per_view)),
         ("accuracy, %", |s| percent(s.pixels.accuracy)),
-        ("PQ, %", |s| percent(s.panoptic.and_then(|p| p.all.pq))),
-        ("SQ, %", |s| percent(s.panoptic.and_then(|p| p.all.sq))),
-        ("RQ, %", |s| percent(s.panoptic.and_then(|p| p.all.rq))),
-        ("PQ of things, %", |s| {
-            percent(s.panoptic.and_then(|p| p.things.pq))
-        }),
-        ("PQ of stuff, %", |s| {
-            percent(s.panoptic.and_then(|p| p.stuff.pq))
-        }),
-        ("PQ of the scene, %", |s| {
-            percent(s.panoptic.and_then(|p| p.scene.pq))
-        }),
+        ("PQ, %", |s| percent(quality(s).all.pq)),
+        ("SQ, %", |s| percent(quality(s).all.sq)),
+        ("RQ, %", |s| percent(quality(s).all.rq)),
+        ("PQ of things, %", |s| percent(quality(s).things.pq)),
+        ("PQ of stuff, %", |s| percent(quality(s).stuff.pq)),
+        ("PQ of the scene, %", |s| percent(quality(s).scene.pq)),
     ];
     let iou = |s: &SemanticScores, id| s.per_class.iter().find(|c| c.id == id).map(|c| c.iou);
     let classes = first.per_class.iter().map(|class| {

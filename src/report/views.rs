@@ -7,7 +7,7 @@ use super::pictures::{
 use super::units::percent;
 use super::{HeldOutView, Report};
 use crate::config::Variant;
-use crate::data::{LabelMap, LabelRuns};
+use crate::data::LabelRuns;
 use crate::error::Result;
 use base64::Engine;
 use image::RgbImage;
@@ -108,13 +108,10 @@ fn one(report: &Report<'_>, held_out: &HeldOutView<'_>, path: &Path) -> Result<M
         pictures.push(labels(&colored(truth, classes), "truth", "")?);
     }
     let raw = view.raw.as_ref().map(LabelRuns::map);
-    let rows: Vec<(Variant, &LabelMap)> = raw
-        .iter()
-        .map(|map| (Variant::Raw, map))
-        .chain(held_out.labels.iter().map(|(row, map)| (*row, map)))
-        .collect();
+    let raw = raw.iter().map(|map| (Variant::Raw, map));
+    let rendered = held_out.labels.iter().map(|(row, map)| (*row, map));
     let mut errors = Vec::new();
-    for (row, map) in rows {
+    for (row, map) in raw.chain(rendered) {
         let truth = truth.as_ref();
         let share = truth.and_then(|truth| accuracy(map, truth, classes.ignore));
         let note = share.map(|share| format!("{} % right", percent(Some(share))));

@@ -11,7 +11,7 @@ use crate::error::{Result, bail, ensure};
 use crate::files::lock::Lock;
 use crate::files::{atomic, own};
 use crate::objects::{BlockObjects, Identities, JoinedObjects, color_all_apart, join_objects};
-use crate::splat::{Gaussians, ply};
+use crate::splat::{self, Gaussians, ply};
 use glam::DVec3;
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -135,11 +135,8 @@ fn check_complete(parts: &[Part]) -> Result<()> {
                 expected "each block once"; help "leave one of the two out");
         }
     }
-    let missing = first
-        .block
-        .grid
-        .indices()
-        .filter(|index| !found.contains_key(index));
+    let indices = first.block.grid.indices();
+    let missing = indices.filter(|index| !found.contains_key(index));
     let missing: Vec<String> = missing.map(block_name).collect();
     ensure!(missing.is_empty(), argument "RUN"; found "no run on {}", missing.join(", ");
         expected "all {} blocks", first.block.grid.indices().count(); help "train the blocks that are missing, and name their runs too");
@@ -204,10 +201,7 @@ impl Part {
     fn move_to(&mut self, origin: DVec3) {
         let offset = self.origin - origin;
         if offset != DVec3::ZERO {
-            for mean in &mut self.gaussians.means {
-                let moved = DVec3::from(mean.map(f64::from)) + offset;
-                *mean = moved.as_vec3().to_array();
-            }
+            splat::shift(&mut self.gaussians.means, offset);
         }
     }
 
@@ -339,12 +333,8 @@ impl Merged {
     /// [`crate::Error::Io`]; as [`ply::write`].
     pub fn write(&self, out: &Path) -> Result<()> {
         let _lock = Lock::new(out)?;
-        ply::write(
-            &out.join(SCENE),
-            &self.gaussians,
-            self.origin,
-            self.labels.as_deref(),
-        )?;
+        let labels = self.labels.as_deref();
+        ply::write(&out.join(SCENE), &self.gaussians, self.origin, labels)?;
         write_classes(&self.classes, &out.join(CLASSES))?;
         transforms::write_cameras(&out.join(CAMERAS), &self.cameras)?;
         match &self.identities {

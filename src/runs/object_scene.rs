@@ -1,7 +1,7 @@
 //! A labelled scene with the names of its labels, and where such a scene may be written.
 
 use super::scene_file::{
-    CLASSES, FEATURE_COLORS, SCENE, classes_beside, copy_cameras, copy_features,
+    CLASSES, FEATURE_COLORS, SCENE, classes_beside, copy_beside, copy_cameras,
 };
 use crate::data::{Classes, LoadOptions, check_output_file, locate};
 use crate::error::{Error, Result, bail, ensure, invalid};
@@ -188,11 +188,8 @@ impl ObjectScene {
                 ids.push(None);
                 continue;
             }
-            let known = self
-                .classes
-                .entries
-                .iter()
-                .find(|class| class.name == *name);
+            let mut classes = self.classes.entries.iter();
+            let known = classes.find(|class| class.name == *name);
             let free = || (1..=u16::MAX).find(|id| !editing.is_known(*id));
             let id = known.map_or_else(free, |class| Some(class.id));
             let Some(id) = id else {
@@ -208,12 +205,8 @@ impl ObjectScene {
         }
         let mut edited = editing.finish(flag)?;
         if !made.is_empty() {
-            let Edited {
-                gaussians,
-                labels,
-                classes,
-            } = &mut edited;
-            color_apart(gaussians, labels, classes, &made)?;
+            let classes = &mut edited.classes;
+            color_apart(&edited.gaussians, &edited.labels, classes, &made)?;
         }
         Ok((ids, edited))
     }
@@ -242,7 +235,7 @@ impl ObjectScene {
         }
         let keeps_all = edited.labels.len() == self.labels.len();
         if keeps_all {
-            return copy_features(&self.path, out);
+            return copy_beside(FEATURE_COLORS, &self.path, out);
         }
         // Those of an earlier scene.
         let features = out.with_file_name(FEATURE_COLORS);
@@ -281,22 +274,17 @@ impl ObjectScene {
         if let Some(object) = self.objects.iter().find(|o| Some(o.id) == id) {
             return Ok(vec![object]);
         }
-        let found: Vec<&Object> = self
-            .objects
-            .iter()
-            .filter(|o| self.is_called(o.id, what))
-            .collect();
+        let objects = self.objects.iter();
+        let found: Vec<&Object> = objects.filter(|o| self.is_called(o.id, what)).collect();
         if !found.is_empty() {
             return Ok(found);
         }
         let listed = |o: &Object| format!("{} {}", o.id, self.name(o.id).unwrap_or_default());
         let listed = self.objects.iter().take(MAX_LISTED).map(listed);
         let mut listed: Vec<String> = listed.map(|name| name.trim_end().to_owned()).collect();
-        if self.objects.len() > MAX_LISTED {
-            listed.push(format!(
-                "or one of {} more",
-                self.objects.len() - MAX_LISTED
-            ));
+        let more = self.objects.len().saturating_sub(MAX_LISTED);
+        if more > 0 {
+            listed.push(format!("or one of {more} more"));
         }
         Err(invalid!(argument "{flag}"; found "{what}";
             expected "an id or a name of the scene: {}", listed.join(", ");

@@ -209,15 +209,11 @@ pub fn copy_cameras(from: &Path, to: &Path) -> Result<()> {
     copy_beside(CAMERAS, from, to)
 }
 
-/// The same with the image features of the Gaussians, which `to` must have in the order of `from`.
+/// The same with the file `name`. [`FEATURE_COLORS`] needs the Gaussians of `to` in the order of `from`.
 ///
 /// # Errors
 /// [`Error::Io`].
-pub(super) fn copy_features(from: &Path, to: &Path) -> Result<()> {
-    copy_beside(FEATURE_COLORS, from, to)
-}
-
-fn copy_beside(name: &str, from: &Path, to: &Path) -> Result<()> {
+pub(super) fn copy_beside(name: &str, from: &Path, to: &Path) -> Result<()> {
     let [source, target] = [from, to].map(|scene| scene.with_file_name(name));
     if atomic::same_file(&source, &target) || own::check(&target).is_err() {
         return Ok(());

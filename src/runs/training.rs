@@ -5,7 +5,7 @@ use crate::config::Config;
 use crate::data::formats::transforms;
 use crate::data::{self, LoadOptions, Split};
 use crate::error::{Error, Result};
-use crate::files::{atomic, sha256};
+use crate::files::{absolute, atomic, sha256};
 use crate::pipeline::{self, Outcome};
 use crate::progress::Progress;
 use crate::ranks;
@@ -141,9 +141,8 @@ struct Job {
 impl Job {
     /// Tells the other ranks of the job of this one.
     fn share(run: &RunFolder, config: &Config) -> Result<()> {
-        let path = run.path();
         let job = Self {
-            run: std::path::absolute(path).map_err(|e| Error::io(path, "find", e))?,
+            run: absolute(run.path())?,
             config: config.clone(),
         };
         ranks::of_first(Some(job)).map(|_| ())
@@ -176,7 +175,8 @@ fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<usize> {
         // An earlier result, with other variants, may have left identities.
         None => atomic::remove(run.file(IDENTITIES))?,
     }
-    match &outcome.feature_colors {
+    let features = outcome.feature_colors.as_ref();
+    match features {
         Some(colors) => colors.write(&run.file(FEATURE_COLORS))?,
         None => atomic::remove(run.file(FEATURE_COLORS))?,
     }
@@ -198,10 +198,7 @@ fn write_scene(outcome: &Outcome, run: &RunFolder) -> Result<usize> {
         gaussians,
         origin: scene.origin,
         labels: Some(&labels),
-        features: outcome
-            .feature_colors
-            .as_ref()
-            .map_or(&[], |colors| &colors.rgb),
+        features: features.map_or(&[], |colors| &colors.rgb),
         classes: &scene.classes,
         cameras: &cameras,
         up: scene.known_up(),

@@ -129,11 +129,8 @@ pub(crate) fn encoder_input(
 ) -> Result<Tensor<2>> {
     let points = positions.len();
     if inputs == 3 {
-        return Ok(upload(
-            positions.as_flattened().to_vec(),
-            [points, 3],
-            device,
-        ));
+        let values = positions.as_flattened().to_vec();
+        return Ok(upload(values, [points, 3], device));
     }
     match colors {
         Some(colors) if colors.len() == points => {

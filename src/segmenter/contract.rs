@@ -163,14 +163,12 @@ impl Contract {
     /// [`Error::Argument`] that lists the shipped contracts where none is found; as [`Contract::parse`].
     pub fn find(model: &Path, name: Option<&str>) -> Result<Self> {
         if let Some(name) = name {
-            return Self::shipped(name).unwrap_or_else(|| {
-                let file = Path::new(name);
-                if file.is_file() {
-                    Self::read(file)
-                } else {
-                    Err(unknown(name))
-                }
-            });
+            let file = Path::new(name);
+            return match Self::shipped(name) {
+                Some(contract) => contract,
+                None if file.is_file() => Self::read(file),
+                None => Err(unknown(name)),
+            };
         }
         let beside = model.with_extension("toml");
         if beside.is_file() {

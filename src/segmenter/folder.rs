@@ -15,7 +15,7 @@ use crate::progress::{Progress, Viewing};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::path::Path;
-use std::sync::Mutex;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Bytes of memory that photos in work take at most, apart from the network's weights.
 const MAX_PHOTO_BYTES: usize = 700 << 20;
@@ -97,10 +97,8 @@ pub fn label_scene(job: &Job<'_>, progress: &mut dyn Progress) -> Result<Labelle
         index: Mutex::new(index),
     };
     let cached = work.run(progress)?;
-    let mut index = work
-        .index
-        .into_inner()
-        .unwrap_or_else(|poisoned| poisoned.into_inner());
+    let index = work.index.into_inner();
+    let mut index = index.unwrap_or_else(PoisonError::into_inner);
     let mut classes = mapping.classes;
     if mapping.keeps_occurring {
         let ids = index.ids(listing.frames.iter().map(|frame| frame.name.as_str()));
@@ -190,10 +188,8 @@ impl Work<'_> {
         Ok(false)
     }
 
-    fn index(&self) -> std::sync::MutexGuard<'_, Index> {
+    fn index(&self) -> MutexGuard<'_, Index> {
         // A worker that fails leaves the index as it is on disk, or ahead of it.
-        self.index
-            .lock()
-            .unwrap_or_else(|poisoned| poisoned.into_inner())
+        self.index.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

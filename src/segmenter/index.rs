@@ -115,7 +115,7 @@ impl Index {
             atomic::remove(self.folder.join(name))?;
             changed.push(file);
         }
-        self.store()?;
+        atomic::write_json(self.folder.join(FILE), &self.content)?;
         changed
             .into_iter()
             .try_for_each(|(name, bytes)| atomic::write_bytes(self.folder.join(name), bytes))
@@ -144,10 +144,6 @@ impl Index {
         entries
             .flat_map(|entry| entry.ids.iter().copied())
             .collect()
-    }
-
-    fn store(&self) -> Result<()> {
-        atomic::write_json(self.folder.join(FILE), &self.content)
     }
 }
 

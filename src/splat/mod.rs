@@ -173,6 +173,14 @@ pub(crate) fn bounds(points: impl Iterator<Item = DVec3>) -> Option<(DVec3, DVec
     corners.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
 }
 
+/// Moves `positions` by `offset`, in f64.
+pub(crate) fn shift(positions: &mut [[f32; 3]], offset: DVec3) {
+    for position in positions {
+        let moved = DVec3::from(position.map(f64::from)) + offset;
+        *position = moved.as_vec3().to_array();
+    }
+}
+
 /// The numbers of the rows whose value `is_wanted` accepts, ascending.
 pub(crate) fn rows_where<T>(
     values: impl IntoIterator<Item = T>,
@@ -195,11 +203,16 @@ pub(crate) fn median(values: impl Iterator<Item = f64>) -> f64 {
 
 /// The rotation of a quaternion (w, x, y, z) of any length. A quaternion of length 0 gives the identity, as in the rasterizer.
 pub(crate) fn rotation(quaternion: &[f32; 4]) -> DQuat {
+    scaled_rotation(quaternion).normalize()
+}
+
+/// The [`rotation`] of a quaternion, times its length.
+fn scaled_rotation(quaternion: &[f32; 4]) -> DQuat {
     let [w, x, y, z] = quaternion.map(f64::from);
     let q = DQuat::from_xyzw(x, y, z, w);
     if q.length_squared() < ZERO_QUATERNION {
         DQuat::IDENTITY
     } else {
-        q.normalize()
+        q
     }
 }

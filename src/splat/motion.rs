@@ -1,7 +1,7 @@
 //! Rigid motions of Gaussians: centres, axes and view-dependent colours.
 
 use super::sh::basis;
-use super::{Gaussians, ZERO_QUATERNION};
+use super::{Gaussians, scaled_rotation};
 use glam::{DQuat, DVec3};
 
 /// `x -> rotation (x - pivot) + pivot + translation`, in the axes of the world.
@@ -53,15 +53,8 @@ impl Motion {
             if !turns {
                 continue;
             }
-            let [w, x, y, z] = gaussians.rotations[i].map(f64::from);
-            // The raw quaternion keeps its length. One of length zero stands for no rotation.
-            let raw = DQuat::from_xyzw(x, y, z, w);
-            let raw = if raw.length_squared() < ZERO_QUATERNION {
-                DQuat::IDENTITY
-            } else {
-                raw
-            };
-            let q = self.rotation * raw;
+            // The raw quaternion keeps its length.
+            let q = self.rotation * scaled_rotation(&gaussians.rotations[i]);
             gaussians.rotations[i] = [q.w, q.x, q.y, q.z].map(|v| v as f32);
             let own = &mut gaussians.sh[3 * width * i..][..3 * width];
             let before: [[f64; 3]; TERMS] = std::array::from_fn(|k| {

@@ -8,9 +8,9 @@ use crate::error::{Error, Result, ensure};
 use crate::files::atomic;
 use crate::files::own::{self, Stamp, stamp_of};
 use crate::objects::{Editing, Edits, Operation, Regions};
-use crate::server::{Server, failed, html, typed};
+use crate::server::{Server, failed, html, json, typed};
 use axum::Router;
-use axum::body::{Body, Bytes};
+use axum::body::Bytes;
 use axum::extract::{DefaultBodyLimit, Path, Request, State};
 use axum::http::{StatusCode, header};
 use axum::middleware::{Next, from_fn};
@@ -199,10 +199,7 @@ async fn tree(State(content): State<Arc<Content>>) -> Response {
 
 /// What the file of edits has, as far as this server knows.
 async fn saved(State(content): State<Arc<Content>>) -> Response {
-    match serde_json::to_string(&*content.saved()) {
-        Ok(text) => typed("application/json", Body::from(text)),
-        Err(error) => failed(error),
-    }
+    json(&*content.saved())
 }
 
 /// Writes the file of edits, and answers with the new number of saves. `saves` is the number that the page knows: a page that
@@ -238,5 +235,5 @@ async fn save(
 }
 
 fn numbers(columns: Bytes) -> Response {
-    typed("application/octet-stream", Body::from(columns))
+    typed("application/octet-stream", columns)
 }

@@ -59,7 +59,7 @@ impl<P: Progress> Watched<P> {
 impl<P> Drop for Watched<P> {
     /// A browser that is there gets the last figures.
     fn drop(&mut self) {
-        locked(&self.shared).end();
+        locked(&self.shared).status.ended = true;
         let start = Instant::now();
         while start.elapsed() < FAREWELL && locked(&self.shared).awaits_visit() {
             std::thread::sleep(FAREWELL / 30);

@@ -3,9 +3,8 @@
 use super::{Shared, locked};
 use crate::error::Result;
 use crate::report::pictures::png;
-use crate::server::{failed, html, typed};
+use crate::server::{failed, html, json, typed};
 use axum::Router;
-use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
@@ -35,11 +34,7 @@ pub(super) fn routes(token: &str, shared: Shared) -> Router {
 }
 
 async fn status(State(shared): State<Shared>) -> Response {
-    let text = serde_json::to_string(locked(&shared).visit());
-    match text {
-        Ok(text) => typed("application/json", Body::from(text)),
-        Err(error) => failed(error),
-    }
+    json(locked(&shared).visit())
 }
 
 /// The viewer's page of the last copy of the Gaussians.
@@ -59,7 +54,7 @@ async fn photo(State(shared): State<Shared>, Path(index): Path<usize>) -> Respon
         return StatusCode::NOT_FOUND.into_response();
     };
     let encode = move || png(&*photo.pixels()?, "photo".as_ref());
-    made(encode, |bytes| typed("image/png", Body::from(bytes))).await
+    made(encode, |bytes| typed("image/png", bytes)).await
 }
 
 /// What `answer` makes of the result of long `work`.

@@ -86,7 +86,7 @@ pub(super) struct Status {
     /// Step between the Gaussians of the run that the copy holds; 1 holds all of them.
     every: usize,
     /// Whether the run has ended.
-    ended: bool,
+    pub ended: bool,
     /// Curves of the stages that have one.
     curves: Vec<Curve>,
     /// Scored labels.
@@ -221,11 +221,6 @@ impl RunState {
             self.status.seconds = self.started.elapsed().as_secs_f64();
         }
         &self.status
-    }
-
-    /// The run has ended.
-    pub fn end(&mut self) {
-        self.status.ended = true;
     }
 
     /// Whether a browser is there that has yet to see the end.

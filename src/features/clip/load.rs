@@ -25,11 +25,17 @@ struct Names {
     blocks: &'static str,
     norm1: &'static str,
     attention: &'static str,
+    /// The matrices of an attention: one for queries, keys and values, or one for each.
+    qkv: &'static [&'static str],
+    /// What follows their names: of the weights, of the biases.
+    ends: [&'static str; 2],
     norm2: &'static str,
     fc1: &'static str,
     fc2: &'static str,
     norm: &'static str,
     projection: &'static str,
+    /// Dimension of the projection that has the extent of the width; the other one has the channels.
+    width_axis: usize,
 }
 
 const HUGGING_FACE: Names = Names {
@@ -38,11 +44,14 @@ const HUGGING_FACE: Names = Names {
     blocks: "text_model.encoder.layers.",
     norm1: "layer_norm1",
     attention: "self_attn",
+    qkv: &["q_proj", "k_proj", "v_proj"],
+    ends: [".weight", ".bias"],
     norm2: "layer_norm2",
     fc1: "mlp.fc1",
     fc2: "mlp.fc2",
     norm: "text_model.final_layer_norm",
     projection: "text_projection.weight",
+    width_axis: 1,
 };
 
 const OPENAI: Names = Names {
@@ -51,11 +60,14 @@ const OPENAI: Names = Names {
     blocks: "transformer.resblocks.",
     norm1: "ln_1",
     attention: "attn",
+    qkv: &["in_proj"],
+    ends: ["_weight", "_bias"],
     norm2: "ln_2",
     fc1: "mlp.c_fc",
     fc2: "mlp.c_proj",
     norm: "ln_final",
     projection: "text_projection",
+    width_axis: 0,
 };
 
 impl TextEncoder {
@@ -104,9 +116,9 @@ impl TextEncoder {
         };
         let (vocabulary, width) = extents(&weights, names.tokens, None)?;
         let (positions, _) = extents(&weights, names.positions, Some(width))?;
-        let projection = names.projection(&weights, width, is_openai)?;
+        let projection = names.projection(&weights, width)?;
         let blocks = 0..weights.depth(names.blocks)?;
-        let blocks = blocks.map(|n| names.block(&weights, n, width, is_openai));
+        let blocks = blocks.map(|n| names.block(&weights, n, width));
         Ok(Self {
             tokens: weights.parameter(names.tokens, [vocabulary, width])?,
             positions: weights.parameter(names.positions, [positions, width])?,
@@ -119,87 +131,51 @@ impl TextEncoder {
 
 /// Rows and columns of a table of vectors, of `width` columns if that is known.
 fn extents(weights: &Weights<'_>, name: &str, width: Option<usize>) -> Result<(usize, usize)> {
-    match *weights.file.shape(name)? {
-        [rows, columns]
-            if rows > 0
-                && columns > 0
-                && columns % HEAD == 0
-                && width.is_none_or(|width| width == columns) =>
-        {
-            Ok((rows, columns))
+    let expected = match width {
+        Some(width) => format!("[rows, {width}]"),
+        None => format!("[rows, width], width a multiple of {HEAD}"),
+    };
+    weights.shape(name, &expected, |shape| match *shape {
+        [rows, columns] => {
+            let fits = columns % HEAD == 0 && width.is_none_or(|width| width == columns);
+            (fits && rows > 0 && columns > 0).then_some((rows, columns))
         }
-        ref other => {
-            let expected = match width {
-                Some(width) => format!("[rows, {width}]"),
-                None => format!("[rows, width], width a multiple of {HEAD}"),
-            };
-            Err(weights.problem(name, format!("shape {other:?}"), expected))
-        }
-    }
+        _ => None,
+    })
 }
 
 impl Names {
     /// `[width, channels]`.
-    fn projection(
-        &self,
-        weights: &Weights<'_>,
-        width: usize,
-        is_openai: bool,
-    ) -> Result<Tensor<2>> {
-        let shape = weights.file.shape(self.projection)?;
-        let channels = match (shape, is_openai) {
-            (&[w, channels], true) | (&[channels, w], false) if w == width && channels > 0 => {
-                channels
-            }
-            _ => {
-                let found = format!("shape {shape:?}");
-                let expected = if is_openai {
-                    "[width, channels]"
-                } else {
-                    "[channels, width]"
-                };
-                let expected = format!("{expected}, width {width}");
-                return Err(weights.problem(self.projection, found, expected));
-            }
-        };
-        if is_openai {
-            let values = weights.tensor(self.projection, &[width, channels])?;
-            return Ok(values.reshape([width, channels]));
-        }
-        let values = weights.tensor(self.projection, &[channels, width])?;
-        Ok(values.reshape([channels, width]).transpose())
+    fn projection(&self, weights: &Weights<'_>, width: usize) -> Result<Tensor<2>> {
+        let axis = self.width_axis;
+        let order = ["[width, channels]", "[channels, width]"][axis];
+        let expected = format!("{order}, width {width}");
+        let shape = weights.shape(self.projection, &expected, |shape| {
+            let shape = <[usize; 2]>::try_from(shape).ok()?;
+            (shape[axis] == width && shape[1 - axis] > 0).then_some(shape)
+        })?;
+        let values: Tensor<2> = weights.tensor(self.projection, &shape)?.reshape(shape);
+        Ok(match axis {
+            0 => values,
+            _ => values.transpose(),
+        })
     }
 
-    fn block(
-        &self,
-        weights: &Weights<'_>,
-        n: usize,
-        width: usize,
-        is_openai: bool,
-    ) -> Result<Block> {
+    fn block(&self, weights: &Weights<'_>, n: usize, width: usize) -> Result<Block> {
         let name = |part: &str| format!("{}{n}.{part}", self.blocks);
         let attention = |part: &str| name(&format!("{}.{part}", self.attention));
         let hidden = weights.outputs(&name(self.fc1), width)?;
-        // One matrix for queries, keys and values, or one for each.
-        let (kinds, rows, ends) = if is_openai {
-            (&["in_proj"][..], 3 * width, ["_weight", "_bias"])
-        } else {
-            (
-                &["q_proj", "k_proj", "v_proj"][..],
-                width,
-                [".weight", ".bias"],
-            )
-        };
+        let rows = 3 * width / self.qkv.len();
+        let [weight, bias] = self.ends;
         let joined = |end: &str, shape: &[usize]| {
-            let tensors = kinds
-                .iter()
-                .map(|kind| weights.tensor(&attention(&format!("{kind}{end}")), shape));
+            let tensor = |kind: &&str| weights.tensor(&attention(&format!("{kind}{end}")), shape);
+            let tensors = self.qkv.iter().map(tensor);
             Ok(Tensor::cat(tensors.collect::<Result<_>>()?, 0))
         };
-        let qkv = joined(ends[0], &[rows, width])?.reshape([3 * width, width]);
+        let qkv = joined(weight, &[rows, width])?.reshape([3 * width, width]);
         Ok(Block {
             norm1: weights.norm(&name(self.norm1), width)?,
-            qkv: linear(qkv, joined(ends[1], &[rows])?),
+            qkv: linear(qkv, joined(bias, &[rows])?),
             projection: weights.linear(&attention("out_proj"), &[width, width])?,
             norm2: weights.norm(&name(self.norm2), width)?,
             fc1: weights.linear(&name(self.fc1), &[hidden, width])?,

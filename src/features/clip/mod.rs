@@ -7,8 +7,9 @@ pub use self::tokens::Tokenizer;
 
 use super::Activation;
 use super::transformer::{Block, Style};
+use crate::backend::check_finite;
 use crate::backend::device::read;
-use crate::error::{Error, Result, ensure};
+use crate::error::{Result, ensure};
 use burn::module::{Module, Param};
 use burn::nn::LayerNorm;
 use burn::tensor::{Int, Tensor, TensorData};
@@ -46,8 +47,9 @@ impl TextEncoder {
     /// tokens see only those before them, so that gives the same.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a text without tokens, with more than [`Self::most_tokens`] or with one outside the vocabulary;
-    /// [`Error::NonFinite`] for weights under which an activation is not finite; [`Error::Device`] when the device fails.
+    /// [`crate::Error::Argument`] for a text without tokens, with more than [`Self::most_tokens`] or with one outside the
+    /// vocabulary; [`crate::Error::NonFinite`] for weights under which an activation is not finite; [`crate::Error::Device`] when the
+    /// device fails.
     pub fn embedding(&self, tokens: &[u32], activation: Activation) -> Result<Vec<f32>> {
         let count = tokens.len();
         let most = self.most_tokens();
@@ -69,13 +71,9 @@ impl TextEncoder {
         let seen = |x, block: &Block| block.forward(x, style);
         let x: Tensor<3> = self.blocks.iter().fold(embedded, seen);
         let end = self.norm.forward(x.narrow(1, count - 1, 1));
-        let embedding = read(
-            "a text embedding",
-            end.squeeze_dim::<2>(0).matmul(self.projection.val()),
-        )?;
-        if embedding.iter().any(|value| !value.is_finite()) {
-            return Err(Error::non_finite("text embedding", 0));
-        }
+        let embedding = end.squeeze_dim::<2>(0).matmul(self.projection.val());
+        let embedding = read("a text embedding", embedding)?;
+        check_finite("text embedding", &embedding, embedding.len())?;
         Ok(embedding)
     }
 }

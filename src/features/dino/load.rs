@@ -111,17 +111,6 @@ impl Weights<'_> {
         Ok(())
     }
 
-    /// What `of` makes of the shape of a tensor.
-    fn shape<T>(
-        &self,
-        name: &str,
-        expected: &str,
-        of: impl Fn(&[usize]) -> Option<T>,
-    ) -> Result<T> {
-        let shape = self.file.shape(name)?;
-        of(shape).ok_or_else(|| self.problem(name, format!("shape {shape:?}"), expected))
-    }
-
     /// Width and patch size.
     fn patch(&self) -> Result<(usize, usize)> {
         let expected = format!("[width, 3, patch, patch], width a multiple of {HEAD}");

@@ -16,12 +16,12 @@ mod position;
 pub use super::transformer::HEAD;
 
 use super::transformer::{Block, Style};
-use super::{FeatureMap, SCALES, Steps, normalized};
+use super::{FeatureMap, SCALES, Steps, each_scale, normalized};
 use crate::error::Result;
 use burn::module::{Module, Param};
 use burn::nn::{LayerNorm, Linear};
+use burn::tensor::Tensor;
 use burn::tensor::ops::PadMode;
-use burn::tensor::{Device, Tensor};
 use position::PositionEmbedding;
 
 /// Part of cache keys. Raise it when the arithmetic changes.
@@ -103,14 +103,13 @@ impl Vit {
     /// [`crate::Error::Argument`] for an image without pixels; [`crate::Error::NonFinite`] when an activation is not finite;
     /// [`crate::Error::Device`] when the device fails.
     pub fn maps(&self, image: &image::RgbImage) -> Result<[FeatureMap; SCALES]> {
-        let tokens = self.forward(normalized(image, &self.device())?);
+        let tokens = self.forward(normalized(image, &self.class_token.device())?);
         let rows = (image.height() as usize).div_ceil(self.patch);
-        let mut maps: [FeatureMap; SCALES] = Default::default();
-        for (map, tap) in maps.iter_mut().zip(self.taps()) {
-            let tokens = self.normalized(tokens[tap].clone());
-            *map = self.map(tokens, rows, &format!("DINO block {tap}"))?;
-        }
-        Ok(maps)
+        let taps = self.taps();
+        each_scale(|n| {
+            let tokens = self.normalized(tokens[taps[n]].clone());
+            self.map(tokens, rows, &format!("DINO block {}", taps[n]))
+        })
     }
 
     fn map(&self, tokens: Tensor<3>, rows: usize, name: &str) -> Result<FeatureMap> {
@@ -122,9 +121,5 @@ impl Vit {
         let stride = self.patch as f64;
         let steps = Steps::new(stride, 0.5 * stride);
         FeatureMap::from_tensor(cells, Some(steps), name)
-    }
-
-    fn device(&self) -> Device {
-        self.class_token.device()
     }
 }

@@ -5,12 +5,12 @@
 
 mod load;
 
-use super::{FeatureMap, SCALES, Steps, normalized};
+use super::{FeatureMap, SCALES, Steps, each_scale, normalized};
 use crate::error::Result;
 use burn::module::{Module, Param};
+use burn::tensor::Tensor;
 use burn::tensor::module::conv2d;
 use burn::tensor::ops::ConvOptions;
-use burn::tensor::{Device, Tensor};
 
 /// Part of cache keys. Raise it when the arithmetic changes.
 pub const VERSION: &str = "mobilenetv2-3";
@@ -135,17 +135,12 @@ impl MobileNetV2 {
     /// [`crate::Error::Argument`] for an image without pixels; [`crate::Error::NonFinite`] when an activation is not finite;
     /// [`crate::Error::Device`] when the device fails.
     pub fn maps(&self, image: &image::RgbImage) -> Result<[FeatureMap; SCALES]> {
-        let scales = self.forward(normalized(image, &self.device())?);
-        let mut maps: [FeatureMap; SCALES] = Default::default();
-        for (n, scale) in scales.into_iter().enumerate() {
+        let scales = self.forward(normalized(image, &self.stem.bias.device())?);
+        each_scale(|n| {
             let name = format!("MobileNetV2 scale {}", n + 1);
-            maps[n] = FeatureMap::from_tensor(scale.permute([0, 2, 3, 1]), Some(STEPS[n]), &name)?;
-        }
-        Ok(maps)
-    }
-
-    fn device(&self) -> Device {
-        self.stem.bias.device()
+            let cells = scales[n].clone().permute([0, 2, 3, 1]);
+            FeatureMap::from_tensor(cells, Some(STEPS[n]), &name)
+        })
     }
 }
 

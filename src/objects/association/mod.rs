@@ -105,7 +105,34 @@ pub fn associate(
         scene,
         settings,
     };
-    inputs.associate(progress)
+    let mut views = Vec::new();
+    for view in scene.split(Split::Train) {
+        views.push(inputs.segments(view)?);
+        progress(1)?;
+    }
+    if views.iter().all(|view| view.segments.is_empty()) {
+        bail!(setting "data.association"; found "gaussians, but no segments";
+            expected "raw labels of training views to put together";
+            help "add raw labels, or set data.association = \"none\"");
+    }
+    let mut groups = Groups::new(gaussians.len());
+    let assigned = sweeps::form_groups(&mut groups, &views, progress)?;
+    let kept = numbered_groups(&groups, &assigned)?;
+    let maps = inputs.maps(&mut groups, &views, &assigned, &kept, progress)?;
+    let segments = || {
+        let segments = assigned.iter().flat_map(|view| view.by_segment());
+        segments.map(|(_, groups)| groups)
+    };
+    let is_dropped = |pieces: &&[Option<u32>]| pieces.iter().all(Option::is_none);
+    let is_divided = |pieces: &&[Option<u32>]| pieces.iter().any(|group| *group != pieces[0]);
+    let categories = kept.iter().map(|&group| groups.category(group));
+    Ok(AssociatedObjects {
+        classes: class_table(categories, &scene.classes),
+        maps,
+        segments: segments().count(),
+        dropped: segments().filter(is_dropped).count(),
+        divided: segments().filter(is_divided).count(),
+    })
 }
 
 /// The inputs of an association.
@@ -116,40 +143,6 @@ struct AssociationInputs<'a> {
 }
 
 impl AssociationInputs<'_> {
-    fn associate(&self, progress: &mut Progress) -> Result<AssociatedObjects> {
-        let mut views = Vec::new();
-        for view in self.scene.split(Split::Train) {
-            views.push(self.segments(view)?);
-            progress(1)?;
-        }
-        if views.iter().all(|view| view.segments.is_empty()) {
-            bail!(setting "data.association"; found "gaussians, but no segments";
-                expected "raw labels of training views to put together";
-                help "add raw labels, or set data.association = \"none\"");
-        }
-        let mut groups = Groups::new(self.gaussians.len());
-        let assigned = sweeps::form_groups(&mut groups, &views, progress)?;
-        let kept = numbered_groups(&groups, &assigned)?;
-        let maps = self.maps(&mut groups, &views, &assigned, &kept, progress)?;
-        let segments = || {
-            assigned
-                .iter()
-                .flat_map(|view| view.by_segment().map(|of| of.1))
-        };
-        let categories = kept.iter().map(|&group| groups.category(group));
-        Ok(AssociatedObjects {
-            classes: class_table(categories, &self.scene.classes),
-            maps,
-            segments: segments().count(),
-            dropped: segments()
-                .filter(|pieces| pieces.iter().all(Option::is_none))
-                .count(),
-            divided: segments()
-                .filter(|pieces| pieces.iter().any(|group| *group != pieces[0]))
-                .count(),
-        })
-    }
-
     fn segments(&self, view: &View) -> Result<ViewSegments> {
         match &view.raw {
             Some(raw) => view_segments(self.gaussians, view, &raw.map(), self.settings),

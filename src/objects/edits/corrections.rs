@@ -176,11 +176,8 @@ impl Corrections {
         let labels = self.labels.iter();
         let labels = labels.map(|id| id.map_or(NOT_SET, u32::from)).collect();
         file.put::<u32>("labels", &[self.labels.len()], labels)?;
-        file.put(
-            "means",
-            &[self.means.len(), 3],
-            self.means.as_flattened().to_vec(),
-        )?;
+        let means = self.means.as_flattened().to_vec();
+        file.put("means", &[self.means.len(), 3], means)?;
         file.set("original", &self.original)?;
         file.set("classes", &self.classes)?;
         file.save(path)

@@ -74,12 +74,8 @@ impl FieldScores {
         let mut classes = Vec::new();
         let config = &inputs.config.segmentation;
         let over_coverage = config.blend == Blend::Probabilities;
-        let frozen = FrozenGaussians::new(
-            inputs.gaussians,
-            inputs.settings,
-            over_coverage,
-            inputs.device,
-        );
+        let gaussians = inputs.gaussians;
+        let frozen = FrozenGaussians::new(gaussians, inputs.settings, over_coverage, inputs.device);
         for (view, drawn) in drawn_pixels(inputs, channels) {
             let coverage = config.min_coverage as f32;
             let (shown, weights) = frozen.labelled_pixels(&view.camera, &drawn, coverage)?;
@@ -107,11 +103,9 @@ fn drawn_pixels<'a>(
 ) -> impl Iterator<Item = (&'a View, Vec<u16>)> {
     // Truth has the ids of classes, not those of objects.
     let has_classes = inputs.config.data.association == Association::None;
-    let views: Vec<&View> = inputs
-        .scene
-        .split(Split::Test)
-        .filter(|view| has_classes && view.truth.is_some())
-        .collect();
+    let views = inputs.scene.split(Split::Test);
+    let views = views.filter(|view| has_classes && view.truth.is_some());
+    let views: Vec<&View> = views.collect();
     let size = |view: &&View| view.camera.width * view.camera.height;
     let all: usize = views.iter().map(size).sum();
     let share = SCORED_SHARE.min(MAX_FEATURES / (all * channels).max(1) as f64);

@@ -4,7 +4,7 @@ use super::super::segmentation_inputs::SegmentationInputs;
 use super::super::train_decoder::{DecodedScores, IdentityModel, Logits, PerGaussian, Rendered};
 use crate::backend::device::{read, upload};
 use crate::config::Blend;
-use crate::data::{Classes, LabelMap, LabelRuns, View, ViewCache};
+use crate::data::{Classes, LabelRuns, View, ViewCache};
 use crate::error::Result;
 use crate::objects::{Identities, first_largest};
 use crate::segmentation::loss::CoSegLoss;
@@ -57,10 +57,7 @@ impl<'a> PanopticLifting<'a> {
 
 impl Segments {
     fn of(view: &View, classes: &Classes) -> Result<Self> {
-        let map = view
-            .raw
-            .as_ref()
-            .map_or_else(LabelMap::default, LabelRuns::map);
+        let map = view.raw.as_ref().map(LabelRuns::map).unwrap_or_default();
         let mut confidence = vec![1.0; map.ids.len()];
         if let Some(scores) = &view.scores {
             let scores = scores.read(classes)?;

@@ -32,10 +32,8 @@ impl ClassRecall {
 
     /// The share of its robustness that a loss keeps for each class: all of it from a recall of `least` on.
     pub fn robustness(&self, least: f64) -> Vec<f64> {
-        self.0
-            .iter()
-            .map(|&recall| (recall / least).min(1.0))
-            .collect()
+        let share = |recall: &f64| (recall / least).min(1.0);
+        self.0.iter().map(share).collect()
     }
 
     /// Measures `scores` of `pixels` at every fifth iteration.
@@ -60,12 +58,11 @@ impl ClassRecall {
         let chosen_pixels = pixels.at(&chosen);
         let probabilities = scores.at(&chosen).probabilities(&chosen_pixels)?;
         let probabilities = read("class probabilities of pixels", probabilities)?;
-        for (row, &label) in probabilities
-            .chunks_exact(classes)
-            .zip(chosen_pixels.labels.iter())
-        {
-            measured.sums[usize::from(label)] += f64::from(row[usize::from(label)]);
-            measured.counts[usize::from(label)] += 1.0;
+        let rows = probabilities.chunks_exact(classes);
+        for (row, &label) in rows.zip(chosen_pixels.labels.iter()) {
+            let label = usize::from(label);
+            measured.sums[label] += f64::from(row[label]);
+            measured.counts[label] += 1.0;
         }
         Ok(measured)
     }

@@ -306,10 +306,8 @@ fn probabilities(
     let [width, _] = scores.size();
     let mut rows = vec![0.0; numbers.len() * classes];
     let mut found = Vec::new();
-    for (row, (&number, &label)) in rows
-        .chunks_exact_mut(classes)
-        .zip(numbers.iter().zip(labels))
-    {
+    let pixels = numbers.iter().zip(labels);
+    for (row, (&number, &label)) in rows.chunks_exact_mut(classes).zip(pixels) {
         let pixel = number as usize;
         scores.at(pixel % width, pixel / width, &mut found);
         if let Some(class) = corrected.at(number) {

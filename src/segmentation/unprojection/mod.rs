@@ -126,15 +126,10 @@ pub fn unproject<'a, F: Borrow<ViewFeatures>>(
         }
         expect_mask_size(view)?;
         let channels = maps.each_ref().map(|m| m.channels);
+        let mask = view.mask.as_ref();
         lifted
             .get_or_insert_with(|| LiftedViews::new(gaussians, &channels, device))
-            .add(
-                &view.camera,
-                maps,
-                view.mask.as_ref(),
-                config.resolution,
-                settings,
-            )?;
+            .add(&view.camera, maps, mask, config.resolution, settings)?;
         advance()?;
     }
     if features.next().is_some() {

@@ -227,7 +227,7 @@ pub(super) fn read(path: &Path) -> Result<PlyScene> {
 /// Adds the coefficients of the element `sh`.
 fn read_sh(path: &Path, gaussians: &mut Gaussians) -> Result<()> {
     let file = PlyFile::open(path, "sh")?;
-    gaussians.sh_degree = sh_degree(&file)?;
+    gaussians.sh_degree = sh_degree(path, &file)?;
     let rest = gaussians.sh_len() - 1;
     let columns: [_; 45] = std::array::from_fn(|i| (i < 3 * rest).then(|| format!("f_rest_{i}")));
     let mut colors = std::mem::take(&mut gaussians.sh).into_iter();

@@ -15,7 +15,7 @@ mod spz;
 
 use self::scene::{PlyScene, scene_of};
 use super::{Gaussians, ZERO_QUATERNION};
-use crate::error::{Result, ensure};
+use crate::error::{Result, ensure, invalid};
 use crate::files::ply::PlyFile;
 use crate::files::{self, atomic, extension, sha256};
 use glam::DVec3;
@@ -168,19 +168,14 @@ fn labels_beside(path: &Path, rows: usize) -> Result<Option<Vec<u16>>> {
     Ok(Some(file.labels))
 }
 
-/// The SH degree of the columns `f_rest_*`.
-fn sh_degree(file: &PlyFile) -> Result<usize> {
+/// The SH degree of the columns `f_rest_*` of the file at `path`.
+fn sh_degree(path: &Path, file: &PlyFile) -> Result<usize> {
     let rest = file.names().filter(|n| n.starts_with("f_rest_")).count();
-    (0..=3)
-        .find(|d: &usize| 3 * ((d + 1).pow(2) - 1) == rest)
-        .ok_or_else(|| {
-            file.error(
-                "element vertex",
-                format!("{rest} columns f_rest_*"),
-                "0, 9, 24 or 45 of them (SH degree 0 to 3)",
-                "export with a whole SH degree",
-            )
-        })
+    let degree = (0..=3).find(|d: &usize| 3 * ((d + 1).pow(2) - 1) == rest);
+    degree.ok_or_else(|| {
+        invalid!(path, "element vertex"; found "{rest} columns f_rest_*";
+            expected "0, 9, 24 or 45 of them (SH degree 0 to 3)"; help "export with a whole SH degree")
+    })
 }
 
 /// The logit of an opacity of 8 bits.

@@ -8,7 +8,7 @@ pub use super::scene::PlyScene;
 
 use super::scene::{floats_lose, origin_of};
 use super::{compressed_ply, logit, sh_degree};
-use crate::error::{Result, ensure, invalid};
+use crate::error::{Result, bail, ensure};
 use crate::files::atomic;
 use crate::files::ply::{self, PlyFile};
 use crate::splat::Gaussians;
@@ -55,28 +55,24 @@ pub fn write(
         .collect();
     // Rust prints the shortest decimal that reads back as the same f64.
     let comments = vec![format!("{ORIGIN} {} {} {}", origin.x, origin.y, origin.z)];
-    let rest = gaussians.sh_len() - 1;
+    let terms = gaussians.sh_len();
     atomic::write(path, |out| {
         ply::write::<COLUMNS, _>(out, gaussians.len(), &columns, comments, |i, row| {
             for c in 0..3 {
                 row[c] = f64::from(gaussians.means[i][c]) + origin[c];
             }
-            let sh = &gaussians.sh[i * 3 * (rest + 1)..][..3 * (rest + 1)];
-            for c in 0..3 {
-                row[6 + c] = f64::from(sh[c]);
-                for k in 0..rest {
-                    row[9 + c * rest + k] = f64::from(sh[(k + 1) * 3 + c]);
-                }
+            let sh = &gaussians.sh[3 * terms * i..][..3 * terms];
+            let rest = (0..3).flat_map(|c| (1..terms).map(move |k| &sh[3 * k + c]));
+            let values = sh[..3].iter().chain(rest);
+            let values = values.chain([&gaussians.opacity_logits[i]]);
+            let values = values.chain(&gaussians.log_scales[i]);
+            let values = values.chain(&gaussians.rotations[i]);
+            for (cell, &value) in row[6..].iter_mut().zip(values) {
+                *cell = f64::from(value);
             }
-            let tail = &mut row[9 + 3 * rest..];
-            tail[0] = f64::from(gaussians.opacity_logits[i]);
-            for c in 0..3 {
-                tail[1 + c] = f64::from(gaussians.log_scales[i][c]);
+            if let Some(labels) = labels {
+                row[columns.len() - 1] = f64::from(labels[i]);
             }
-            for c in 0..4 {
-                tail[4 + c] = f64::from(gaussians.rotations[i][c]);
-            }
-            tail[8] = labels.map_or(0.0, |l| f64::from(l[i]));
         })
     })
 }
@@ -95,8 +91,8 @@ pub fn read(path: &Path) -> Result<PlyScene> {
     if file.scalar("packed_position").is_some() {
         return compressed_ply::read(path);
     }
-    expect_gaussians(&file)?;
-    let sh_degree = sh_degree(&file)?;
+    expect_gaussians(path, &file)?;
+    let sh_degree = sh_degree(path, &file)?;
     let labelled = file.scalar("label").is_some();
     let recorded = recorded_origin(&file);
     let mut names = column_names(sh_degree, labelled).into_iter();
@@ -137,11 +133,7 @@ fn checked_row(
     cells: &[f64; COLUMNS],
     opacity: usize,
 ) -> Result<[f64; COLUMNS]> {
-    let bad = |column: usize, expected: &str, help: &str| {
-        let name = columns[column].as_deref().unwrap_or_default();
-        invalid!(path, "row {row}, column {name}"; found "{}", cells[column]; expected "{expected}";
-            help "{help}")
-    };
+    let name = |column: usize| columns[column].as_deref().unwrap_or_default();
     let mut cells = *cells;
     if cells[opacity].is_infinite() {
         let byte = if cells[opacity] > 0.0 { 255 } else { 0 };
@@ -149,16 +141,13 @@ fn checked_row(
     }
     // A value that does not fit an f32 counts as not finite.
     if let Some(column) = cells.iter().position(|&v| !(v as f32).is_finite()) {
-        let help = "remove this Gaussian (splat-transform --filter-nan)";
-        return Err(bad(column, "a finite number", help));
+        bail!(path, "row {row}, column {}", name(column); found "{}", cells[column]; expected "a finite number";
+            help "remove this Gaussian (splat-transform --filter-nan)");
     }
     // 0 without a label column.
-    let label = opacity + 8;
-    let id = cells[label];
-    if id.fract() != 0.0 || !(0.0..=65_535.0).contains(&id) {
-        let help = "correct or drop the label column";
-        return Err(bad(label, "a class id from 0 to 65535", help));
-    }
+    let id = cells[opacity + 8];
+    ensure!(id.fract() == 0.0 && (0.0..=65_535.0).contains(&id), path, "row {row}, column {}", name(opacity + 8);
+        found "{id}"; expected "a class id from 0 to 65535"; help "correct or drop the label column");
     Ok(cells)
 }
 
@@ -206,22 +195,17 @@ fn column_names(sh_degree: usize, labelled: bool) -> Vec<String> {
 }
 
 /// [`crate::Error::Input`] for point clouds, which users may take for 3DGS PLY files.
-fn expect_gaussians(file: &PlyFile) -> Result<()> {
+fn expect_gaussians(path: &Path, file: &PlyFile) -> Result<()> {
     let has = |name: &str| file.scalar(name).is_some();
-    if !has("x") || has("f_dc_0") || has("opacity") {
-        return Ok(());
-    }
     let found = if file.has_element("face") {
         "a mesh"
     } else {
         "a point cloud"
     };
-    Err(file.error(
-        "element vertex",
-        found,
-        "3D Gaussians: x y z, f_dc_*, opacity, scale_*, rot_*",
-        "name a scene of Gaussians; to train some from a point cloud, name it by ply_file_path in transforms.json",
-    ))
+    ensure!(!has("x") || has("f_dc_0") || has("opacity"), path, "element vertex"; found "{found}";
+        expected "3D Gaussians: x y z, f_dc_*, opacity, scale_*, rot_*";
+        help "name a scene of Gaussians; to train some from a point cloud, name it by ply_file_path in transforms.json");
+    Ok(())
 }
 
 fn recorded_origin(file: &PlyFile) -> Option<DVec3> {

@@ -1,6 +1,6 @@
 //! A scene as files hold it, and the origin of one that names none.
 
-use crate::error::{Error, Result, invalid};
+use crate::error::{Error, Result, bail};
 use crate::splat::Gaussians;
 use glam::DVec3;
 use std::path::Path;
@@ -19,29 +19,25 @@ pub struct PlyScene {
     pub labels: Option<Vec<u16>>,
 }
 
-/// A scene of positions that are floats in the file `path`, which must hold finite numbers alone.
-pub(super) fn scene_of(path: &Path, gaussians: Gaussians) -> Result<PlyScene> {
+/// A scene whose means are world positions, floats in the file `path`. It must hold finite numbers alone.
+pub(super) fn scene_of(path: &Path, mut gaussians: Gaussians) -> Result<PlyScene> {
     match gaussians.check(None) {
-        Err(Error::NonFinite { tensor, row, .. }) => Err(
-            invalid!(path, "row {row}"; found "a value of {tensor} that is not finite"; expected "finite numbers";
-                help "remove this Gaussian (splat-transform --filter-nan)"),
-        ),
-        other => other.map(|()| with_origin(gaussians)),
+        Err(Error::NonFinite { tensor, row, .. }) => {
+            bail!(path, "row {row}"; found "a value of {tensor} that is not finite"; expected "finite numbers";
+                help "remove this Gaussian (splat-transform --filter-nan)");
+        }
+        other => other?,
     }
-}
-
-/// The scene of Gaussians whose means are world positions.
-fn with_origin(mut gaussians: Gaussians) -> PlyScene {
     let positions = gaussians.positions(DVec3::ZERO);
     let origin = origin_of(&positions);
     for (mean, position) in gaussians.means.iter_mut().zip(positions) {
         *mean = (position - origin).as_vec3().to_array();
     }
-    PlyScene {
+    Ok(PlyScene {
         gaussians,
         origin,
         labels: None,
-    }
+    })
 }
 
 /// Mean position and mean distance from it.

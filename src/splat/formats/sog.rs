@@ -8,7 +8,7 @@
 //! Format: <https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/>
 
 use super::{PlyScene, from_smallest_three, logit, opacity, scene_of};
-use crate::error::{Error, Result, ensure, invalid};
+use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files;
 use crate::splat::{Gaussians, SH_0};
 use glam::DVec3;
@@ -91,15 +91,9 @@ impl<'a> Archive<'a> {
     fn open(path: &'a Path) -> Result<Self> {
         let file = files::read(path)?;
         let bytes = file.len() as u64;
+        let expected = "a .sog file, which is a zip archive";
         let zip = ZipArchive::new(Cursor::new(file));
-        let zip = zip.map_err(|e| {
-            damaged(
-                path,
-                "first bytes",
-                e,
-                "a .sog file, which is a zip archive",
-            )
-        })?;
+        let zip = zip.map_err(|e| damaged(path, "first bytes", e, expected))?;
         Ok(Self { path, zip, bytes })
     }
 
@@ -259,14 +253,9 @@ impl Palette {
         for label in &archive.texels(labels, count)?.values[..count] {
             let row = usize::from(u16::from_le_bytes([label[0], label[1]]));
             let texels = palette.values.get(row * terms..(row + 1) * terms);
-            let texels = texels.ok_or_else(|| {
-                damaged(
-                    path,
-                    &self.files[1],
-                    format!("row {row}"),
-                    "a row of the palette",
-                )
-            })?;
+            let Some(texels) = texels else {
+                bail!(path, "{}", self.files[1]; found "row {row}"; expected "a row of the palette"; help "{REMEDY}");
+            };
             let codes = texels.iter().flat_map(|[r, g, b, _]| [r, g, b]);
             coefficients.extend(codes.map(|&code| entries[usize::from(code)]));
         }

@@ -67,12 +67,8 @@ impl<E: Real> Sums<E> {
         resolution: Resolution,
         settings: &Settings,
     ) -> Result<()> {
-        check_maps(
-            self.counts.first().map_or(splats.len(), Vec::len),
-            &self.channels,
-            splats.len(),
-            maps,
-        )?;
+        let n = self.counts.first().map_or(splats.len(), Vec::len);
+        check_maps(n, &self.channels, splats.len(), maps)?;
         mask.map_or(Ok(()), |mask| {
             mask.expect_size("a view", camera.width, camera.height)
         })?;
