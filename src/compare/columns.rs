@@ -12,10 +12,18 @@ pub(super) struct Column {
     /// The value 1 in the unit of the title.
     pub unit: f64,
     decimals: usize,
-    /// 1 where the highest figure is the best, which is set in bold, -1 where the lowest is. Costs are not compared.
-    best_sign: Option<f64>,
+    best: Best,
     /// The figure of a cell.
     pub of: fn(&Figures) -> Option<f64>,
+}
+
+/// Which figure of a column is the best, set in bold.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Best {
+    Highest,
+    Lowest,
+    /// Costs are not compared.
+    None,
 }
 
 impl Column {
@@ -25,7 +33,7 @@ impl Column {
         of: fn(&Figures) -> Option<f64>,
     ) -> Self {
         Self {
-            best_sign: Some(1.0),
+            best: Best::Highest,
             ..Self::cost(key, title, (100.0, 1), of)
         }
     }
@@ -41,14 +49,19 @@ impl Column {
             title,
             unit,
             decimals,
-            best_sign: None,
+            best: Best::None,
             of,
         }
     }
 
     /// The row that is the best beyond the spread, see [`best`].
     pub fn best(&self, rows: &[Option<Statistic>], all: usize) -> Option<usize> {
-        best(rows, all, self.best_sign?)
+        let sign = match self.best {
+            Best::Highest => 1.0,
+            Best::Lowest => -1.0,
+            Best::None => return None,
+        };
+        best(rows, all, sign)
     }
 
     /// `52.3 ± 0.4`. A cost that is the same under all seeds has no spread.
@@ -56,7 +69,7 @@ impl Column {
         let number = |value: f64| format!("{:.*}", self.decimals, self.unit * value);
         let mean = number(statistic.mean);
         match statistic.spread {
-            Some(spread) if self.best_sign.is_some() || number(spread) != number(0.0) => {
+            Some(spread) if self.best != Best::None || number(spread) != number(0.0) => {
                 format!("{mean} ± {}", number(spread))
             }
             _ => mean,
@@ -89,13 +102,13 @@ pub(super) static COLUMNS: [Column; 8] = [
 /// The columns of feature fields, for tables that have some.
 pub(super) static FIELD_COLUMNS: [Column; 4] = [
     Column {
-        best_sign: Some(1.0),
+        best: Best::Highest,
         ..Column::cost("calinski_harabasz", "CH", (1.0, 1), |f| {
             f.field?.calinski_harabasz
         })
     },
     Column {
-        best_sign: Some(-1.0),
+        best: Best::Lowest,
         ..Column::cost("davies_bouldin", "DB", (1.0, 2), |f| {
             f.field?.davies_bouldin
         })
