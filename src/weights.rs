@@ -135,10 +135,15 @@ impl WeightFile {
         let file = SafeTensors::deserialize(bytes).map_err(|e| unreadable(origin, "header", e))?;
         let (_, header) =
             SafeTensors::read_metadata(bytes).map_err(|e| unreadable(origin, "header", e))?;
-        let notes = header.metadata().iter().flatten();
+        let metadata = header
+            .metadata()
+            .iter()
+            .flatten()
+            .map(|(k, v)| (k.clone(), v.clone()))
+            .collect();
         let mut weights = Self {
             origin: origin.to_owned(),
-            metadata: notes.map(|(k, v)| (k.clone(), v.clone())).collect(),
+            metadata,
             ..Self::default()
         };
         for (name, view) in file.iter().filter(|(name, _)| keep(name)) {
@@ -190,8 +195,10 @@ impl WeightFile {
 
     /// Adds a tensor under `name`, without a leading `module.` (DataParallel).
     pub fn insert(&mut self, name: &str, tensor: HostTensor) {
-        let name = name.strip_prefix("module.").unwrap_or(name);
-        self.tensors.insert(name.to_owned(), tensor);
+        self.tensors.insert(
+            name.strip_prefix("module.").unwrap_or(name).to_owned(),
+            tensor,
+        );
     }
 
     /// The tensor `name`, its trailing extents of 1 dropped (1x1 convolutions are linear maps).
@@ -208,14 +215,18 @@ impl WeightFile {
             found = &found[..found.len() - 1];
         }
         if found != shape {
-            let found = format!("shape {:?}", tensor.shape);
-            return Err(self.problem(name, found, format!("{shape:?}")));
+            return Err(self.problem(
+                name,
+                format!("shape {:?}", tensor.shape),
+                format!("{shape:?}"),
+            ));
         }
         match tensor.values.iter().position(|v| !v.is_finite()) {
-            Some(i) => {
-                let found = format!("{} at element {i}", tensor.values[i]);
-                Err(self.problem(name, found, "finite values"))
-            }
+            Some(i) => Err(self.problem(
+                name,
+                format!("{} at element {i}", tensor.values[i]),
+                "finite values",
+            )),
             None => Ok(&tensor.values),
         }
     }

@@ -123,10 +123,13 @@ fn tables(gaussians: usize, views: usize) -> [Figures; 2] {
 fn cameras(bench: &Bench) -> Vec<Camera> {
     let views = &bench.scene.views;
     let count = VIEWS.min(views.len());
-    let [width, height] = SIZE;
-    let camera = |i: usize| &views[i * views.len() / count].camera;
-    let resized = |i| camera(i).with_size(width, height);
-    (0..count).map(resized).collect()
+    (0..count)
+        .map(|i| {
+            views[i * views.len() / count]
+                .camera
+                .with_size(SIZE[0], SIZE[1])
+        })
+        .collect()
 }
 
 /// `gaussians` as tensors of `dtype`, tracked by autodiff.

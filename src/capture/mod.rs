@@ -8,7 +8,7 @@ mod video;
 
 use self::masks::Masks;
 use self::photos::Photos;
-use self::poses::Solver;
+use self::poses::{Folders, Solver};
 use crate::data::photos::{is_heic, is_photo};
 use crate::error::{Error, Result, bail, ensure, in_order};
 use crate::files::{self, atomic, file_name, names, own};
@@ -58,9 +58,7 @@ struct Room {
     folder: PathBuf,
     record: PathBuf,
     images: PathBuf,
-    /// A mask for each photo, `a.jpg.png` for `a.jpg`, if masks are given.
     masks: PathBuf,
-    /// COLMAP's own files, from which it continues, and frames of a video.
     work: PathBuf,
 }
 
@@ -100,7 +98,7 @@ impl Capture<'_> {
             atomic::write_json(&room.record, &made)?;
         }
         if let Some(solver) = solver {
-            solver.run(&room, &made, progress)?;
+            room.solve(&solver, &made, progress)?;
             made.poses = Some(solver.to_string());
             atomic::write_json(&room.record, &made)?;
         }
@@ -215,6 +213,17 @@ impl Room {
         }
         viewing.end();
         Ok(())
+    }
+
+    /// Finds the poses of the photos.
+    fn solve(&self, solver: &Solver, made: &Made, progress: &mut dyn Progress) -> Result<()> {
+        let folders = Folders {
+            images: &self.images,
+            masks: (made.masks > 0).then_some(&*self.masks),
+            work: &self.work,
+            models: &self.folder.join("sparse"),
+        };
+        solver.run(&folders, made.photos, progress)
     }
 }
 

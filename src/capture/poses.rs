@@ -1,6 +1,6 @@
 //! Poses of photos, by COLMAP: its program or its Python package.
 
-use super::{Made, Room, program};
+use super::program;
 use crate::error::{Error, Result, ensure};
 use crate::files::{self, atomic, names};
 use crate::progress::{Progress, Viewing};
@@ -34,6 +34,18 @@ impl fmt::Display for Solver {
     }
 }
 
+/// The folders that COLMAP reads and writes.
+pub(super) struct Folders<'a> {
+    pub images: &'a Path,
+    /// A mask for each photo, `a.jpg.png` for `a.jpg`.
+    pub masks: Option<&'a Path>,
+    /// COLMAP's own files, from which it continues.
+    pub work: &'a Path,
+    /// Receives the models, in folders 0, 1 and so on. COLMAP writes one for each group of photos that it could not join to the
+    /// others.
+    pub models: &'a Path,
+}
+
 impl Solver {
     /// The package of `python` if that is given. Otherwise the first of these that is installed: the program with CUDA, the package
     /// of `python3`, the program without CUDA, which is the slowest.
@@ -63,22 +75,22 @@ impl Solver {
         })
     }
 
-    /// The command of a step in `room`, with the folder of the masks, if there are any.
-    fn command(&self, step: Step, room: &Room, masks: Option<&Path>) -> Command {
-        let database = room.work.join("database.db");
-        let sparse = room.work.join("sparse");
+    /// The command of a step.
+    fn command(&self, step: Step, folders: &Folders<'_>) -> Command {
+        let database = folders.work.join("database.db");
+        let sparse = folders.work.join("sparse");
         if let Self::Pycolmap(python) = self {
             let mut command = Command::new(python);
             command.args(["-c", include_str!("pycolmap.py"), step.name]);
-            command.args([&database, &room.images, &sparse]);
-            command.args(masks);
+            command.args([&database, folders.images, &sparse]);
+            command.args(folders.masks);
             return command;
         }
         let mut command = Command::new("colmap");
         command.arg(step.of_colmap);
         command.arg("--database_path").arg(database);
         if step != MATCHES {
-            command.arg("--image_path").arg(&room.images);
+            command.arg("--image_path").arg(folders.images);
         }
         // Without CUDA it would use OpenGL, which needs a screen.
         if *self == (Self::Colmap { cuda: false }) {
@@ -95,7 +107,7 @@ impl Solver {
         if step == FEATURES {
             command.args(["--ImageReader.single_camera", "1"]);
             command.args(["--ImageReader.camera_model", "OPENCV"]);
-            if let Some(masks) = masks {
+            if let Some(masks) = folders.masks {
                 command.arg("--ImageReader.mask_path").arg(masks);
             }
         } else if step == POSES {
@@ -104,33 +116,35 @@ impl Solver {
         command
     }
 
-    /// Finds the poses of the photos in `room`, which are those of `made`. Its folder `sparse` receives the models, in folders 0, 1
-    /// and so on. COLMAP writes one for each group of photos that it could not join to the others.
+    /// Finds the poses of `photos` photos.
     ///
     /// # Errors
     /// [`Error::Program`] where COLMAP fails; [`Error::Input`] where it places no photo; [`Error::Io`]; [`Error::Stopped`].
-    pub fn run(&self, room: &Room, made: &Made, progress: &mut dyn Progress) -> Result<()> {
-        let photos = made.photos;
-        let masks = (made.masks > 0).then_some(&*room.masks);
-        let sparse = room.work.join("sparse");
+    pub fn run(
+        &self,
+        folders: &Folders<'_>,
+        photos: usize,
+        progress: &mut dyn Progress,
+    ) -> Result<()> {
+        let sparse = folders.work.join("sparse");
         super::make_empty(&sparse)?;
         let blocks = photos.div_ceil(BLOCK).pow(2);
         for (step, length) in [(FEATURES, photos), (MATCHES, blocks), (POSES, photos)] {
             let mut viewing = Viewing::begin(progress, step.name, length);
-            let mut command = self.command(step, room, masks);
+            let mut command = self.command(step, folders);
             program::run(&mut command, HELP, &mut viewing, |line| {
                 usize::from(line.contains(step.done))
             })?;
             viewing.end();
         }
         let models = names(&sparse, |_, path| path.is_dir());
-        ensure!(!models.is_empty(), &room.images, "poses"; found "none of {photos} photos placed by {self}";
+        ensure!(!models.is_empty(), folders.images, "poses"; found "none of {photos} photos placed by {self}";
             expected "photos that show the same things";
             help "take sharp photos of a place with texture, so that each photo shares two thirds with the one before");
         for model in &models {
             for name in names(&sparse.join(model), |_, path| path.is_file()) {
                 let bytes = files::read(&sparse.join(model).join(&name))?;
-                atomic::write_bytes(room.folder.join("sparse").join(model).join(&name), &bytes)?;
+                atomic::write_bytes(folders.models.join(model).join(&name), &bytes)?;
             }
         }
         Ok(())

@@ -119,14 +119,14 @@ impl LabelArgs {
         let scene = (self.data.as_path(), &options);
         let best = usize::from(self.best);
         let done = self.segmenter.label(scene, &self.model, best, &self.out)?;
-        let labels = self.out.canonicalize().unwrap_or(self.out.clone());
+        let folder = self.out.canonicalize().unwrap_or(self.out.clone());
         terminal::say(&format!(
             "{}: {} photos, {} labelled before; {} classes; use it with --set data.raw_labels={}",
             self.out.display(),
             done.photos,
             done.cached,
             done.classes,
-            labels.display()
+            folder.display()
         ));
         Ok(())
     }

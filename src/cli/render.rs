@@ -262,8 +262,11 @@ impl RenderArgs {
     /// The photos of the views of `keys`, where annotations need them. The frames of a path have none.
     fn photos(&self, keys: &Path, is_path: bool) -> BTreeMap<String, ViewPhoto> {
         let of_photos = [AnnotationFormat::Coco, AnnotationFormat::Yolo];
-        let mut formats = self.annotations.iter();
-        if is_path || !formats.any(|format| of_photos.contains(format)) {
+        let are_asked_for = self
+            .annotations
+            .iter()
+            .any(|format| of_photos.contains(format));
+        if is_path || !are_asked_for {
             return BTreeMap::new();
         }
         photos_of(keys)

@@ -174,9 +174,10 @@ impl TrainArgs {
     }
 
     /// Who listens to the run: the terminal, and a browser where `--view` asks for it.
-    #[cfg_attr(not(feature = "serve"), expect(unused_variables))]
     fn progress(&self, config: &Config) -> Result<Box<dyn Progress>> {
         let bars = Bars::default();
+        #[cfg(not(feature = "serve"))]
+        let _ = config;
         #[cfg(feature = "serve")]
         if self.view {
             let alpha_max = config.raster.alpha_max;

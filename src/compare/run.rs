@@ -87,8 +87,11 @@ fn check_options(plan: &Plan, options: &Options) -> Result<()> {
         }
     }
     let names: Vec<&str> = plan.scenes.iter().map(|scene| &*scene.name).collect();
-    let mut named = options.gaussians.keys();
-    if let Some(unknown) = named.find(|name| !names.contains(&&***name)) {
+    let unknown = options
+        .gaussians
+        .keys()
+        .find(|name| !names.contains(&&***name));
+    if let Some(unknown) = unknown {
         bail!(argument "--gaussians"; found "{unknown}"; expected "a scene of the plan: {}", names.join(", ");
             help "name one of these");
     }
@@ -243,8 +246,11 @@ impl<'a> Comparison<'a> {
             self.progress,
         )?;
         for job in jobs {
-            let mut rows = outcome.rows.iter();
-            let Some(row) = rows.find(|row| row.variant == job.row.variant) else {
+            let row = outcome
+                .rows
+                .iter()
+                .find(|row| row.variant == job.row.variant);
+            let Some(row) = row else {
                 bail!(&self.plan.path, "labels {:?}", id.labels; found "{} without raw labels", id.scene;
                     expected "training photos with raw labels"; help "name them by data.raw_labels or data.transforms");
             };

@@ -1,6 +1,5 @@
 //! Variants of stage two that the label table compares.
 
-use super::display_as_serialized;
 use serde::{Deserialize, Serialize};
 
 /// A variant of stage two: one line of the label table. All but `raw` and the votes are trained.
@@ -35,7 +34,11 @@ pub enum Variant {
     RandomSpatial,
 }
 
-display_as_serialized!(Variant);
+impl std::fmt::Display for Variant {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.key())
+    }
+}
 
 impl Variant {
     /// The variants compared by default.

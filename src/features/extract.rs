@@ -123,8 +123,10 @@ impl<'a> FeatureReduction<'a> {
                 let maps =
                     kept.map_or_else(|| cached_maps(&self.extractor, self.config, view), Ok)?;
                 let reduce = |n: usize| self.reductions[n].apply(&maps[n], &map_name(view, n));
-                let view = view.name.clone();
-                each_scale(reduce).map(|maps| ViewFeatures { view, maps })
+                Ok(ViewFeatures {
+                    view: view.name.clone(),
+                    maps: each_scale(reduce)?,
+                })
             });
             reduced.collect::<Vec<_>>()
         })

@@ -36,7 +36,12 @@ pub fn expect(dir: &Path, stem: &str) -> Result<()> {
 /// [`crate::Error::Input`] when files are absent, truncated, of another type or shape; [`crate::Error::NonFinite`] on NaN or infinity.
 pub fn read(dir: &Path, stem: &str) -> Result<[FeatureMap; SCALES]> {
     expect(dir, stem)?;
-    read_found(dir, stem, SCALES).map(by_scale)
+    let bundle = dir.join(format!("{stem}.safetensors"));
+    if bundle.exists() {
+        return read_bundle(&bundle, SCALES).map(by_scale);
+    }
+    let maps = (1..=SCALES).map(|n| read_npy(&dir.join(format!("{stem}.{n}.npy"))));
+    maps.collect::<Result<_>>().map(by_scale)
 }
 
 /// The files of view `stem`: the bundle, or the maps of one to four scales. None if there are none.
@@ -49,14 +54,14 @@ pub fn found(dir: &Path, stem: &str) -> Vec<PathBuf> {
     maps.take_while(|path| path.exists()).collect()
 }
 
-/// The maps of view `stem` at the scales that there are, one to four. A bundle must have `least` of them or more.
+/// The maps of view `stem` at the scales that there are, one to four.
 ///
 /// # Errors
 /// As [`read`].
-pub fn read_found(dir: &Path, stem: &str, least: usize) -> Result<Vec<FeatureMap>> {
+pub fn read_found(dir: &Path, stem: &str) -> Result<Vec<FeatureMap>> {
     match &found(dir, stem)[..] {
         [] => expect(dir, stem).map(|()| Vec::new()),
-        [bundle] if extension(bundle) == "safetensors" => read_bundle(bundle, least),
+        [bundle] if extension(bundle) == "safetensors" => read_bundle(bundle, 1),
         maps => maps.iter().map(|path| read_npy(path)).collect(),
     }
 }

@@ -171,11 +171,12 @@ fn naming_source(mut error: Error, source: &FeatureSource) -> Error {
     error
 }
 
-/// What `map` gives for each scale, counted from 0, or its first error.
+/// What `map` gives for the scales in order, counted from 0, or its first error.
 fn each_scale(map: impl FnMut(usize) -> Result<FeatureMap>) -> Result<[FeatureMap; SCALES]> {
     (0..SCALES).map(map).collect::<Result<_>>().map(by_scale)
 }
 
+/// The maps of the first scales, and empty ones of the others.
 fn by_scale(maps: Vec<FeatureMap>) -> [FeatureMap; SCALES] {
     let mut maps = maps.into_iter();
     std::array::from_fn(|_| maps.next().unwrap_or_default())

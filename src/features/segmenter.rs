@@ -1,6 +1,6 @@
 //! Features from within a semantic segmenter in an ONNX file: one tensor of the network, and the same over larger areas.
 
-use super::{FeatureMap, SCALES, each_scale};
+use super::{FeatureMap, SCALES};
 use crate::data::bilinear::{among, beside};
 use crate::error::Result;
 use crate::segmenter::contract::Alignment;
@@ -43,11 +43,13 @@ impl Tap {
     /// As [`Tap::map`].
     pub(super) fn maps(&self, photo: &RgbImage) -> Result<[FeatureMap; SCALES]> {
         let mut map = self.map(photo)?;
-        each_scale(|_| {
+        let mut maps: [FeatureMap; SCALES] = Default::default();
+        for scale in &mut maps {
             // An odd map shares its middle cells between two.
             let coarser = map.resized(map.height.div_ceil(2), map.width.div_ceil(2));
-            Ok(std::mem::replace(&mut map, coarser))
-        })
+            *scale = std::mem::replace(&mut map, coarser);
+        }
+        Ok(maps)
     }
 
     /// The features of a photo, bilinear between the cells of the tensor. Cells beside the photo are left out: those of the map divide

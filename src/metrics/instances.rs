@@ -43,7 +43,7 @@ pub struct Quality {
 pub(super) struct Pairs(BTreeMap<(u16, u16), u64>);
 
 impl Pairs {
-    /// Counts one view; pixels past the shorter slice are not counted.
+    /// The pairs of one view; pixels past the shorter slice are not counted.
     pub fn of(truth: &[u16], prediction: &[u16]) -> Self {
         let mut pairs = Self::default();
         let mut run: Option<((u16, u16), u64)> = None;

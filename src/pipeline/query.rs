@@ -115,7 +115,7 @@ impl LiftedMaps<'_> {
 
     /// The maps of `view`, which must have `channels` channels at each scale, and `scales` scales if that is known.
     fn maps(&self, view: &View, channels: usize, scales: Option<usize>) -> Result<Vec<FeatureMap>> {
-        let maps = import::read_found(self.folder, &view.name, 1)?;
+        let maps = import::read_found(self.folder, &view.name)?;
         let field = format!("view {}", view.name);
         if let Some(scales) = scales {
             ensure!(maps.len() == scales, self.folder, "{field}"; found "{} scales", maps.len();

@@ -67,7 +67,8 @@ impl TrainerState {
         c.set("iteration", &self.iteration)?;
         let values = into_values(self.gaussians.clone());
         for (k, width) in widths(self.gaussians.sh_degree).into_iter().enumerate() {
-            let (name, shape) = (NAMES[k], [n, width]);
+            let name = NAMES[k];
+            let shape = [n, width];
             c.put(name, &shape, values[k].clone())?;
             c.put(format!("{name}.first"), &shape, self.first[k].clone())?;
             c.put(format!("{name}.second"), &shape, self.second[k].clone())?;
@@ -110,7 +111,8 @@ impl TrainerState {
         };
         let mut values = Moments::default();
         for (k, width) in widths(sh_degree).into_iter().enumerate() {
-            let (name, shape) = (NAMES[k], [n, width]);
+            let name = NAMES[k];
+            let shape = [n, width];
             values[k] = c.take(name, &shape)?;
             state.first[k] = c.take(&format!("{name}.first"), &shape)?;
             state.second[k] = c.take(&format!("{name}.second"), &shape)?;

@@ -188,8 +188,11 @@ impl ObjectScene {
                 ids.push(None);
                 continue;
             }
-            let mut classes = self.classes.entries.iter();
-            let known = classes.find(|class| class.name == *name);
+            let known = self
+                .classes
+                .entries
+                .iter()
+                .find(|class| class.name == *name);
             let free = || (1..=u16::MAX).find(|id| !editing.is_known(*id));
             let id = known.map_or_else(free, |class| Some(class.id));
             let Some(id) = id else {

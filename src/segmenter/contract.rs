@@ -165,7 +165,7 @@ impl Contract {
         if let Some(name) = name {
             let file = Path::new(name);
             return match Self::shipped(name) {
-                Some(contract) => contract,
+                Some(read) => read,
                 None if file.is_file() => Self::read(file),
                 None => Err(unknown(name)),
             };

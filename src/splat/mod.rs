@@ -206,7 +206,7 @@ pub(crate) fn rotation(quaternion: &[f32; 4]) -> DQuat {
     scaled_rotation(quaternion).normalize()
 }
 
-/// The [`rotation`] of a quaternion, times its length.
+/// The [`rotation`] of a quaternion, times its length; the identity where that is 0.
 fn scaled_rotation(quaternion: &[f32; 4]) -> DQuat {
     let [w, x, y, z] = quaternion.map(f64::from);
     let q = DQuat::from_xyzw(x, y, z, w);

@@ -5,7 +5,6 @@
 //! (0.05 %), quaternions have steps of 1/32767, opacities of 1/65535, constant colour terms of 1/1024 (up to 32), view-dependent
 //! ones of 1/127 of the largest of their Gaussian.
 
-use crate::checkpoint::Scalar;
 use crate::objects::Regions;
 use crate::splat::{Gaussians, rotation};
 
@@ -19,18 +18,20 @@ pub(super) fn bytes(gaussians: &Gaussians, has_labels: bool) -> usize {
 
 /// Superpoints, and the tree of regions.
 pub(super) fn tree(regions: &Regions) -> Vec<u8> {
-    [
-        u32::to_bytes(&regions.superpoints.of),
-        u32::to_bytes(&regions.parents),
-        f32::to_bytes(&regions.heights),
-        f32::to_bytes(&regions.prominences),
-    ]
-    .concat()
+    let mut out = Vec::new();
+    for column in [&regions.superpoints.of, &regions.parents] {
+        out.extend(column.iter().flat_map(|v| v.to_le_bytes()));
+    }
+    for column in [&regions.heights, &regions.prominences] {
+        out.extend(column.iter().flat_map(|v| v.to_le_bytes()));
+    }
+    out
 }
 
 /// Where Gaussians are: their centres, and the index of each one's object in the page's list.
 pub(super) fn places(gaussians: &Gaussians, objects: &[u16]) -> Vec<u8> {
-    let mut out = f32::to_bytes(gaussians.means.as_flattened());
+    let centers = gaussians.means.as_flattened().iter();
+    let mut out: Vec<u8> = centers.flat_map(|v| v.to_le_bytes()).collect();
     out.extend(objects.iter().flat_map(|v| v.to_le_bytes()));
     out
 }
@@ -49,8 +50,11 @@ pub(super) fn looks(gaussians: &Gaussians, rows: impl Iterator<Item = usize> + C
     let mut out = Vec::new();
     let scales = rows.clone().flat_map(|row| gaussians.log_scales[row]);
     out.extend(scales.flat_map(|v| steps(v, LOG_STEPS).to_le_bytes()));
-    let bases = colours().flat_map(|(base, _)| base);
-    out.extend(bases.flat_map(|&v| steps(v, BASE_STEPS).to_le_bytes()));
+    out.extend(
+        colours()
+            .flat_map(|(base, _)| base)
+            .flat_map(|&v| steps(v, BASE_STEPS).to_le_bytes()),
+    );
     let turns = rows.clone().flat_map(|row| {
         let q = rotation(&gaussians.rotations[row]);
         [q.w, q.x, q.y, q.z]
@@ -64,8 +68,10 @@ pub(super) fn looks(gaussians: &Gaussians, rows: impl Iterator<Item = usize> + C
     for ((_, rest), &spread) in colours().zip(&spread) {
         // The scale that the page computes, with its rounding.
         let scale = 127.0 / (f32::from(spread) / LOG_STEPS).exp();
-        let byte = |v: &f32| (v * scale).round().clamp(-127.0, 127.0) as i8 as u8;
-        out.extend(rest.iter().map(byte));
+        out.extend(
+            rest.iter()
+                .map(|v| (v * scale).round().clamp(-127.0, 127.0) as i8 as u8),
+        );
     }
     out
 }

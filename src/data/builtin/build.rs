@@ -16,12 +16,6 @@ pub(super) mod class {
     pub const SOFA: u16 = 8;
     pub const CABINET: u16 = 9;
     pub const LAMP: u16 = 10;
-
-    /// Their names, in the order of the ids.
-    pub const NAMES: [&str; 10] = [
-        "wall", "floor", "ceiling", "window", "picture", "table", "chair", "sofa", "cabinet",
-        "lamp",
-    ];
 }
 
 /// A light of the room.

@@ -208,7 +208,7 @@ pub fn render_truth(room: &Room, camera: &Camera) -> Truth {
     });
     let pixels: Vec<([u8; 3], Option<Hit>)> = pixels.collect();
     let bytes = pixels.iter().flat_map(|(color, _)| *color).collect();
-    let seen = |id: fn(&Solid) -> u16| -> Vec<u16> {
+    let ids = |id: fn(&Solid) -> u16| -> Vec<u16> {
         let of_hit = |hit: Hit| id(&room.solids.all[hit.solid]);
         let hits = pixels.iter().map(|(_, hit)| hit);
         hits.map(|hit| hit.map_or(0, of_hit)).collect()
@@ -218,9 +218,9 @@ pub fn render_truth(room: &Room, camera: &Camera) -> Truth {
         labels: LabelMap {
             width: w,
             height: h,
-            ids: seen(|solid| solid.class),
+            ids: ids(|solid| solid.class),
         },
-        instances: seen(|solid| solid.instance),
+        instances: ids(|solid| solid.instance),
         depth: pixels
             .iter()
             .map(|(_, hit)| hit.map_or(0.0, |hit| hit.t as f32))

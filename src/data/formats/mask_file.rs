@@ -7,8 +7,7 @@ use crate::config::{Layout, NO_MASKS, same_folder};
 use crate::data::LabelMap;
 use crate::data::mask::Mask;
 use crate::data::photos::image_file::{ImageFile, proportional};
-use crate::error::{Result, bail, ensure, invalid};
-use crate::files::expect_file;
+use crate::error::{Error, Result, bail, ensure, invalid};
 use std::path::{Path, PathBuf};
 
 /// The folder of masks of a COLMAP project.
@@ -27,14 +26,18 @@ pub(crate) enum Masks {
 /// The folder of masks, where it exists: the user's, or the usual folder of the layout if it holds neither photos nor raw labels.
 pub(crate) fn folder_name<'a>(folder: Folder<'a>) -> Option<&'a str> {
     let Folder { dir, options, .. } = folder;
-    let others = [Some(&options.images), options.raw_labels.as_ref()];
-    let is_usual = |name: &String| is_folder(dir, name, COLMAP_MASKS);
-    let mut others = others.into_iter().flatten();
+    let mut taken = [Some(&options.images), options.raw_labels.as_ref()]
+        .into_iter()
+        .flatten();
     let name = match options.masks.as_deref() {
         Some(NO_MASKS) => None,
-        None if folder.layout != Layout::Colmap || others.any(is_usual) => None,
+        Some(name) => Some(name),
+        None if folder.layout != Layout::Colmap
+            || taken.any(|name| is_folder(dir, name, COLMAP_MASKS)) =>
+        {
+            None
+        }
         None => Some(COLMAP_MASKS),
-        named => named,
     };
     name.filter(|name| dir.join(name).is_dir())
 }
@@ -79,7 +82,10 @@ impl Frame {
         let Some(path) = &self.mask else {
             return Ok(None);
         };
-        expect_file(path, "put the mask there, or do not name it")?;
+        if !path.is_file() {
+            let help = "put the mask there, or do not name it";
+            return Err(Error::missing("file", path, help));
+        }
         let file = ImageFile::open(path)?;
         let size = (geometry.camera.width, geometry.camera.height);
         if !geometry.is_reduced_size(file.size) && !proportional(file.size, size) {

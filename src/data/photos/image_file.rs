@@ -139,8 +139,12 @@ impl ImageFile {
         let mut decoder = reader(&self.bytes, self.format, pixels * PIXEL_BYTES).into_decoder()?;
         let mut exif = decoder.exif_metadata()?.unwrap_or_default();
         let profile = decoder.icc_profile()?;
-        let mut parts = self.bytes.windows(exif.len().max(1));
-        let place = parts.position(|part| part == exif);
+        let find = |exif: &[u8]| {
+            self.bytes
+                .windows(exif.len().max(1))
+                .position(|w| w == exif)
+        };
+        let place = find(&exif);
         let orientation = Orientation::remove_from_exif_chunk(&mut exif);
         if !turns
             && self.format == ImageFormat::Jpeg

@@ -28,8 +28,7 @@ pub struct Photo {
 #[derive(Clone)]
 enum Source {
     Pixels(Arc<RgbImage>),
-    /// The file, and its pixels where there was room for them.
-    File(Arc<PhotoFile>, Option<Arc<RgbImage>>),
+    File(Arc<PhotoFile>),
 }
 
 /// A photo that lies in a file.
@@ -38,6 +37,8 @@ struct PhotoFile {
     /// SHA-256 of the file when the scene was loaded.
     digest: [u8; 32],
     preprocessing: Preprocessing,
+    /// The pixels, where there was room for them.
+    kept: Option<Arc<RgbImage>>,
 }
 
 impl Photo {
@@ -52,17 +53,19 @@ impl Photo {
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
         let bytes = pixels.as_raw().len();
         let kept = room.fetch_update(Relaxed, Relaxed, |room| room.checked_sub(bytes));
-        let kept = kept.is_ok().then(|| Arc::new(pixels));
+        let path = file.path().to_owned();
+        let digest = file.digest();
         let file = PhotoFile {
-            path: file.path().to_owned(),
-            digest: file.digest(),
+            path,
+            digest,
             preprocessing,
+            kept: kept.is_ok().then(|| Arc::new(pixels)),
         };
         Ok(Self {
             width,
             height,
             transparent,
-            source: Source::File(Arc::new(file), kept),
+            source: Source::File(Arc::new(file)),
         })
     }
 
@@ -70,7 +73,7 @@ impl Photo {
     pub fn file(&self) -> Option<&Path> {
         match &self.source {
             Source::Pixels(_) => None,
-            Source::File(file, _) => Some(&file.path),
+            Source::File(file) => Some(&file.path),
         }
     }
 
@@ -96,8 +99,11 @@ impl Photo {
     /// scene was loaded.
     pub fn pixels(&self) -> Result<Arc<RgbImage>> {
         match &self.source {
-            Source::Pixels(pixels) | Source::File(_, Some(pixels)) => Ok(pixels.clone()),
-            Source::File(file, None) => Ok(Arc::new(file.read()?)),
+            Source::Pixels(pixels) => Ok(pixels.clone()),
+            Source::File(file) => match &file.kept {
+                Some(pixels) => Ok(pixels.clone()),
+                None => Ok(Arc::new(file.read()?)),
+            },
         }
     }
 
@@ -109,7 +115,7 @@ impl Photo {
                 hash.update(b"pixels\n");
                 hash.update(pixels.as_raw());
             }
-            Source::File(file, _) => {
+            Source::File(file) => {
                 hash.update(format!("file {} {}\n", self.width, self.height));
                 hash.update(file.digest);
                 if self.transparent {
@@ -140,8 +146,8 @@ impl fmt::Debug for Photo {
         let mut text = f.debug_struct("Photo");
         text.field("width", &self.width)
             .field("height", &self.height);
-        if let Some(path) = self.file() {
-            text.field("path", &path);
+        if let Source::File(file) = &self.source {
+            text.field("path", &file.path);
         }
         text.finish()
     }

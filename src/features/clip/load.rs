@@ -34,8 +34,8 @@ struct Names {
     fc2: &'static str,
     norm: &'static str,
     projection: &'static str,
-    /// Dimension of the projection that has the extent of the width; the other one has the channels.
-    width_axis: usize,
+    /// Whether the projection is stored as `[channels, width]`.
+    is_projection_transposed: bool,
 }
 
 const HUGGING_FACE: Names = Names {
@@ -51,7 +51,7 @@ const HUGGING_FACE: Names = Names {
     fc2: "mlp.fc2",
     norm: "text_model.final_layer_norm",
     projection: "text_projection.weight",
-    width_axis: 1,
+    is_projection_transposed: true,
 };
 
 const OPENAI: Names = Names {
@@ -67,7 +67,7 @@ const OPENAI: Names = Names {
     fc2: "mlp.c_proj",
     norm: "ln_final",
     projection: "text_projection",
-    width_axis: 0,
+    is_projection_transposed: false,
 };
 
 impl TextEncoder {
@@ -147,17 +147,23 @@ fn extents(weights: &Weights<'_>, name: &str, width: Option<usize>) -> Result<(u
 impl Names {
     /// `[width, channels]`.
     fn projection(&self, weights: &Weights<'_>, width: usize) -> Result<Tensor<2>> {
-        let axis = self.width_axis;
-        let order = ["[width, channels]", "[channels, width]"][axis];
+        let is_transposed = self.is_projection_transposed;
+        let order = if is_transposed {
+            "[channels, width]"
+        } else {
+            "[width, channels]"
+        };
         let expected = format!("{order}, width {width}");
-        let shape = weights.shape(self.projection, &expected, |shape| {
-            let shape = <[usize; 2]>::try_from(shape).ok()?;
-            (shape[axis] == width && shape[1 - axis] > 0).then_some(shape)
+        let shape = weights.shape(self.projection, &expected, |shape| match *shape {
+            [channels, w] if is_transposed && w == width && channels > 0 => Some([channels, w]),
+            [w, channels] if !is_transposed && w == width && channels > 0 => Some([w, channels]),
+            _ => None,
         })?;
         let values: Tensor<2> = weights.tensor(self.projection, &shape)?.reshape(shape);
-        Ok(match axis {
-            0 => values,
-            _ => values.transpose(),
+        Ok(if is_transposed {
+            values.transpose()
+        } else {
+            values
         })
     }
 

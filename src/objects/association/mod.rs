@@ -121,7 +121,7 @@ pub fn associate(
     let maps = inputs.maps(&mut groups, &views, &assigned, &kept, progress)?;
     let segments = || {
         let segments = assigned.iter().flat_map(|view| view.by_segment());
-        segments.map(|(_, groups)| groups)
+        segments.map(|(_, pieces)| pieces)
     };
     let is_dropped = |pieces: &&[Option<u32>]| pieces.iter().all(Option::is_none);
     let is_divided = |pieces: &&[Option<u32>]| pieces.iter().any(|group| *group != pieces[0]);

@@ -55,24 +55,28 @@ pub fn write(
         .collect();
     // Rust prints the shortest decimal that reads back as the same f64.
     let comments = vec![format!("{ORIGIN} {} {} {}", origin.x, origin.y, origin.z)];
-    let terms = gaussians.sh_len();
+    let rest = gaussians.sh_len() - 1;
     atomic::write(path, |out| {
         ply::write::<COLUMNS, _>(out, gaussians.len(), &columns, comments, |i, row| {
             for c in 0..3 {
                 row[c] = f64::from(gaussians.means[i][c]) + origin[c];
             }
-            let sh = &gaussians.sh[3 * terms * i..][..3 * terms];
-            let rest = (0..3).flat_map(|c| (1..terms).map(move |k| &sh[3 * k + c]));
-            let values = sh[..3].iter().chain(rest);
-            let values = values.chain([&gaussians.opacity_logits[i]]);
-            let values = values.chain(&gaussians.log_scales[i]);
-            let values = values.chain(&gaussians.rotations[i]);
-            for (cell, &value) in row[6..].iter_mut().zip(values) {
-                *cell = f64::from(value);
+            let sh = &gaussians.sh[i * 3 * (rest + 1)..][..3 * (rest + 1)];
+            for c in 0..3 {
+                row[6 + c] = f64::from(sh[c]);
+                for k in 0..rest {
+                    row[9 + c * rest + k] = f64::from(sh[(k + 1) * 3 + c]);
+                }
             }
-            if let Some(labels) = labels {
-                row[columns.len() - 1] = f64::from(labels[i]);
+            let tail = &mut row[9 + 3 * rest..];
+            tail[0] = f64::from(gaussians.opacity_logits[i]);
+            for c in 0..3 {
+                tail[1 + c] = f64::from(gaussians.log_scales[i][c]);
             }
+            for c in 0..4 {
+                tail[4 + c] = f64::from(gaussians.rotations[i][c]);
+            }
+            tail[8] = labels.map_or(0.0, |l| f64::from(l[i]));
         })
     })
 }
@@ -145,8 +149,9 @@ fn checked_row(
             help "remove this Gaussian (splat-transform --filter-nan)");
     }
     // 0 without a label column.
-    let id = cells[opacity + 8];
-    ensure!(id.fract() == 0.0 && (0.0..=65_535.0).contains(&id), path, "row {row}, column {}", name(opacity + 8);
+    let label = opacity + 8;
+    let id = cells[label];
+    ensure!(id.fract() == 0.0 && (0.0..=65_535.0).contains(&id), path, "row {row}, column {}", name(label);
         found "{id}"; expected "a class id from 0 to 65535"; help "correct or drop the label column");
     Ok(cells)
 }

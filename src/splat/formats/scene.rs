@@ -1,6 +1,6 @@
 //! A scene as files hold it, and the origin of one that names none.
 
-use crate::error::{Error, Result, bail};
+use crate::error::{Error, Result, invalid};
 use crate::splat::Gaussians;
 use glam::DVec3;
 use std::path::Path;
@@ -21,13 +21,13 @@ pub struct PlyScene {
 
 /// A scene whose means are world positions, floats in the file `path`. It must hold finite numbers alone.
 pub(super) fn scene_of(path: &Path, mut gaussians: Gaussians) -> Result<PlyScene> {
-    match gaussians.check(None) {
-        Err(Error::NonFinite { tensor, row, .. }) => {
-            bail!(path, "row {row}"; found "a value of {tensor} that is not finite"; expected "finite numbers";
-                help "remove this Gaussian (splat-transform --filter-nan)");
+    gaussians.check(None).map_err(|error| match error {
+        Error::NonFinite { tensor, row, .. } => {
+            invalid!(path, "row {row}"; found "a value of {tensor} that is not finite"; expected "finite numbers";
+                help "remove this Gaussian (splat-transform --filter-nan)")
         }
-        other => other?,
-    }
+        other => other,
+    })?;
     let positions = gaussians.positions(DVec3::ZERO);
     let origin = origin_of(&positions);
     for (mean, position) in gaussians.means.iter_mut().zip(positions) {

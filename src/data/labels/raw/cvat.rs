@@ -142,9 +142,11 @@ impl<'a> Element<'a> {
 
     /// A number that may be left out, which means 0.
     fn number_or_zero(&self, attribute: &str) -> Result<f64> {
-        match self.node.attribute(attribute) {
-            Some(_) => self.number(attribute),
-            None => Ok(0.0),
+        let is_there = self.node.has_attribute(attribute);
+        if is_there {
+            self.number(attribute)
+        } else {
+            Ok(0.0)
         }
     }
 
