@@ -86,6 +86,7 @@ impl Provenance {
         without_labels.data.raw_labels = String::new();
         without_labels.data.raw_format = Default::default();
         without_labels.data.association = Default::default();
+        without_labels.data.labels_by = Default::default();
         without_labels.data.scannet_classes = Default::default();
         let provenance = Self {
             settings: values(config, STAGE_ONE),

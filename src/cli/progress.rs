@@ -5,6 +5,9 @@ use coseg::progress::{CurvePoint, Event, Progress};
 use indicatif::ProgressBar;
 use std::time::Instant;
 
+/// A log has a line at least this often, seconds.
+const LOG_EVERY: f64 = 60.0;
+
 /// Shows the events of a run.
 #[derive(Debug, Default)]
 pub struct Bars {
@@ -14,6 +17,8 @@ pub struct Bars {
     started: Option<Instant>,
     /// The last point of the stage's curve, where it has one.
     last: Option<CurvePoint>,
+    /// Seconds of the stage at which a log had its last line.
+    logged: f64,
 }
 
 /// Held-out figures in a few words; empty if there are none.
@@ -30,11 +35,27 @@ fn figures(point: &CurvePoint) -> String {
 }
 
 impl Bars {
+    /// Seconds since the stage began.
+    fn seconds(&self) -> f64 {
+        self.started
+            .map_or(0.0, |start| start.elapsed().as_secs_f64())
+    }
+
+    /// A line of a log about where the stage is, unless it had one lately.
+    fn log(&mut self, done: usize) {
+        let seconds = self.seconds();
+        if seconds - self.logged >= LOG_EVERY {
+            self.logged = seconds;
+            terminal::note(&format!(
+                "{} {done}/{}  {seconds:.0} s",
+                self.stage, self.iterations
+            ));
+        }
+    }
+
     /// A line about a stage that is done. Without a terminal its points were printed already.
     fn print_end(&self) {
-        let seconds = self
-            .started
-            .map_or(0.0, |start| start.elapsed().as_secs_f64());
+        let seconds = self.seconds();
         match &self.last {
             None => terminal::note(&format!("{}  {seconds:.1} s", self.stage)),
             Some(point) if self.bar.is_some() => self.print(point, seconds),
@@ -86,6 +107,7 @@ impl Progress for Bars {
                 self.iterations = *iterations;
                 self.started = Some(Instant::now());
                 self.last = None;
+                self.logged = 0.0;
                 if terminal::draws_bars() {
                     let bar = terminal::bar(stage, *iterations as u64);
                     bar.set_position(*done as u64);
@@ -98,13 +120,13 @@ impl Progress for Bars {
             Event::Step {
                 iteration: done, ..
             }
-            | Event::Viewed { done } => {
-                if let Some(bar) = &self.bar {
-                    bar.set_position(*done as u64);
-                }
-            }
+            | Event::Viewed { done } => match &self.bar {
+                Some(bar) => bar.set_position(*done as u64),
+                None => self.log(*done),
+            },
             Event::Evaluated(point) => {
                 self.last = Some(*point);
+                self.logged = self.seconds();
                 match &self.bar {
                     Some(bar) => bar.set_message(figures(point)),
                     None => self.print(point, point.seconds),

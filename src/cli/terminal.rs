@@ -12,10 +12,16 @@ static BARS: LazyLock<MultiProgress> =
 /// The first error of standard output, except for a closed pipe.
 static FAILURE: OnceLock<io::Error> = OnceLock::new();
 
+/// Calls `write` without the bars, which are drawn again at their next step. `MultiProgress::suspend` panics if the terminal is gone.
+fn above_bars<T>(write: impl FnOnce() -> T) -> T {
+    let _ = BARS.clear();
+    write()
+}
+
 /// Prints a line of the result on standard output. A closed pipe ends the output, not the work.
 pub fn say(line: &str) {
     let line = escaped(line);
-    let written = BARS.suspend(|| writeln!(io::stdout(), "{line}"));
+    let written = above_bars(|| writeln!(io::stdout(), "{line}"));
     if let Err(error) = written
         && error.kind() != io::ErrorKind::BrokenPipe
     {
@@ -51,7 +57,7 @@ pub fn note(line: &str) {
 
 fn print(line: &str) {
     let line = escaped(line);
-    BARS.suspend(|| {
+    above_bars(|| {
         let _ = writeln!(io::stderr(), "{line}");
     });
 }
@@ -141,7 +147,7 @@ impl Drop for AboveBars {
         // The colours of the message are commands too; those in its text are escaped before.
         let text = String::from_utf8_lossy(&self.0);
         let line = text.trim_end_matches('\n').replace('\n', "\\n");
-        BARS.suspend(|| {
+        above_bars(|| {
             let _ = writeln!(io::stderr(), "{line}");
         });
     }

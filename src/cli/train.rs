@@ -88,7 +88,7 @@ pub struct TrainArgs {
     #[arg(long, value_name = "RUN", conflicts_with_all = ["out", "seed", "config"])]
     resume: Option<PathBuf>,
     /// Train again on labels that you corrected in the page of this run; see docs/edits.md
-    #[arg(long, value_name = "FILE.json", requires = "resume")]
+    #[arg(long, value_name = "FILE.json", requires = "resume", conflicts_with_all = ["out", "seed", "config"])]
     corrections: Option<PathBuf>,
     /// Serve a page on which a browser on this machine watches the run; its address is printed
     #[cfg(feature = "serve")]

@@ -4,7 +4,7 @@ use super::scene_file::{CAMERAS, CLASSES, CONFIG, FEATURE_COLORS, SCENE, VIEWER,
 use crate::config::Config;
 use crate::data::Classes;
 use crate::data::blocks::BLOCK;
-use crate::error::{Result, ensure};
+use crate::error::{Error, Result, ensure};
 use crate::files::lock::Lock;
 use crate::files::{self, atomic, own};
 use crate::objects::Identities;
@@ -48,18 +48,21 @@ impl RunFolder {
     /// An existing run.
     ///
     /// # Errors
-    /// [`crate::Error::Input`] when `dir` holds no `config.toml`.
+    /// [`Error::Missing`] where `dir` is not there; [`Error::Input`] when it holds no `config.toml`.
     pub fn existing(dir: &Path) -> Result<Self> {
         let run = Self(dir.to_owned());
-        ensure!(run.is_used(), dir, "{CONFIG}"; found "no such file"; expected "a run folder";
-            help "give the folder that `coseg train` wrote");
+        let help = "give the folder that `coseg train` wrote";
+        if !dir.exists() {
+            return Err(Error::missing("folder", dir, help));
+        }
+        ensure!(run.is_used(), dir, "{CONFIG}"; found "no such file"; expected "a run folder"; help "{help}");
         Ok(run)
     }
 
     /// The folder of a new run: `dir`, or `runs/NAME`, numbered when that is taken.
     ///
     /// # Errors
-    /// [`crate::Error::Input`] when `dir` already holds a run.
+    /// [`Error::Input`] when `dir` already holds a run.
     pub fn new(dir: Option<&Path>, name: &str) -> Result<Self> {
         let Some(dir) = dir else {
             let base = Path::new("runs");
@@ -78,7 +81,7 @@ impl RunFolder {
     /// program did not write are refused.
     ///
     /// # Errors
-    /// [`crate::Error::Input`] naming the process that has the folder; [`crate::Error::Argument`] naming a file that is in the way.
+    /// [`Error::Input`] naming the process that has the folder; [`Error::Argument`] naming a file that is in the way.
     pub fn claim(&self, resume: bool) -> Result<Lock> {
         if resume {
             own::allow(&self.0);
@@ -102,7 +105,7 @@ impl RunFolder {
     /// be resumed however it ends. A resumed run keeps its earlier settings file until it succeeds: it may still refuse these.
     ///
     /// # Errors
-    /// [`crate::Error::Io`] naming the file; [`crate::Error::Argument`] for settings that TOML cannot hold.
+    /// [`Error::Io`] naming the file; [`Error::Argument`] for settings that TOML cannot hold.
     pub fn start(&self, config: &Config, command: Command) -> Result<StartedRun> {
         // A file that cannot be read is ignored.
         let earlier = std::fs::read(self.file(COMMANDS)).ok();
@@ -178,7 +181,7 @@ impl StartedRun {
     /// Writes the command lines.
     ///
     /// # Errors
-    /// [`crate::Error::Io`] naming the file.
+    /// [`Error::Io`] naming the file.
     pub fn write_commands(&self) -> Result<()> {
         atomic::write_json(self.run.file(COMMANDS), &self.commands)
     }
@@ -203,7 +206,7 @@ impl StartedRun {
 /// The identities beside the scene `scene` of `gaussians` Gaussians and `classes` classes, if any.
 ///
 /// # Errors
-/// As [`Identities::read`]; [`crate::Error::Input`] for other numbers of Gaussians or classes.
+/// As [`Identities::read`]; [`Error::Input`] for other numbers of Gaussians or classes.
 pub fn identities_beside(
     scene: &Path,
     gaussians: usize,

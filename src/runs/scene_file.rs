@@ -1,7 +1,7 @@
 //! The files of a scene: given by name, or in the folder that `coseg train` wrote.
 
 use crate::config::Config;
-use crate::data::{Classes, LoadOptions, NamedCamera, ViewPhoto, view_photos};
+use crate::data::{Classes, LoadOptions, NamedCamera, ViewPhoto, locate, view_photos};
 use crate::error::{Error, Result, ensure, invalid};
 use crate::features::FeatureColors;
 use crate::files::{self, atomic, extension, own};
@@ -47,9 +47,13 @@ pub fn scene_path(path: &Path) -> Result<PathBuf> {
         return Ok(newest);
     }
     let plys = files::names(path, |_, path| extension(path) == "ply");
-    let help = plys.first().map_or(HELP.to_owned(), |other| {
-        format!("give {}", path.join(other).display())
-    });
+    let help = match plys.first() {
+        _ if locate(path, &LoadOptions::default()).is_ok() => {
+            format!("photos with poses are given by --data; {HELP}")
+        }
+        Some(other) => format!("give {}", path.join(other).display()),
+        None => HELP.to_owned(),
+    };
     Err(invalid!(path, "{SCENE}"; found "no such file"; expected "a run folder"; help "{help}"))
 }
 

@@ -44,6 +44,8 @@ const MAX_WRONG_SEEN: f64 = 0.5;
 const MIN_RIGHT_SEEN: f64 = 0.9;
 /// Below this share, points and photos are unrelated.
 const MAX_UNRELATED_SEEN: f64 = 0.02;
+/// Where no photo has points in more cells than this, the points are in another unit than the poses: far away, they make one spot.
+const MAX_CELLS_OF_SPOT: usize = 4;
 
 /// A conflict between the cloud and the poses.
 #[derive(Debug)]
@@ -76,6 +78,8 @@ struct Fit {
     median_share: f64,
     /// Share of the points that some photo shows.
     seen_share: f64,
+    /// Cells with points in the photo that has most of them.
+    most_cells: usize,
     /// Correlation between colours of points and of the pixels they fall on, each photo's means taken out, times the
     /// share of the photos that hold points.
     agreement: f64,
@@ -195,6 +199,13 @@ fn verdict(
         );
         return Some(misread(layout, file, &found, by_seen.convention));
     }
+    if (1..=MAX_CELLS_OF_SPOT).contains(&as_read.most_cells) && as_read.seen_share > MIN_RIGHT_SEEN
+    {
+        return Some(Verdict::Unrelated(format!(
+            "{}: the initial points make a single spot in each photo: points and poses may be in different units",
+            file.display()
+        )));
+    }
     (as_read.seen_share < MAX_UNRELATED_SEEN && by_seen.seen_share <= MIN_RIGHT_SEEN).then(|| {
         Verdict::Unrelated(format!(
             "{}: the photos hold {:.1} % of the initial points, in every convention of poses: points and poses may be in \
@@ -258,6 +269,7 @@ impl Fit {
             convention,
             median_share: shares.get(shares.len() / 2).copied().unwrap_or(0.0),
             seen_share: seen as f64 / points.len().max(1) as f64,
+            most_cells: fits.iter().map(|fit| fit.cells).max().unwrap_or(0),
             agreement: correlation * moments.len() as f64 / photos.max(1) as f64,
         }
     }
@@ -269,6 +281,8 @@ struct ViewFit {
     inside: Vec<bool>,
     /// Share of the points that lie in the image, without those of its own depth image.
     share: f64,
+    /// Cells of the image with points.
+    cells: usize,
     /// Sums of products of the deviations of colours: of points and pixels, of points, of pixels. None without a photo, or
     /// with too few points in it.
     moments: Option<DVec3>,
@@ -306,7 +320,8 @@ impl ViewFit {
         }
         let count = inside.iter().filter(|inside| **inside).count();
         let share = count as f64 / (points.len() - own).max(1) as f64;
-        let photo = photo.filter(|_| nearest.len() >= MIN_COMPARED);
+        let cells = nearest.len();
+        let photo = photo.filter(|_| cells >= MIN_COMPARED);
         let moments = photo.map(|photo| {
             let pairs = nearest.values().map(|(_, k, [u, v])| {
                 let x = (*u as u32).min(photo.width() - 1);
@@ -320,6 +335,7 @@ impl ViewFit {
         Self {
             inside,
             share,
+            cells,
             moments,
         }
     }

@@ -206,9 +206,10 @@ fn expect_raw_labels(dir: &Path, options: &LoadOptions) -> Result<()> {
     };
     let path = dir.join(named);
     let has_labels = |name: &str, path: &Path| name.contains("label") && path.is_dir();
-    let help = match &names(dir, has_labels)[..] {
-        [] => "correct the name".to_owned(),
-        there => format!("the scene folder has {}", there.join(", ")),
+    let help = match (Path::new(named).canonicalize(), &names(dir, has_labels)[..]) {
+        (Ok(here), _) => format!("write {}", here.display()),
+        (_, []) => "correct the name".to_owned(),
+        (_, there) => format!("the scene folder has {}", there.join(", ")),
     };
     ensure!(path.exists(), setting "data.raw_labels"; found "{named}";
         expected "a folder or file of label maps, absolute or in {}", dir.display(); help "{help}");
@@ -222,10 +223,16 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         let listing = list(&scene, &whole, problems)?;
         return Ok(listing.of_block(&block, &dir.join(BLOCK), options, problems));
     }
+    let layout = locate(dir, options)?;
+    let has_raw_labels = problems.ok(expect_raw_labels(dir, options)).is_some();
+    let unlabelled = LoadOptions {
+        raw_labels: None,
+        ..options.clone()
+    };
     let folder = Folder {
         dir,
-        options,
-        layout: locate(dir, options)?,
+        options: if has_raw_labels { options } else { &unlabelled },
+        layout,
     };
     let listing = match folder.layout {
         Layout::Auto | Layout::Transforms => transforms::list(folder, problems),
@@ -233,9 +240,10 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         Layout::Replica => replica::list(folder, problems),
         Layout::Scannet => scannet::list(folder, problems),
     }?;
-    let mut listing = match problems.ok(expect_raw_labels(dir, options)) {
-        Some(()) => listing.with_raw_labels(dir, options, problems),
-        None => listing.without_raw_labels(),
+    let mut listing = if has_raw_labels {
+        listing.with_raw_labels(dir, options, problems)
+    } else {
+        listing.without_raw_labels()
     };
     let maps = listing
         .frames

@@ -4,6 +4,7 @@ use super::folder::{Folder, Problems};
 use super::frame::Frame;
 use super::label_folder::{drawn, map, names};
 use super::mask_file::Masks;
+use crate::data::labels::raw::LABELS_RAW;
 use std::path::Path;
 
 /// Folders of label maps and masks for layouts whose frames name no such files: `labels`, `labels_raw`, `instances`, masks.
@@ -23,7 +24,7 @@ impl<'a> SideFolders<'a> {
     pub fn frame(&self, frame: Frame, photo: &Path) -> Frame {
         let Folder { dir, options, .. } = self.folder;
         let files = |folder: &str| names(&dir.join(folder), photo);
-        let raw = files(options.raw_labels.as_deref().unwrap_or("labels_raw"));
+        let raw = files(options.raw_labels.as_deref().unwrap_or(LABELS_RAW));
         let usual = || options.raw_labels.is_some().then(|| raw[0].clone());
         Frame {
             mask: self.masks.of_photo(photo),

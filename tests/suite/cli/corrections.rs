@@ -198,6 +198,9 @@ fn what_corrects_nothing_is_refused_and_the_run_stays() {
     let assign = json!([{"op": "assign", "gaussians": [0], "object": RED}]);
     let file = edits(&run, &assign);
     fails(&["train", "--corrections", utf8(&file)], 2);
+    let with_out = ["train", "--corrections", utf8(&file), "--out", utf8(&run)];
+    let message = fails(&with_out, 2);
+    assert!(message.contains("cannot be used with"), "{message}");
     let none = [
         &corrects(&run, &file)[..],
         &["--set", "segmentation.rows=[]"],

@@ -8,6 +8,7 @@ use coseg::data::{LabelMap, LoadOptions, check, load, locate};
 use serde_json::json;
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 
 /// Ten frames, from the six of the small scene.
 fn ten_frames(dir: &Path) {
@@ -166,6 +167,32 @@ fn a_misspelt_folder_of_labels_is_one_problem() {
     assert!(message.contains(expected), "{message}");
     assert!(message.contains("the scene folder has labels"), "{message}");
     assert!(message.contains("found 1 problem"), "{message}");
+
+    // So it is where the frames name no labels and there is no class table.
+    edit(folder.path(), |scene| {
+        for frame in scene["frames"].as_array_mut().unwrap() {
+            let frame = frame.as_object_mut().unwrap();
+            frame.remove("raw_label_path");
+            frame.remove("label_path");
+        }
+    });
+    fs::remove_file(folder.path().join("classes.json")).unwrap();
+    let message = fails(&["data", "check", utf8(folder.path()), "--set", set], 1);
+    assert!(message.contains(expected), "{message}");
+    assert!(message.contains("found 1 problem"), "{message}");
+
+    // A folder that lies where the program was started.
+    let started_in = tempfile::tempdir().unwrap();
+    let labels = started_in.path().join("label");
+    fs::create_dir(&labels).unwrap();
+    let said = Command::new(env!("CARGO_BIN_EXE_coseg"))
+        .current_dir(started_in.path())
+        .args(["data", "check", utf8(folder.path()), "--set", set])
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&said.stdout).into_owned();
+    let absolute = format!("write {}", labels.canonicalize().unwrap().display());
+    assert!(said.contains(&absolute), "{said}");
 }
 
 #[test]

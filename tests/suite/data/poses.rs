@@ -117,6 +117,22 @@ fn a_cloud_without_colours_tells_by_places_alone() {
         }
         one_problem(&checked, &["hold 0 % of", "; 100 % if", name(convention)]);
     }
+    // Poses in millimetres, points in metres.
+    for (_, camera) in &mut capture.shots {
+        camera.center *= 1e3;
+    }
+    capture.transforms(dir, (false, false), 1);
+    let checked = check(dir, &LoadOptions::default());
+    assert!(
+        checked
+            .notices
+            .iter()
+            .any(|n| n.contains("different units")),
+        "{checked:?}"
+    );
+    for (_, camera) in &mut capture.shots {
+        camera.center /= 1e3;
+    }
     // Points of another place altogether.
     capture.transforms(dir, (false, false), 1);
     cube(&capture.cloud, 900.0);

@@ -9,6 +9,31 @@ use serde_json::json;
 use std::fs;
 
 #[test]
+fn raw_labels_that_no_frame_names_lie_in_labels_raw() {
+    let dir = scene();
+    let options = LoadOptions::default();
+    let named = load(dir.path(), &options).expect("scene");
+    edit(dir.path(), |scene| {
+        for frame in scene["frames"].as_array_mut().unwrap() {
+            frame.as_object_mut().unwrap().remove("raw_label_path");
+        }
+    });
+    let found = load(dir.path(), &options).expect("scene");
+    for (named, found) in named.views.iter().zip(&found.views) {
+        assert!(
+            found.raw.is_some() && found.raw == named.raw,
+            "{}",
+            found.name
+        );
+    }
+    // Photos without a file are unlabelled.
+    fs::remove_file(dir.path().join("labels_raw/v1.png")).unwrap();
+    let found = load(dir.path(), &options).expect("scene");
+    let labelled: Vec<bool> = found.views.iter().map(|view| view.raw.is_some()).collect();
+    assert_eq!(labelled, [true, false, true]);
+}
+
+#[test]
 fn the_small_scene_loads_as_written() {
     let dir = scene();
     let scene = load(dir.path(), &LoadOptions::default()).expect("scene");

@@ -3,11 +3,15 @@
 use crate::support::plates::scene;
 use crate::support::program::{succeeds, utf8};
 use std::ffi::OsStr;
+#[cfg(unix)]
+use std::fs::File;
 #[cfg(feature = "serve")]
 use std::io::Write;
 use std::io::{BufRead, BufReader, Read};
 #[cfg(feature = "serve")]
 use std::net::TcpStream;
+#[cfg(unix)]
+use std::os::fd::{FromRawFd, OwnedFd};
 use std::path::Path;
 use std::process::{Child, ChildStderr, Command, Stdio};
 
@@ -198,6 +202,66 @@ fn a_run_under_nohup_outlives_its_terminal() {
         !said.contains("stopping") && run.join("report.html").is_file(),
         "{said}"
     );
+}
+
+/// The two ends of a new terminal.
+#[cfg(unix)]
+fn terminal() -> (File, OwnedFd) {
+    let (mut ours, mut theirs) = (0, 0);
+    // SAFETY: both are places for a descriptor; no name, no settings and no size are asked for or given.
+    let opened = unsafe {
+        libc::openpty(
+            &raw mut ours,
+            &raw mut theirs,
+            std::ptr::null_mut(),
+            std::ptr::null_mut(),
+            std::ptr::null_mut(),
+        )
+    };
+    assert_eq!(opened, 0);
+    // SAFETY: the descriptors are open, and nobody else has them.
+    unsafe { (File::from_raw_fd(ours), OwnedFd::from_raw_fd(theirs)) }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_run_whose_terminal_is_closed_saves_and_ends() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let run = folder.path().join("run");
+    let (mut ours, theirs) = terminal();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_coseg"))
+        .args(long(folder.path(), &run))
+        .stdout(theirs.try_clone().unwrap())
+        .stderr(theirs)
+        .spawn()
+        .unwrap();
+    // The bar of stage one with a held-out score.
+    let mut said = Vec::new();
+    while !String::from_utf8_lossy(&said).contains("held-out PSNR") {
+        let mut some = [0; 1024];
+        let count = ours.read(&mut some).unwrap();
+        said.extend(&some[..count]);
+    }
+    drop(ours);
+    let hang_up = Command::new("kill")
+        .args(["-HUP", &child.id().to_string()])
+        .status()
+        .unwrap();
+    assert!(hang_up.success());
+    let clock = std::time::Instant::now();
+    let ended = loop {
+        if let Some(status) = child.try_wait().unwrap() {
+            break Some(status);
+        }
+        if clock.elapsed() > std::time::Duration::from_secs(60) {
+            break None;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    };
+    let _ = child.kill();
+    assert_eq!(ended.and_then(|status| status.code()), Some(130));
+    assert!(run.join("checkpoint/building.safetensors").is_file());
 }
 
 /// A connection to the server of a run, which was asked for something.

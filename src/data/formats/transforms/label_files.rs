@@ -6,6 +6,7 @@ use crate::data::formats::folder::{Folder, Problems};
 use crate::data::formats::frame::{Frame, below};
 use crate::data::formats::label_folder::{drawn, file, map};
 use crate::data::formats::mask_file::Masks;
+use crate::data::labels::raw::LABELS_RAW;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
@@ -13,8 +14,10 @@ use std::path::{Path, PathBuf};
 pub(super) struct LabelFiles<'a> {
     dir: &'a Path,
     masks: Masks,
-    /// The folder of raw labels that the user names.
+    /// The folder of raw labels that the user names, or the usual one where no frame names a raw label.
     raw: Option<PathBuf>,
+    /// Whether the user names that folder, in which some photo must have a file.
+    is_raw_named: bool,
     of_photos: Endings,
     of_masks: Endings,
     of_raw: Endings,
@@ -25,10 +28,17 @@ impl<'a> LabelFiles<'a> {
         let Folder { dir, options, .. } = folder;
         let all = sources.files.iter();
         let frames = || all.clone().flat_map(|source| &source.transforms.frames);
+        let names_raw = frames().any(|frame| frame.raw_label_path.is_some());
+        let usual_raw = (!names_raw).then_some(LABELS_RAW);
         Self {
             dir,
             masks: Masks::new(folder, problems),
-            raw: options.raw_labels.as_ref().map(|raw| dir.join(raw)),
+            raw: options
+                .raw_labels
+                .as_deref()
+                .or(usual_raw)
+                .map(|raw| dir.join(raw)),
+            is_raw_named: options.raw_labels.is_some(),
             of_photos: Endings::new(frames().map(|frame| &frame.file_path)),
             of_masks: Endings::new(frames().filter_map(|frame| frame.mask_path.as_ref())),
             of_raw: Endings::new(frames().filter_map(|frame| frame.raw_label_path.as_ref())),
@@ -58,8 +68,8 @@ impl<'a> LabelFiles<'a> {
                 let files = in_folder(folder, &of_frame);
                 let usual = of_frame.pop();
                 let usual = usual.unwrap_or_else(|| with_png(Path::new(&frame.name)));
-                let raw = map(&files).unwrap_or_else(|| folder.join(usual));
-                (Some(raw), drawn(&files))
+                let expected = self.is_raw_named.then(|| folder.join(usual));
+                (map(&files).or(expected), drawn(&files))
             }
         };
         Frame {

@@ -174,9 +174,12 @@ fn format_of_file(dir: &Path, options: &LoadOptions, file: &RawFile) -> RawForma
     }
 }
 
+/// The usual folder of raw labels.
+pub(crate) const LABELS_RAW: &str = "labels_raw";
+
 /// The folder of raw labels that `map` is in.
 fn folder(dir: &Path, options: &LoadOptions, map: &Path) -> PathBuf {
-    let usual = dir.join(options.raw_labels.as_deref().unwrap_or("labels_raw"));
+    let usual = dir.join(options.raw_labels.as_deref().unwrap_or(LABELS_RAW));
     match map.parent() {
         Some(parent) if !map.starts_with(&usual) => parent.to_owned(),
         _ => usual,
