@@ -13,7 +13,7 @@ fn raw_labels_that_no_frame_names_lie_in_labels_raw() {
     let dir = scene();
     let options = LoadOptions::default();
     let named = load(dir.path(), &options).expect("scene");
-    edit(dir.path(), |scene| {
+    edit(&dir, |scene| {
         for frame in scene["frames"].as_array_mut().unwrap() {
             frame.as_object_mut().unwrap().remove("raw_label_path");
         }
