@@ -190,7 +190,7 @@ fn a_misspelt_folder_of_labels_is_one_problem() {
         .args(["data", "check", utf8(folder.path()), "--set", set])
         .output()
         .unwrap();
-    let said = String::from_utf8_lossy(&said.stdout).into_owned();
+    let said = String::from_utf8_lossy(&[said.stdout, said.stderr].concat()).into_owned();
     let absolute = format!("write {}", labels.canonicalize().unwrap().display());
     assert!(said.contains(&absolute), "{said}");
 }
