@@ -305,8 +305,14 @@ fn summary(outcome: &Outcome) {
         ));
     }
     if let Some(a) = &outcome.association {
+        let mut scores = outcome.rows.iter().map(|row| &row.scores);
+        let scored = if scores.any(|scores| scores.instances.is_some()) {
+            "; scores are against true instances"
+        } else {
+            ""
+        };
         terminal::say(&format!(
-            "{} segments joined into {} objects; {} segments are in no object, {} are divided; scores are against true instances",
+            "{} segments joined into {} objects; {} segments are in no object, {} are divided{scored}",
             a.segments, a.objects, a.dropped, a.divided
         ));
     }

@@ -7,6 +7,9 @@ use std::fmt::Display;
 use std::path::Path;
 use toml::{Table, Value};
 
+/// Names that are less alike are not misspellings of each other.
+const ALIKE: f64 = 0.8;
+
 /// A value that a file or `--set` gives to a key.
 pub(super) struct Assignment<'a> {
     /// Dotted.
@@ -131,8 +134,28 @@ impl Assignment<'_> {
             Value::Table(_) => "a section".to_owned(),
             other => other.to_string(),
         };
+        if message.starts_with("unknown variant") {
+            let unknown = quoted.next().unwrap_or_default();
+            return self.unknown_variant(unknown, quoted, &expected);
+        }
         let help = "write it as expected, or leave the key out";
         fault(self.file, &self.key, found, expected, help)
+    }
+
+    /// The error for a name that is none of `known`; `expected` lists these. It may be one of several in a list.
+    fn unknown_variant<'k>(
+        &self,
+        unknown: &str,
+        known: impl Iterator<Item = &'k str>,
+        expected: &str,
+    ) -> Error {
+        let score = |name: &str| strsim::jaro_winkler(name, unknown);
+        let nearest = known.max_by(|a, b| score(a).total_cmp(&score(b)));
+        let help = match nearest.filter(|name| score(name) > ALIKE) {
+            Some(name) => format!("did you mean {name}?"),
+            None => "write it as expected, or leave the key out".to_owned(),
+        };
+        fault(self.file, &self.key, format!("{unknown:?}"), expected, help)
     }
 
     /// The error for a part of the key that its section does not have. `known` lists the keys of the section.
@@ -148,8 +171,6 @@ impl Assignment<'_> {
         let elsewhere = values.into_iter().map(|(key, _)| key);
         let beside = known.map(|name| format!("{section}{name}"));
         let last = |key: &str| key.rsplit('.').next().unwrap_or_default().to_owned();
-        // Keys that are less alike are not misspellings of each other.
-        const ALIKE: f64 = 0.8;
         // The whole key may be misspelt, or its last part may be right and its section missing or wrong.
         let score = |k: &String| {
             strsim::jaro_winkler(k, &key).max(strsim::jaro_winkler(&last(k), unknown) - 0.05)

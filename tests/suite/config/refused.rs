@@ -69,6 +69,8 @@ fn wrong_types_name_found_and_expected() {
     assert_names(&error, &["raster.background", "a list of 3 numbers"]);
     let error = load("", &["segmentation.rows=raw,best"]).unwrap_err();
     assert_names(&error, &["segmentation.rows", "\"ours\""]);
+    let error = load("", &["segmentation.rows=raw,vote,our"]).unwrap_err();
+    assert_names(&error, &["found \"our\"", "did you mean ours?"]);
     let error = load("", &["building"]).unwrap_err();
     assert_names(&error, &["--set", "found building", "section.key=value"]);
     let error = load("", &["building=4"]).unwrap_err();
