@@ -3,15 +3,15 @@
 use crate::support::plates::scene;
 use crate::support::program::{succeeds, utf8};
 use std::ffi::OsStr;
-#[cfg(unix)]
+#[cfg(target_os = "linux")]
 use std::fs::File;
 #[cfg(feature = "serve")]
 use std::io::Write;
 use std::io::{BufRead, BufReader, Read};
 #[cfg(feature = "serve")]
 use std::net::TcpStream;
-#[cfg(unix)]
-use std::os::fd::{FromRawFd, OwnedFd};
+#[cfg(target_os = "linux")]
+use std::os::{fd::AsRawFd, unix::fs::OpenOptionsExt};
 use std::path::Path;
 use std::process::{Child, ChildStderr, Command, Stdio};
 
@@ -204,26 +204,29 @@ fn a_run_under_nohup_outlives_its_terminal() {
     );
 }
 
-/// The two ends of a new terminal.
-#[cfg(unix)]
-fn terminal() -> (File, OwnedFd) {
-    let (mut ours, mut theirs) = (0, 0);
-    // SAFETY: both are places for a descriptor; no name, no settings and no size are asked for or given.
-    let opened = unsafe {
-        libc::openpty(
-            &raw mut ours,
-            &raw mut theirs,
-            std::ptr::null_mut(),
-            std::ptr::null_mut(),
-            std::ptr::null_mut(),
-        )
+/// The two ends of a new terminal. No other program inherits them.
+#[cfg(target_os = "linux")]
+fn terminal() -> (File, File) {
+    let opened = |path: &str| {
+        let mut options = File::options();
+        // It must not become the terminal of the tests.
+        options.read(true).write(true).custom_flags(libc::O_NOCTTY);
+        options.open(path).unwrap()
     };
-    assert_eq!(opened, 0);
-    // SAFETY: the descriptors are open, and nobody else has them.
-    unsafe { (File::from_raw_fd(ours), OwnedFd::from_raw_fd(theirs)) }
+    let ours = opened("/dev/ptmx");
+    let unlocked: libc::c_int = 0;
+    let mut number: libc::c_uint = 0;
+    // SAFETY: the descriptor is open; the calls read an int that is 0, and write the number of the other end.
+    let made = unsafe {
+        libc::ioctl(ours.as_raw_fd(), libc::TIOCSPTLCK, &raw const unlocked)
+            | libc::ioctl(ours.as_raw_fd(), libc::TIOCGPTN, &raw mut number)
+    };
+    assert_eq!(made, 0);
+    let theirs = opened(&format!("/dev/pts/{number}"));
+    (ours, theirs)
 }
 
-#[cfg(unix)]
+#[cfg(target_os = "linux")]
 #[test]
 fn a_run_whose_terminal_is_closed_saves_and_ends() {
     let folder = tempfile::tempdir().unwrap();
