@@ -235,6 +235,7 @@ fn a_run_whose_terminal_is_closed_saves_and_ends() {
     let (mut ours, theirs) = terminal();
     let mut child = Command::new(env!("CARGO_BIN_EXE_coseg"))
         .args(long(folder.path(), &run))
+        .args(["--set", "building.iterations=100_000"])
         .stdout(theirs.try_clone().unwrap())
         .stderr(theirs)
         .spawn()
