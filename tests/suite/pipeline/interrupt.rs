@@ -11,7 +11,10 @@ use std::io::{BufRead, BufReader, Read};
 #[cfg(feature = "serve")]
 use std::net::TcpStream;
 #[cfg(target_os = "linux")]
-use std::os::{fd::AsRawFd, unix::fs::OpenOptionsExt};
+use std::os::{
+    fd::AsRawFd,
+    unix::{fs::OpenOptionsExt, process::CommandExt},
+};
 use std::path::Path;
 use std::process::{Child, ChildStderr, Command, Stdio};
 
@@ -233,13 +236,23 @@ fn a_run_whose_terminal_is_closed_saves_and_ends() {
     scene(folder.path());
     let run = folder.path().join("run");
     let (mut ours, theirs) = terminal();
-    let mut child = Command::new(env!("CARGO_BIN_EXE_coseg"))
+    let mut command = Command::new(env!("CARGO_BIN_EXE_coseg"));
+    command
         .args(long(folder.path(), &run))
         .args(["--set", "building.iterations=100_000"])
         .stdout(theirs.try_clone().unwrap())
-        .stderr(theirs)
-        .spawn()
-        .unwrap();
+        .stderr(theirs);
+    // The tests may run under `nohup`, which the program would inherit.
+    // SAFETY: `signal` may be called between fork and exec.
+    unsafe {
+        command.pre_exec(|| {
+            libc::signal(libc::SIGHUP, libc::SIG_DFL);
+            Ok(())
+        })
+    };
+    let mut child = command.spawn().unwrap();
+    // The command holds its own copies of the other end.
+    drop(command);
     // The bar of stage one with a held-out score.
     let mut said = Vec::new();
     while !String::from_utf8_lossy(&said).contains("held-out PSNR") {
