@@ -5,7 +5,7 @@ use coseg::progress::{CurvePoint, Event, Progress};
 use indicatif::ProgressBar;
 use std::time::Instant;
 
-/// A log has a line at least this often, seconds.
+/// Seconds after which a log gets a line about a stage that is silent.
 const LOG_EVERY: f64 = 60.0;
 
 /// Shows the events of a run.
@@ -17,7 +17,7 @@ pub struct Bars {
     started: Option<Instant>,
     /// The last point of the stage's curve, where it has one.
     last: Option<CurvePoint>,
-    /// Seconds of the stage at which a log had its last line.
+    /// Seconds from the start of the stage to the last line of a log.
     logged: f64,
 }
 
@@ -41,7 +41,7 @@ impl Bars {
             .map_or(0.0, |start| start.elapsed().as_secs_f64())
     }
 
-    /// A line of a log about where the stage is, unless it had one lately.
+    /// Prints in a log how far the stage is, if it was silent for long.
     fn log(&mut self, done: usize) {
         let seconds = self.seconds();
         if seconds - self.logged >= LOG_EVERY {

@@ -3,6 +3,7 @@
 use super::associate::{Associated, AssociationCounts, associate};
 use super::corrections;
 use super::lift::{Pruned, lift};
+use super::load::load_scene;
 use super::pictures::score_images;
 use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
 use super::requirements::{
@@ -12,8 +13,8 @@ use super::resolve::resolved;
 use super::segmentation_inputs::SegmentationInputs;
 use super::variant_outcome::VariantOutcome;
 use super::variants::train_variants;
-use crate::config::{Association, Config, DataConfig, Variant};
-use crate::data::{self, LoadOptions, Scene, builtin};
+use crate::config::{Association, Config, Variant};
+use crate::data::Scene;
 use crate::error::Result;
 use crate::features::FeatureColors;
 use crate::memory;
@@ -27,9 +28,9 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::time::Instant;
 
-/// Steps of stage one after which held-out photos have more than [`FAILED_PSNR`] wherever poses are right.
+/// A stage one of this many steps should have learned the photos.
 const LONG: usize = 1_000;
-/// A photo is hardly recognisable below this, dB.
+/// Held-out photos with less, in dB, are hardly recognisable.
 const FAILED_PSNR: f64 = 10.0;
 
 /// Seconds spent in each part of the job; evaluations count in their stage. Training in earlier parts of a resumed run counts.
@@ -125,42 +126,6 @@ impl Outcome {
     }
 }
 
-/// The scene that `config.data` names: a folder, or the built-in scene.
-///
-/// # Errors
-/// Those of the loader, each naming file and field.
-pub fn load_scene(config: &Config) -> Result<Scene> {
-    match &config.data.dir {
-        None => {
-            let unused = unused_keys(&config.data);
-            if !unused.is_empty() {
-                let unused = unused.join(", ");
-                tracing::warn!(
-                    "the built-in room does not use {unused}; --data names a scene folder"
-                );
-            }
-            Ok(builtin::scene(builtin::EVALUATED_SEED))
-        }
-        Some(dir) => data::load(dir, &LoadOptions::from(config)),
-    }
-}
-
-/// Keys that differ from the defaults, and that the built-in room does not use.
-fn unused_keys(data: &DataConfig) -> Vec<String> {
-    let used = DataConfig {
-        raw_labels_note: data.raw_labels_note.clone(),
-        labels_by: data.labels_by,
-        association: data.association,
-        ..DataConfig::default()
-    };
-    let json = |data: &DataConfig| serde_json::to_value(data).unwrap_or_default();
-    let (given, used) = (json(data), json(&used));
-    let keys = given.as_object().into_iter().flat_map(|given| given.keys());
-    keys.filter(|key| given[*key] != used[*key])
-        .map(|key| format!("data.{key}"))
-        .collect()
-}
-
 /// Runs the pipeline on the scene that `config` names: reconstruct, associate, lift, and for each variant encode, decode and score.
 /// Checkpoints lie in `out/checkpoint`; a run that finds its own there resumes.
 ///
@@ -232,13 +197,13 @@ pub fn run_on(
 }
 
 impl Outcome {
-    /// Warns where a long stage one learned next to nothing.
+    /// Warns if a long stage one did not learn the photos.
     fn warn_of_failure(&self) {
         let is_long = self.config.building.iterations >= LONG;
         if let Some(psnr) = self.test.psnr.filter(|psnr| is_long && *psnr < FAILED_PSNR) {
             tracing::warn!(
-                "held-out photos have {psnr:.1} dB after stage one, which is next to nothing: the poses may be wrong, or in other units or \
-                 axes than the initial points. `coseg data check` and `coseg data info` help to find out"
+                "held-out photos have only {psnr:.1} dB after stage one: the poses may be wrong, or in other units or axes than the initial \
+                 points. Try `coseg data check`"
             );
         }
     }
@@ -352,22 +317,6 @@ mod tests {
     use super::super::evaluate::HeldOutScores;
     use super::*;
     use crate::data::Classes;
-
-    #[test]
-    fn the_built_in_room_uses_few_settings_of_data() {
-        let used = DataConfig {
-            raw_labels_note: "mine".into(),
-            association: Association::Gaussians,
-            ..DataConfig::default()
-        };
-        assert!(unused_keys(&used).is_empty());
-        let unused = DataConfig {
-            max_side: 120,
-            stride: 4,
-            ..used
-        };
-        assert_eq!(unused_keys(&unused), ["data.max_side", "data.stride"]);
-    }
 
     #[test]
     fn objects_side_by_side_get_colours_that_differ() {

@@ -44,7 +44,7 @@ const MAX_WRONG_SEEN: f64 = 0.5;
 const MIN_RIGHT_SEEN: f64 = 0.9;
 /// Below this share, points and photos are unrelated.
 const MAX_UNRELATED_SEEN: f64 = 0.02;
-/// Where no photo has points in more cells than this, the points are in another unit than the poses: far away, they make one spot.
+/// If no photo has points in more cells than this, the points are far away and make one spot: they are in another unit than the poses.
 const MAX_CELLS_OF_SPOT: usize = 4;
 
 /// A conflict between the cloud and the poses.

@@ -224,14 +224,15 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         return Ok(listing.of_block(&block, &dir.join(BLOCK), options, problems));
     }
     let layout = locate(dir, options)?;
-    let has_raw_labels = problems.ok(expect_raw_labels(dir, options)).is_some();
-    let unlabelled = LoadOptions {
-        raw_labels: None,
-        ..options.clone()
-    };
+    let mut options = options.clone();
+    let reads_raw_labels = problems.ok(expect_raw_labels(dir, &options)).is_some();
+    if !reads_raw_labels {
+        options.raw_labels = None;
+    }
+    let options = &options;
     let folder = Folder {
         dir,
-        options: if has_raw_labels { options } else { &unlabelled },
+        options,
         layout,
     };
     let listing = match folder.layout {
@@ -240,7 +241,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         Layout::Replica => replica::list(folder, problems),
         Layout::Scannet => scannet::list(folder, problems),
     }?;
-    let mut listing = if has_raw_labels {
+    let mut listing = if reads_raw_labels {
         listing.with_raw_labels(dir, options, problems)
     } else {
         listing.without_raw_labels()

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 /// The frames of a folder and everything known about them.
 #[derive(Default)]
 pub(crate) struct Listing {
-    /// How the folder is laid out; never `auto` but in the default, which [`Listing::new`] fills.
+    /// How the folder is laid out; `auto` only in the default.
     pub layout: Layout,
     /// The file that lists the frames, for messages.
     pub file: PathBuf,

@@ -63,11 +63,7 @@ impl Running {
     }
 
     fn send(&self, signal: &str) {
-        let kill = Command::new("kill")
-            .args([signal, &self.child.id().to_string()])
-            .status()
-            .unwrap();
-        assert!(kill.success());
+        send(&self.child, signal);
     }
 
     /// Its exit code, and the lines that were left.
@@ -75,6 +71,14 @@ impl Running {
         let lines: Vec<String> = self.said.by_ref().lines().map(Result::unwrap).collect();
         (self.child.wait().unwrap().code(), lines.join("\n"))
     }
+}
+
+fn send(program: &Child, signal: &str) {
+    let kill = Command::new("kill")
+        .args([signal, &program.id().to_string()])
+        .status()
+        .unwrap();
+    assert!(kill.success());
 }
 
 /// A run that takes some seconds, and tells where it is after every fifth step.
@@ -261,11 +265,7 @@ fn a_run_whose_terminal_is_closed_saves_and_ends() {
         said.extend(&some[..count]);
     }
     drop(ours);
-    let hang_up = Command::new("kill")
-        .args(["-HUP", &child.id().to_string()])
-        .status()
-        .unwrap();
-    assert!(hang_up.success());
+    send(&child, "-HUP");
     let clock = std::time::Instant::now();
     let ended = loop {
         if let Some(status) = child.try_wait().unwrap() {

@@ -16,7 +16,7 @@ pub(super) struct LabelFiles<'a> {
     masks: Masks,
     /// The folder of raw labels that the user names, or the usual one where no frame names a raw label.
     raw: Option<PathBuf>,
-    /// Whether the user names that folder, in which some photo must have a file.
+    /// Whether the user names that folder. Then some photo must have a file in it.
     is_raw_named: bool,
     of_photos: Endings,
     of_masks: Endings,
