@@ -4,11 +4,11 @@
 //! photos -> reconstruct -> (associate) -> lift -> encode -> decode -> identities -> label maps and objects
 //! ```
 //!
-//! [`run`] calls the steps in order; each has a file of its name. `load` reads the scene, `variants` trains and scores the lines of the label table,
-//! `rivals` has the methods of other papers, `pictures` scores colours, `evaluate` scores label maps and features, `initial_scene`
-//! reads Gaussians of another trainer, `requirements` checks what stage two needs before stage one starts, `resolve` fills in
-//! settings that follow from the scene, `corrections` has labels that a person corrected, `segmentation_inputs` is what all of
-//! stage two works on.
+//! [`run`] calls the steps in order; each has a file of its name. `load` reads the scene, `variants` trains and scores the lines
+//! of the label table, `rivals` has the methods of other papers, `pictures` scores colours, `evaluate` scores label maps and
+//! features, `initial_scene` reads Gaussians of another trainer, `requirements` checks what stage two needs before stage one
+//! starts, `resolve` fills in settings that follow from the scene, `corrections` has labels that a person corrected,
+//! `segmentation_inputs` is what all of stage two works on.
 
 pub mod train_decoder;
 
