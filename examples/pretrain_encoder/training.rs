@@ -14,7 +14,7 @@ use coseg::segmentation::encoder::{Cloud, encode, random_weights};
 use coseg::segmentation::loss::{CoSegLoss, LabelLoss};
 use coseg::segmentation::pixels::NO_CLASS;
 use coseg::segmentation::pyramid::{Level, Pyramid, Switches};
-use coseg::segmentation::randla::{LAYERS, NEIGHBOURS, RATIO, RandlaEncoder};
+use coseg::segmentation::randla::RandlaEncoder;
 use coseg::segmentation::sampling::Hierarchy;
 use coseg::weights::WeightFile;
 use glam::DVec3;
@@ -160,7 +160,7 @@ fn student_loss(
         scale: 1.0,
     }
     .oriented()?;
-    let hierarchy = Hierarchy::build(&positions, LAYERS, RATIO, NEIGHBOURS, rng.random())?;
+    let hierarchy = Hierarchy::build(&positions, rng.random())?;
     let flat = positions.as_flattened().to_vec();
     let input = Tensor::from_data(TensorData::new(flat, [positions.len(), 3]), device);
     let (features, top) = student.encoder.encode_levels(input, &hierarchy, false);

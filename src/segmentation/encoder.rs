@@ -1,7 +1,7 @@
 //! The frozen spatial encoder of a run: which weights, and a cloud of Gaussian centres turned into features (Eq. 6).
 
-use super::randla::{LAYERS, NEIGHBOURS, POSITION_CHANNELS, RATIO, RandlaEncoder, block_name};
-use super::sampling::Hierarchy;
+use super::randla::{POSITION_CHANNELS, RandlaEncoder, block_name};
+use super::sampling::{Hierarchy, LAYERS};
 use crate::backend::check_finite;
 use crate::backend::device::{read, upload};
 use crate::config::{SpatialConfig, SpatialScale, SpatialSource};
@@ -102,7 +102,7 @@ pub fn encode(
     ensure!(!cloud.positions.is_empty(), argument "positions to encode"; found "none"; expected "at least one point";
         help "encode a scene with Gaussians");
     let positions = cloud.oriented()?;
-    let hierarchy = Hierarchy::build(&positions, LAYERS, RATIO, NEIGHBOURS, seed)?;
+    let hierarchy = Hierarchy::build(&positions, seed)?;
     let device = device.clone().inner();
     let input = encoder_input(encoder.inputs(), &positions, cloud.colors, &device)?;
     let (features, coarsest) = encoder.encode_levels(input, &hierarchy, true);

@@ -9,6 +9,12 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
+/// Samplings of an encoder, one after each of its layers; the decoder has as many upsamplings.
+pub const LAYERS: usize = 4;
+/// Neighbours a point, itself included.
+pub const NEIGHBOURS: usize = 16;
+/// Each sampling keeps one point in this many.
+pub const RATIO: usize = 4;
 /// Purpose of the random stream that shuffles points, see [`Hierarchy::build`].
 const SHUFFLE_STREAM: u64 = 0x7261_6e64;
 
@@ -37,28 +43,22 @@ pub struct Hierarchy {
 }
 
 impl Hierarchy {
-    /// Samples `positions` (`[N, 3]`) `layers` times: each next level keeps the first `1 / ratio` (at least one point)
-    /// of one seeded shuffle. `k` neighbours a point, itself included; sets smaller than `k` repeat theirs.
+    /// Samples `positions` (`[N, 3]`) [`LAYERS`] times: each next level keeps the first quarter (at least one point, see
+    /// [`RATIO`]) of one seeded shuffle. Sets smaller than [`NEIGHBOURS`] repeat their neighbours.
     ///
     /// # Errors
     /// [`crate::Error::NonFinite`] naming the first bad row.
-    pub fn build(
-        positions: &[[f32; 3]],
-        layers: usize,
-        ratio: usize,
-        k: usize,
-        seed: u64,
-    ) -> Result<Self> {
+    pub fn build(positions: &[[f32; 3]], seed: u64) -> Result<Self> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(SHUFFLE_STREAM);
         let mut order: Vec<u32> = (0..positions.len() as u32).collect();
         order.shuffle(&mut rng);
         let mut indices: Vec<u32> = (0..positions.len() as u32).collect();
-        let mut levels = Vec::with_capacity(layers);
-        for n in 0..layers {
+        let mut levels = Vec::with_capacity(LAYERS);
+        for n in 0..LAYERS {
             let points: Vec<[f32; 3]> = indices.iter().map(|&i| positions[i as usize]).collect();
-            let neighbours = PointIndex::new(&points)?.neighbours(k);
-            let count = (points.len() / ratio.max(1)).max(1).min(points.len());
+            let neighbours = PointIndex::new(&points)?.neighbours(NEIGHBOURS);
+            let count = (points.len() / RATIO).max(1).min(points.len());
             order.truncate(count);
             // from level 2 on, the rows already are the shuffle's first ones
             let kept = if n == 0 {

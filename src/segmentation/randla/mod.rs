@@ -22,12 +22,6 @@ use std::ops::Range;
 const SLOPE: f64 = 0.2;
 /// Channels of the relative position code: distance, p_i - p_k, p_i, p_k.
 pub const POSITION_CHANNELS: usize = 10;
-/// Encoder layers; the decoder has as many upsamplings.
-pub const LAYERS: usize = 4;
-/// Neighbours a point, itself included.
-pub const NEIGHBOURS: usize = 16;
-/// Each sampling keeps one point in this many.
-pub const RATIO: usize = 4;
 
 /// Values that [`RandlaEncoder::encode_levels`] holds per tensor in one chunk of points, when it may chunk.
 const CHUNK_VALUES: usize = 1 << 19;

@@ -1,9 +1,10 @@
 //! The weights of the encoder in a checkpoint, read and written. Key names are those of the PyTorch port.
 
 use super::parameter;
-use super::{AttentivePooling, LAYERS, POSITION_CHANNELS, RandlaEncoder, ResidualBlock, SharedMlp};
+use super::{AttentivePooling, POSITION_CHANNELS, RandlaEncoder, ResidualBlock, SharedMlp};
 use crate::backend::device::{read, upload};
 use crate::error::{Result, bail};
+use crate::segmentation::sampling::LAYERS;
 use crate::weights::{HostTensor, WeightFile};
 use burn::module::{Param, RunningState};
 use burn::nn::{BatchNormConfig, Linear};
