@@ -83,7 +83,6 @@ impl LabelLoss {
             Self::Gce { q } => {
                 let classes = log_p.dims()[1];
                 let q = TensorData::new(exponents(q, robustness, 0..classes), [1, classes]);
-                let q = Tensor::from_data(q, (&log_p.device(), log_p.dtype()));
                 (generalised_cross_entropy(log_p, q) * y).sum_dim(1)
             }
             Self::Mae => (log_p.exp() - y).abs().sum_dim(1) * 0.5,
@@ -117,10 +116,7 @@ impl LabelLoss {
                 Some(sum) => own.log_p / sum + own.rest * -LOG_ZERO,
                 None => own.rest * -LOG_ZERO,
             },
-            Self::Gce { q } => {
-                let q = Tensor::from_data([[q]], (&own.log_p.device(), own.log_p.dtype()));
-                generalised_cross_entropy(own.log_p, q)
-            }
+            Self::Gce { q } => generalised_cross_entropy(own.log_p, [[q]]),
             Self::Js { pi } | Self::Gjs { pi } => jensen_shannon(own, pi),
         }
     }
@@ -128,7 +124,8 @@ impl LabelLoss {
 
 /// (1 - p^q) / q for exponents `q`, `[P, 1]`, `[1, C]` or `[1, 1]`. Near p = 1 the difference 1 - exp(x) would lose its digits: there it
 /// is 2 t / (1 + t) with t = tanh(-x / 2), by the continued fraction of tanh, which is plain arithmetic on every device.
-pub(super) fn generalised_cross_entropy(log_p: Tensor<2>, q: Tensor<2>) -> Tensor<2> {
+pub(super) fn generalised_cross_entropy(log_p: Tensor<2>, q: impl Into<TensorData>) -> Tensor<2> {
+    let q: Tensor<2> = Tensor::from_data(q, (&log_p.device(), log_p.dtype()));
     let x = log_p * q.clone();
     let half = (x.clone() * -0.5).clamp_max(1.0);
     let square = half.clone() * half.clone();

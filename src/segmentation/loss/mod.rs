@@ -10,6 +10,7 @@ use self::label_loss::{MIN_PROBABILITY, OwnClass, exponents, generalised_cross_e
 use super::pixels::{LabelledPixels, NO_CLASS, constant};
 use crate::error::Result;
 use crate::ops::select;
+use crate::splat::rows_where;
 use burn::tensor::activation::{log_softmax, softmax};
 use burn::tensor::{Tensor, TensorData};
 
@@ -157,9 +158,7 @@ impl CoSegLoss {
     pub fn of_logits(&self, logits: Tensor<2>, labels: &[u16]) -> Tensor<1> {
         let [rows, classes] = logits.dims();
         assert_labels(labels, rows, classes);
-        let kept: Vec<u32> = (0..rows as u32)
-            .filter(|&i| labels[i as usize] != NO_CLASS)
-            .collect();
+        let kept = rows_where(labels, |label| *label != NO_CLASS);
         if kept.is_empty() {
             return (logits * 0.0).sum();
         }
@@ -205,9 +204,7 @@ impl CoSegLoss {
     fn mean(&self, own: OwnClass, labels: &[u16]) -> Tensor<1> {
         let losses = match self.exponents(labels) {
             Some(q) => {
-                let q = TensorData::new(q, [labels.len(), 1]);
-                let options = (&own.log_p.device(), own.log_p.dtype());
-                generalised_cross_entropy(own.log_p, Tensor::from_data(q, options))
+                generalised_cross_entropy(own.log_p, TensorData::new(q, [labels.len(), 1]))
             }
             None => self.label.of_pixels(own),
         };

@@ -124,7 +124,7 @@ pub fn unproject<'a, F: Borrow<ViewFeatures>>(
         if view.name != *name {
             return Err(mismatch(view.name.clone(), name.clone()));
         }
-        expect_mask_size(view)?;
+        view.check_mask()?;
         let channels = maps.each_ref().map(|m| m.channels);
         let mask = view.mask.as_ref();
         lifted
@@ -186,7 +186,7 @@ pub fn attended<'a>(
     let lifted = LiftedViews::new(gaussians, &[], device);
     let mut sums = Sums::<f32>::new(gaussians.len(), &[0]);
     for view in views {
-        expect_mask_size(view)?;
+        view.check_mask()?;
         let (counts, pixels) = lifted.disc_pixels(&view.camera, view.mask.as_ref(), settings)?;
         sums.counts[0]
             .iter_mut()
@@ -196,15 +196,4 @@ pub fn attended<'a>(
     }
     sums.add_other_ranks();
     Ok(sums.attended(config))
-}
-
-fn expect_mask_size(view: &View) -> Result<()> {
-    match &view.mask {
-        Some(mask) => mask.expect_size(
-            &format!("view {}", view.name),
-            view.camera.width,
-            view.camera.height,
-        ),
-        None => Ok(()),
-    }
 }
