@@ -108,9 +108,9 @@ impl RunFolder {
     /// [`Error::Io`] naming the file; [`Error::Argument`] for settings that TOML cannot hold.
     pub fn start(&self, config: &Config, command: Command) -> Result<StartedRun> {
         // A file that cannot be read is ignored.
-        let earlier = std::fs::read(self.file(COMMANDS)).ok();
-        let earlier = earlier.and_then(|text| serde_json::from_slice::<Vec<Command>>(&text).ok());
-        let commands: Vec<Command> = earlier.into_iter().flatten().chain([command]).collect();
+        let earlier = files::json(&self.file(COMMANDS), "the commands of a run");
+        let mut commands: Vec<Command> = earlier.unwrap_or_default();
+        commands.push(command);
         let started = StartedRun {
             run: self.clone(),
             is_new: !self.is_used(),
@@ -135,9 +135,8 @@ impl RunFolder {
 
     /// Peak memory of the earlier part of the run, if any.
     pub fn peak_memory_before(&self) -> Option<u64> {
-        let text = std::fs::read(self.file(METRICS)).ok()?;
-        let metrics: Metrics = serde_json::from_slice(&text).ok()?;
-        metrics.peak_memory_bytes
+        let metrics = files::json::<Metrics>(&self.file(METRICS), "the figures of a run");
+        metrics.ok()?.peak_memory_bytes
     }
 
     /// The folder itself.

@@ -11,7 +11,7 @@ use crate::error::{Result, bail, ensure};
 use crate::files::lock::Lock;
 use crate::files::{atomic, own};
 use crate::objects::{BlockObjects, Identities, JoinedObjects, color_all_apart, join_objects};
-use crate::splat::{self, Gaussians, ply};
+use crate::splat::{self, Gaussians, ply, rows_where};
 use glam::DVec3;
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -220,9 +220,7 @@ impl Part {
 
     /// The Gaussians whose centres `is_wanted` accepts.
     fn rows(&self, is_wanted: impl Fn(DVec3) -> bool) -> Vec<u32> {
-        let rows = (0..).zip(&self.places);
-        let wanted = rows.filter(|(_, place)| is_wanted(**place));
-        wanted.map(|(row, _)| row).collect()
+        rows_where(&self.places, |place| is_wanted(*place))
     }
 }
 

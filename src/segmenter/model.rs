@@ -2,9 +2,9 @@
 
 use super::contract::{Contract, Layout};
 use super::graph::{self, UNFIT_HELP, one_line};
+use super::index;
 use crate::error::{Error, Result, ensure, invalid};
 use ndarray::Ix4;
-use sha2::{Digest, Sha256};
 use std::cell::Cell;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -54,7 +54,7 @@ impl Network {
     /// [`Network::load`] with `tensor` for the output: any tensor within the network that has four dimensions.
     pub(crate) fn open(file: &Path, contract: Contract, tensor: Option<&str>) -> Result<Self> {
         let bytes = crate::files::read(file)?;
-        let digest = format!("{:x}", Sha256::digest(&bytes));
+        let digest = index::digest(&bytes);
         let (proto, output) = graph::read(file, &bytes, &contract, tensor)?;
         drop(bytes);
         let typed = guarded(file, || typed(&proto, &contract))?;

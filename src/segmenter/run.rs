@@ -7,6 +7,7 @@ use crate::backend::elementary::exp;
 use crate::data::bilinear::beside;
 use crate::data::{LabelMap, ScoreGrid, ScoreMap};
 use crate::error::Result;
+use crate::objects::first_largest;
 use image::RgbImage;
 
 /// Cells of scores on the longer side, at most: outputs that are finer are averaged over blocks.
@@ -180,15 +181,9 @@ impl Mapped<'_> {
                     interval = Some(across.first);
                     find_candidates(left, right, &mut candidates);
                 }
-                let value = |channel: usize| across.of(left[channel], right[channel]);
-                let higher = |best, other| {
-                    if value(other) > value(best) {
-                        other
-                    } else {
-                        best
-                    }
-                };
-                let best = candidates.iter().copied().reduce(higher);
+                let value = |&channel: &usize| across.of(left[channel], right[channel]);
+                let best = first_largest(candidates.iter().map(value));
+                let best = best.map(|place| candidates[place]);
                 let [left, right] = cells.map(|cell| listed[cell]);
                 let is_known = across.of(left, right) >= MIN_PROBABILITY;
                 let id = best
