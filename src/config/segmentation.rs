@@ -49,19 +49,19 @@ fn default_pi_rl() -> f64 {
     0.99
 }
 
-fn default_gce_exponent() -> f64 {
+const fn default_gce_exponent() -> f64 {
     0.7
 }
 
-fn default_least_recall() -> f64 {
+const fn default_least_recall() -> f64 {
     0.3
 }
 
 impl LabelLoss {
     /// Generalised cross-entropy with its defaults.
     pub const GCE: Self = Self::Gce {
-        exponent: 0.7,
-        least_recall: 0.3,
+        exponent: default_gce_exponent(),
+        least_recall: default_least_recall(),
     };
 
     /// Checks the ranges of the payload.

@@ -50,28 +50,19 @@ impl Trainer<'_> {
             threshold: building.gradient_threshold(),
             clone_below: CLONE_BELOW * self.extent as f32,
             prune_opacity: building.prune_opacity,
-            prune_scale: self.size_limit(building.size_limit),
+            prune_scale: self.size_limit(),
             max_gaussians: self.capacity(),
         }
     }
 
-    fn size_limit(&self, rule: SizeRule) -> SizeLimit {
-        let extent = self.extent as f32;
-        match rule {
-            SizeRule::Distance => SizeLimit {
-                share: PRUNE_SCALE,
-                extent,
-                center: Some(self.center.as_vec3().to_array()),
-            },
-            SizeRule::Extent => SizeLimit {
-                share: if self.iteration > self.schedule.reset_every() {
-                    PRUNE_SCALE
-                } else {
-                    f32::INFINITY
-                },
-                extent,
-                center: None,
-            },
+    fn size_limit(&self) -> SizeLimit {
+        let by_distance = self.config.building.size_limit == SizeRule::Distance;
+        // By the extent alone, Gaussians of any size stay until the first reset of opacities.
+        let prunes = by_distance || self.iteration > self.schedule.reset_every();
+        SizeLimit {
+            share: if prunes { PRUNE_SCALE } else { f32::INFINITY },
+            extent: self.extent as f32,
+            center: by_distance.then(|| self.center.as_vec3().to_array()),
         }
     }
 }

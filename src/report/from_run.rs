@@ -94,7 +94,6 @@ impl History {
 /// As [`Pictures::labelled`]; those of `beside`.
 pub fn held_out_views<'a>(
     outcome: &'a Outcome,
-    config: &Config,
     device: &Device,
     mut beside: impl FnMut(HeldOutView<'a>) -> Result<()>,
 ) -> Result<Vec<HeldOutView<'a>>> {
@@ -103,6 +102,7 @@ pub fn held_out_views<'a>(
         |row: Variant| Some(row) == stored || matches!(row, Variant::Vote | Variant::PerGaussian);
     let is_shown = |row: &&VariantOutcome| shown(row.variant) && row.identities.is_some();
     let rows: Vec<_> = outcome.rows.iter().filter(is_shown).collect();
+    let config = &outcome.config;
     let source = config.segmentation.render;
     let coverage = config.segmentation.min_coverage as f32;
     let classes = &outcome.scene.classes;
@@ -134,9 +134,9 @@ pub fn held_out_views<'a>(
 
 impl Report<'_> {
     /// Notes for a reader of the figures.
-    pub fn notes_of(outcome: &Outcome, config: &Config) -> Vec<String> {
-        let mut notes = notes_of_inputs(outcome, config);
-        notes.extend(notes_of_labels(outcome, config));
+    pub fn notes_of(outcome: &Outcome) -> Vec<String> {
+        let mut notes = notes_of_inputs(outcome, &outcome.config);
+        notes.extend(notes_of_labels(outcome, &outcome.config));
         notes.extend(outcome.pruned.as_ref().map(note_of_pruning));
         notes
     }

@@ -222,7 +222,7 @@ fn write_report(
         ..Metrics::of(outcome)
     };
     let mut scores = BTreeMap::new();
-    let views = held_out_views(outcome, &outcome.config, device, |view| {
+    let views = held_out_views(outcome, device, |view| {
         scores.insert(view.view.name.clone(), view.scores);
         view.write(classes, &renders)
     })?;
@@ -237,7 +237,7 @@ fn write_report(
         config: &outcome.config,
         held_out: outcome.scene.split(Split::Test).count(),
         views,
-        notes: Report::notes_of(outcome, &outcome.config),
+        notes: Report::notes_of(outcome),
     };
     report.write(run.path())
 }

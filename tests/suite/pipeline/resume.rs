@@ -53,7 +53,7 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     let base = config(folder.path());
     let out = folder.path().join("run");
     let done = whole(&base, &out);
-    let notes = coseg::report::Report::notes_of(&done, &base);
+    let notes = coseg::report::Report::notes_of(&done);
     for part in [
         "segmentation.loss = {\"gce\":{\"exponent\":0.7",
         ", after 3 steps of cross-entropy",

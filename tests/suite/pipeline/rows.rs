@@ -134,7 +134,7 @@ fn a_truth_that_no_row_is_scored_by_is_none() {
         let mut config = config.clone();
         config.data.association = association;
         let outcome = crate::support::plate_runs::whole(&config, &folder.path().join(out));
-        let notes = coseg::report::Report::notes_of(&outcome, &config).concat();
+        let notes = coseg::report::Report::notes_of(&outcome).concat();
         let is_scored = |row: &coseg::pipeline::VariantOutcome| {
             row.scores.labels.pixels.miou.is_some() || row.scores.instances.is_some()
         };
