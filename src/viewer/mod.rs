@@ -310,32 +310,19 @@ fn shell(header: &Value, parts: &str) -> String {
     } else {
         ("connect-src 'self'; ", include_str!("page/served.js"))
     };
-    filled(&[
-        ("version", env!("CARGO_PKG_VERSION")),
-        ("style", include_str!("page/viewer.css")),
-        ("header", &text(header)),
-        ("shaders", &shaders),
-        ("network", network),
-        ("columns", parts),
-        ("script", &[server, &SCRIPT.concat()].concat()),
-    ])
+    format!(
+        include_str!("page/shell.html"),
+        version = env!("CARGO_PKG_VERSION"),
+        style = include_str!("page/viewer.css"),
+        header = text(header),
+        shaders = shaders,
+        network = network,
+        columns = parts,
+        script = [server, &SCRIPT.concat()].concat(),
+    )
 }
 
 /// JSON for a page: no text in it can end its element.
 fn text(value: &Value) -> String {
     value.to_string().replace('<', "\\u003c")
-}
-
-/// The shell with its `{{names}}` replaced. The replacements are not searched for names.
-fn filled(parts: &[(&str, &str)]) -> String {
-    let mut out = String::new();
-    let mut pieces = include_str!("page/shell.html").split("{{");
-    out.push_str(pieces.next().unwrap_or_default());
-    for piece in pieces {
-        let (name, after) = piece.split_once("}}").unwrap_or((piece, ""));
-        let part = parts.iter().find(|(part, _)| *part == name);
-        out.push_str(part.map_or("", |(_, text)| text));
-        out.push_str(after);
-    }
-    out
 }
