@@ -100,10 +100,10 @@ fn tiles(report: &Report<'_>) -> Markup {
             @if let Some(ours) = miou(Variant::Ours) {
                 (tile(percent(Some(ours)), "%", "held-out mIoU, pooled"))
                 @if let Some(raw) = miou(Variant::Raw) {
-                    (tile(signed(100.0 * (ours - raw), 1), "points", "mIoU against the raw labels"))
+                    (tile(signed(100.0 * (ours - raw)), "points", "mIoU against the raw labels"))
                 }
                 @if let Some(vote) = miou(Variant::Vote) {
-                    (tile(signed(100.0 * (ours - vote), 1), "points", "mIoU against the vote"))
+                    (tile(signed(100.0 * (ours - vote)), "points", "mIoU against the vote"))
                 }
             }
             (tile(duration(m.seconds.total), "", "total time"))

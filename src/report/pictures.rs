@@ -147,20 +147,16 @@ pub fn with_legend(picture: &RgbImage, labels: &LabelMap, classes: &Classes) -> 
     for (i, (color, text)) in entries.iter().enumerate() {
         let x = gap + (i % columns) * (picture.width() as usize / columns);
         let y = picture.height() as usize + gap + (i / columns) * line;
-        fill(&mut out, (x, y), (swatch, swatch), *color);
+        fill(&mut out, (x, y), swatch, *color);
         draw_text(&mut out, (x + swatch + gap, y + scale), scale, text);
     }
     out
 }
 
-fn fill(
-    image: &mut RgbImage,
-    (x, y): (usize, usize),
-    (width, height): (usize, usize),
-    color: [u8; 3],
-) {
-    for row in y..(y + height).min(image.height() as usize) {
-        for column in x..(x + width).min(image.width() as usize) {
+/// Fills a square, as far as it lies in the image.
+fn fill(image: &mut RgbImage, (x, y): (usize, usize), side: usize, color: [u8; 3]) {
+    for row in y..(y + side).min(image.height() as usize) {
+        for column in x..(x + side).min(image.width() as usize) {
             image.put_pixel(column as u32, row as u32, Rgb(color));
         }
     }
@@ -175,7 +171,7 @@ pub(super) fn draw_text(image: &mut RgbImage, (x, y): (usize, usize), scale: usi
         for (row, bits) in glyph.iter().enumerate() {
             for column in (0..GLYPH).filter(|column| bits >> column & 1 == 1) {
                 let at = (x + scale * (GLYPH * i + column), y + scale * row);
-                fill(image, at, (scale, scale), [28, 28, 30]);
+                fill(image, at, scale, [28, 28, 30]);
             }
         }
     }

@@ -12,9 +12,9 @@ pub(super) fn percent(share: Option<f64>) -> String {
     share.map_or("–".to_owned(), |share| format!("{:.1}", 100.0 * share))
 }
 
-/// A change with its sign.
-pub(super) fn signed(value: f64, decimals: usize) -> String {
-    format!("{value:+.decimals$}").replace('-', "−")
+/// A change with its sign, to a tenth.
+pub(super) fn signed(value: f64) -> String {
+    format!("{value:+.1}").replace('-', "−")
 }
 
 /// Seconds as `41 s`, `3 min 20 s` or `2 h 5 min`.

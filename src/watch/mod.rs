@@ -15,7 +15,7 @@ use crate::progress::{Event, Progress};
 use crate::server::Server;
 use crate::splat::Gaussians;
 use std::net::IpAddr;
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// How long the end of a run waits for a browser that is there: it asks every second.
@@ -69,9 +69,7 @@ impl<P> Drop for Watched<P> {
 
 /// The state. It stays usable after a panic in the other thread, because no field is ever half written.
 fn locked(shared: &Shared) -> MutexGuard<'_, RunState> {
-    shared
-        .lock()
-        .unwrap_or_else(|poisoned| poisoned.into_inner())
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl<P: Progress> Progress for Watched<P> {
