@@ -259,7 +259,7 @@ fn line(path: &Path, digest: &str, command: &str) -> String {
 }
 
 /// The folder that `path` is in.
-pub(super) fn folder(path: &Path) -> &Path {
+pub(crate) fn folder(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),

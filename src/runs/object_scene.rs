@@ -9,7 +9,7 @@ use crate::files::{atomic, extension, own, sha256};
 use crate::objects::{Edited, Editing, Edits, Object, color_apart, inventory};
 use crate::splat::formats::{has_labels_beside, label_path};
 use crate::splat::ply::PlyScene;
-use crate::splat::{Gaussians, ply};
+use crate::splat::{Gaussians, bounds, ply};
 use glam::DVec3;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -253,11 +253,9 @@ impl ObjectScene {
     /// # Errors
     /// As [`ObjectScene::find`].
     pub fn bounds(&self, what: &str, flag: &str) -> Result<(DVec3, DVec3)> {
-        let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        let extended = |(low, high): (DVec3, DVec3), object: &Object| {
-            (low.min(object.low), high.max(object.high))
-        };
-        let (low, high) = self.find(what, flag)?.into_iter().fold(none, extended);
+        let found = self.find(what, flag)?;
+        let corners = found.iter().flat_map(|object| [object.low, object.high]);
+        let (low, high) = bounds(corners).unwrap_or_default();
         Ok((low + self.ply.origin, high + self.ply.origin))
     }
 

@@ -138,11 +138,10 @@ pub fn cameras_path(cameras: Option<&Path>, scene: &Path) -> Result<PathBuf> {
 /// folder that `cameras` is or lies in, or else in the one that the run in this folder was trained on. Empty where neither is
 /// there.
 pub fn photos_of(cameras: &Path) -> BTreeMap<String, ViewPhoto> {
-    let parent = cameras.parent().filter(|dir| *dir != Path::new(""));
     let folder = if cameras.is_dir() {
         cameras
     } else {
-        parent.unwrap_or(Path::new("."))
+        own::folder(cameras)
     };
     let photos = view_photos(folder, &LoadOptions::default());
     if !photos.is_empty() {

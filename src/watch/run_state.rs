@@ -42,7 +42,9 @@ pub(super) struct SceneCopy {
 
 impl SceneCopy {
     pub fn new(gaussians: &Gaussians, labels: Option<&[u16]>) -> Self {
-        let every = Viewer::bytes(gaussians, false).div_ceil(MAX_PAGE_BYTES).max(1);
+        let every = Viewer::bytes(gaussians, false)
+            .div_ceil(MAX_PAGE_BYTES)
+            .max(1);
         let rows: Vec<u32> = (0..gaussians.len() as u32).step_by(every).collect();
         let pick = |labels: &[u16]| rows.iter().map(|&row| labels[row as usize]).collect();
         let mut gaussians = gaussians.select(&rows);

@@ -203,9 +203,7 @@ impl CoSegLoss {
     /// The mean loss of labelled pixels.
     fn mean(&self, own: OwnClass, labels: &[u16]) -> Tensor<1> {
         let losses = match self.exponents(labels) {
-            Some(q) => {
-                generalised_cross_entropy(own.log_p, TensorData::new(q, [labels.len(), 1]))
-            }
+            Some(q) => generalised_cross_entropy(own.log_p, TensorData::new(q, [labels.len(), 1])),
             None => self.label.of_pixels(own),
         };
         losses.sum() * (1.0 / labels.len() as f64)

@@ -177,8 +177,7 @@ fn views_that_the_page_does_not_show_are_handed_over() {
         names.push(view.view.name.clone());
         Ok(())
     };
-    let shown =
-        held_out_views(&outcome, &crate::support::device(), beside).expect("views");
+    let shown = held_out_views(&outcome, &crate::support::device(), beside).expect("views");
     assert_eq!((shown.len(), names.len()), (6, 2));
     names.extend(shown.iter().map(|view| view.view.name.clone()));
     names.sort();
