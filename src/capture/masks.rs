@@ -25,11 +25,8 @@ impl Masks {
     /// [`Error::Missing`] without the folder; [`Error::Argument`] where no photo has a mask.
     pub fn list(dir: &Path, photos: &[PathBuf]) -> Result<Self> {
         if !dir.is_dir() {
-            return Err(Error::missing(
-                "folder",
-                dir,
-                "name the folder of the masks",
-            ));
+            let help = "name the folder of the masks";
+            return Err(Error::missing("folder", dir, help));
         }
         let mask = |photo: &PathBuf| {
             let name = file_name(photo)?;

@@ -33,7 +33,7 @@ pub use self::segmentation::{
 };
 pub use self::variant::Variant;
 
-use crate::error::{Result, bail};
+use crate::error::{Result, ensure};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use std::path::PathBuf;
@@ -97,10 +97,8 @@ impl Config {
     /// # Errors
     /// [`crate::Error::Config`] for the first value that is not.
     pub fn validate(&self) -> Result<()> {
-        if self.seed > i64::MAX as u64 {
-            bail!(setting "seed"; found "{}", self.seed; expected "at most 2^63 - 1";
-                help "choose a smaller seed");
-        }
+        ensure!(self.seed <= i64::MAX as u64, setting "seed"; found "{}", self.seed; expected "at most 2^63 - 1";
+            help "choose a smaller seed");
         self.data.check()?;
         self.building.validate()?;
         self.raster.check()?;

@@ -55,15 +55,14 @@ impl Variant {
 
     /// Whether the variant trains the decoder.
     pub fn trains_decoder(self) -> bool {
-        !matches!(
+        matches!(
             self,
-            Self::Raw
-                | Self::Vote
-                | Self::PooledVote
-                | Self::PerGaussian
-                | Self::Grouping
-                | Self::Distilled
-                | Self::PanopticLifting
+            Self::OursCe
+                | Self::Ours
+                | Self::NoImageFeatures
+                | Self::NoSpatial
+                | Self::SingleScale
+                | Self::RandomSpatial
         )
     }
 

@@ -115,10 +115,8 @@ impl Mapping {
                 }
             }
         }
-        if mapping.channels.iter().all(Option::is_none) {
-            bail!(&user.file, "classes"; found "no class of the network"; expected "one or more";
-                help "list names of the network's classes");
-        }
+        ensure!(mapping.channels.iter().any(Option::is_some), &user.file, "classes"; found "no class of the network";
+            expected "one or more"; help "list names of the network's classes");
         mapping.classes = if scene.is_empty() {
             let ids = mapping.ids.iter().copied();
             Classes::from_names(UNLABELLED_ID, ids.zip(user.classes.keys().cloned()))

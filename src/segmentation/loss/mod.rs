@@ -45,11 +45,16 @@ impl Scores {
             Self::Pixels(logits) => softmax(logits, 1),
             Self::Gaussians(scores) => pixels.blend(softmax(scores, 1))?,
             Self::Pair(pair) => {
-                let [a, b] = *pair;
-                (a.probabilities(pixels)? + b.probabilities(pixels)?) * 0.5
+                let [a, b] = both(*pair, pixels)?;
+                (a + b) * 0.5
             }
         })
     }
+}
+
+/// Class probabilities of `pixels` in two predictions, `[P, C]` each.
+fn both([a, b]: [Scores; 2], pixels: &LabelledPixels) -> Result<[Tensor<2>; 2]> {
+    Ok([a.probabilities(pixels)?, b.probabilities(pixels)?])
 }
 
 /// The loss of stage two (Eq. 10).
@@ -115,11 +120,7 @@ impl CoSegLoss {
                 let p = pixels.blend_own_class(softmax(scores, 1))?;
                 self.mean(OwnClass::of_probabilities(p, classes), &pixels.labels)
             }
-            Scores::Pair(pair) => {
-                let [a, b] = *pair;
-                let pair = [a.probabilities(pixels)?, b.probabilities(pixels)?];
-                self.of_pair(pair, &pixels.labels)
-            }
+            Scores::Pair(pair) => self.of_pair(both(*pair, pixels)?, &pixels.labels),
         })
     }
 
@@ -132,8 +133,7 @@ impl CoSegLoss {
             Scores::Pixels(logits) => log_softmax(logits, 1),
             Scores::Gaussians(_) => log(scores.probabilities(pixels)?),
             Scores::Pair(pair) => {
-                let [a, b] = *pair;
-                let pair = [a.probabilities(pixels)?, b.probabilities(pixels)?];
+                let pair = both(*pair, pixels)?;
                 let log_mean = log((pair[0].clone() + pair[1].clone()) * 0.5);
                 disagreement = self.disagreement(pair, &log_mean);
                 log_mean
