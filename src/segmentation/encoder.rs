@@ -9,11 +9,12 @@ use crate::data::WorldUnit;
 use crate::error::{Result, ensure, invalid};
 use crate::files::sha256;
 use crate::ops::SparseMatrix;
+use crate::random::uniform;
 use crate::splat::median;
 use crate::weights::{HostTensor, WeightFile};
 use burn::tensor::{Device, Tensor};
 use glam::{DQuat, DVec3};
-use rand::{Rng, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use sha2::{Digest, Sha256};
 use std::sync::Arc;
@@ -271,8 +272,7 @@ fn add_random_matrix(
     rng: &mut ChaCha8Rng,
 ) {
     let bound = (6.0 / input.max(1) as f64).sqrt() as f32;
-    let draw = |_| bound * rng.random_range(-1.0f32..1.0);
     let shape = vec![output, input];
-    let values = (0..input * output).map(draw).collect();
+    let values = uniform(input * output, bound, rng);
     weights.insert(name, HostTensor { shape, values });
 }
