@@ -1,6 +1,6 @@
 //! Device buffers, and how many cubes a kernel is launched with.
 
-use burn::tensor::{DType, Shape};
+use burn::tensor::{DType, Element, Shape};
 use burn_cubecl::cubecl::{calculate_cube_count_elemwise, prelude::*};
 use burn_cubecl::ops::numeric::{empty_device_contiguous_dtype, full_client};
 use burn_cubecl::{CubeDevice, tensor::CubeTensor};
@@ -64,8 +64,11 @@ impl Gpu {
         empty_device_contiguous_dtype(self.client.clone(), self.device.clone(), shape, dtype)
     }
 
-    /// `values` on the device.
-    pub fn upload<E: CubeElement>(&self, values: &[E], dtype: DType) -> CubeTensor {
+    /// `values` on the device; without any, one that is uninitialised.
+    pub fn upload<E: CubeElement + Element>(&self, values: &[E]) -> CubeTensor {
+        if values.is_empty() {
+            return self.empty(Shape::new([0]), E::dtype());
+        }
         let handle = self.client.create_from_slice(E::as_bytes(values));
         let shape = Shape::new([values.len()]);
         CubeTensor::new_contiguous(
@@ -73,7 +76,7 @@ impl Gpu {
             self.device.clone(),
             shape,
             handle,
-            dtype,
+            E::dtype(),
         )
     }
 

@@ -4,7 +4,6 @@ use super::{AdamStep, EPSILON, Updated, cpu};
 use crate::backend::gpu::{Gpu, launch};
 use crate::ops::gpu::{covers, own};
 use burn::backend::tensor::FloatTensor;
-use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::kernel::into_contiguous;
@@ -66,7 +65,7 @@ pub fn adam_step(
     let rate = rates.first().copied().unwrap_or_default();
     // One rate for all travels with the launch.
     let rates = if rates.len() > 1 {
-        gpu.upload(&rates, DType::F32)
+        gpu.upload(&rates)
     } else {
         gpu.floats([1])
     };

@@ -8,7 +8,7 @@ use crate::backend::gpu::{Gpu, UNITS, launch, sum_cube};
 use crate::ops::gpu::covers;
 use burn::backend::ops::FloatTensorOps;
 use burn::backend::tensor::FloatTensor;
-use burn::tensor::{DType, Shape};
+use burn::tensor::Shape;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::kernel::into_contiguous;
@@ -269,9 +269,7 @@ fn compare(
     let (height, width) = target.size();
     let cubes = cubes(height, width);
     let is_here = |words: &PhotoWords| words.device == *gpu.device();
-    let photo = target
-        .words
-        .get(is_here, || gpu.upload(&words(target), DType::U32));
+    let photo = target.words.get(is_here, || gpu.upload(&words(target)));
     let gradient = gpu.floats([height, width, CHANNELS]);
     let values = height * width * CHANNELS;
     let ssim_scale = ssim_weight / values as f64;

@@ -4,7 +4,6 @@ use super::{SparseMatrix, cpu};
 use crate::backend::gpu::{Gpu, launch};
 use crate::ops::gpu::covers;
 use burn::backend::tensor::FloatTensor;
-use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::kernel::into_contiguous;
@@ -44,18 +43,10 @@ fn multiply(
 
 impl DeviceMatrix {
     fn upload(gpu: &Gpu, matrix: &SparseMatrix) -> Self {
-        // A binding cannot be empty.
-        let words =
-            |values: &[u32]| gpu.upload(if values.is_empty() { &[0] } else { values }, DType::U32);
-        let values: &[f32] = if matrix.values.is_empty() {
-            &[0.0]
-        } else {
-            &matrix.values
-        };
         Self {
-            offsets: words(&matrix.offsets),
-            indices: words(&matrix.indices),
-            values: gpu.upload(values, DType::F32),
+            offsets: gpu.upload(&matrix.offsets),
+            indices: gpu.upload(&matrix.indices),
+            values: gpu.upload(&matrix.values),
             rows: matrix.rows(),
         }
     }

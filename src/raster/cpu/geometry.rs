@@ -31,7 +31,7 @@ fn times(f: f64, v: Vec3) -> Vec3 {
 pub(crate) struct Viewpoint {
     /// Rows of the world-to-camera rotation.
     pub axes: [Vec3; 3],
-    center: Vec3,
+    pub center: Vec3,
     pub focal: [f64; 2],
     pub principal: [f64; 2],
     /// Image size, pixels.

@@ -60,7 +60,6 @@ mod fixture {
     use crate::raster::Settings;
     use crate::raster::{Projected, Splats};
     use crate::splat::camera::Camera;
-    use burn::tensor::DType;
     use burn_cubecl::CubeDevice;
     use burn_cubecl::tensor::CubeTensor;
     use glam::{DMat3, DVec3};
@@ -120,7 +119,7 @@ mod fixture {
             };
             let host = Projected::new(&splats, &camera, settings).expect("valid");
             let [means, log_scales, rotations, logits] =
-                [&means, &log_scales, &rotations, &logits].map(|v| gpu.upload(v, DType::F32));
+                [&means, &log_scales, &rotations, &logits].map(|v| gpu.upload(v));
             let inputs = Inputs {
                 means,
                 log_scales,

@@ -180,7 +180,6 @@ mod tests {
     use crate::raster::gpu::fixture::{gpu, words};
     use crate::raster::gpu::view;
     use crate::splat::camera::Camera;
-    use burn::tensor::DType;
     use glam::{DMat3, DVec3};
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
@@ -244,7 +243,7 @@ mod tests {
                 height: size[1] as usize,
             };
             let viewpoint = crate::raster::cpu::geometry::Viewpoint::new(&camera).expect("valid");
-            let constants = view::constants(&viewpoint, &camera, &settings, [0.0; 3]);
+            let constants = view::constants(&viewpoint, &settings, [0.0; 3]);
             let splats: Vec<f32> = (0..count)
                 .flat_map(|i| {
                     // Widths from a third of a pixel to thousands, slopes to match, centres near the tile and far off.
@@ -273,9 +272,9 @@ mod tests {
                     ]
                 })
                 .collect();
-            let splats = gpu.upload(&splats, DType::F32);
-            let constants = gpu.upload(&constants, DType::F32);
-            let found = gpu.upload(&[0_u32; 3], DType::U32);
+            let splats = gpu.upload(&splats);
+            let constants = gpu.upload(&constants);
+            let found = gpu.upload(&[0_u32; 3]);
             launch!(gpu, count_missed, gpu.cubes(count);
                 &splats, &constants, &found; count as u32, 7, size[0], size[1]);
             let found = words(&gpu, &found);

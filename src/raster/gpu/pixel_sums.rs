@@ -106,7 +106,6 @@ mod tests {
     use crate::raster::Settings;
     use crate::raster::gpu::blend::blend;
     use crate::raster::gpu::fixture::{View, floats};
-    use burn::tensor::DType;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -119,7 +118,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(4);
         let mut draw = |n: usize| -> CubeTensor {
             let values: Vec<f32> = (0..n).map(|_| rng.random_range(-1.0..1.0)).collect();
-            gpu.upload(&values, DType::F32)
+            gpu.upload(&values)
         };
         let pixels = 50 * 41;
         let values = draw(400 * 12);

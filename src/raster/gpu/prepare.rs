@@ -9,7 +9,6 @@ use crate::error::{Error, Result, ensure};
 use crate::raster::cpu::geometry::Viewpoint;
 use crate::raster::settings::Settings;
 use crate::splat::camera::Camera;
-use burn::tensor::DType;
 use burn_cubecl::cubecl::prelude::*;
 use burn_cubecl::tensor::CubeTensor;
 
@@ -60,12 +59,9 @@ pub(super) fn prepare(
     let size = viewpoint.size;
     let len = inputs.len();
     check_size(gpu, "Gaussians", len, project::SPLAT * size_of::<f32>())?;
-    let view = gpu.upload(
-        &view::constants(&viewpoint, camera, settings, behind),
-        DType::F32,
-    );
+    let view = gpu.upload(&view::constants(&viewpoint, settings, behind));
     // Non-finite rows, and entries of the tile lists.
-    let report = gpu.upload(&[0_u32, 0], DType::U32);
+    let report = gpu.upload(&[0_u32, 0]);
     for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
         add_non_finite(gpu, tensor, tensor.meta.num_elements(), &report);
     }

@@ -221,7 +221,6 @@ pub(super) fn sort_positions(
 mod tests {
     use super::*;
     use crate::raster::gpu::fixture::{gpu, words};
-    use burn::tensor::DType;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -242,7 +241,7 @@ mod tests {
             let most = u32::MAX >> (32 - bits);
             let keys: Vec<u32> = (0..len).map(|_| rng.random_range(0..=most)).collect();
             let (sorted, positions) =
-                sort_positions(&gpu, gpu.upload(&keys, DType::U32), len, bits);
+                sort_positions(&gpu, gpu.upload(&keys), len, bits);
             let mut want: Vec<u32> = (0..len as u32).collect();
             want.sort_by_key(|&i| keys[i as usize]);
             assert!(

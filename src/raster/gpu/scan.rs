@@ -112,7 +112,6 @@ pub(super) fn exclusive_sums(gpu: &Gpu, values: &CubeTensor, len: usize) -> Cube
 mod tests {
     use super::*;
     use crate::raster::gpu::fixture::{gpu, words};
-    use burn::tensor::DType;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -136,7 +135,7 @@ mod tests {
             let values: Vec<u32> = (0..len).map(|_| rng.random_range(0..100)).collect();
             let sums = words(
                 &gpu,
-                &exclusive_sums(&gpu, &gpu.upload(&values, DType::U32), len),
+                &exclusive_sums(&gpu, &gpu.upload(&values), len),
             );
             let mut sum = 0;
             for (i, value) in values.iter().enumerate() {
@@ -147,7 +146,7 @@ mod tests {
         let large = vec![1 << 29; 5000];
         let sums = words(
             &gpu,
-            &exclusive_sums(&gpu, &gpu.upload(&large, DType::U32), 5000),
+            &exclusive_sums(&gpu, &gpu.upload(&large), 5000),
         );
         assert_eq!(sums[..3], [0, 1 << 29, 1 << 30]);
         assert!(sums[4..].iter().all(|&s| s == CEILING));

@@ -2,7 +2,6 @@
 
 use crate::raster::Settings;
 use crate::raster::cpu::geometry::Viewpoint;
-use crate::splat::camera::Camera;
 
 /// Rows of the world-to-camera rotation, nine numbers.
 pub(super) const AXES: usize = 0;
@@ -29,7 +28,6 @@ const LEN: usize = 34;
 /// The numbers at the offsets above.
 pub(super) fn constants(
     view: &Viewpoint,
-    camera: &Camera,
     settings: &Settings,
     background: [f64; 3],
 ) -> [f32; LEN] {
@@ -40,13 +38,12 @@ pub(super) fn constants(
         }
     };
     put(AXES, view.axes.as_flattened());
-    let center = camera.center.to_array();
-    put(CENTER, &center);
-    put(CENTER_REST, &center.map(|c| c - f64::from(c as f32)));
-    put(FOCAL, &[camera.fx, camera.fy]);
-    put(PRINCIPAL, &[camera.cx, camera.cy]);
+    put(CENTER, &view.center);
+    put(CENTER_REST, &view.center.map(|c| c - f64::from(c as f32)));
+    put(FOCAL, &view.focal);
+    put(PRINCIPAL, &view.principal);
     put(LIMITS, view.limits.as_flattened());
-    put(SIZE, &[camera.width as f64, camera.height as f64]);
+    put(SIZE, &view.size.map(|edge| edge as f64));
     put(NEAR, &[settings.near]);
     put(LOW_PASS, &[settings.low_pass]);
     put(ALPHA_MIN, &[settings.alpha_min]);
