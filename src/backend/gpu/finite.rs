@@ -22,8 +22,9 @@ fn count_non_finite(values: &[f32], report: &[Atomic<u32>], count: u32) {
     }
 }
 
-/// Adds the non-finite ones among the first `len` of `values` to `report[0]`, a 32-bit integer.
-pub fn add_non_finite(gpu: &Gpu, values: &CubeTensor, len: usize, report: &CubeTensor) {
+/// Adds the number of non-finite `values` to `report[0]`, a 32-bit integer.
+pub fn add_non_finite(gpu: &Gpu, values: &CubeTensor, report: &CubeTensor) {
+    let len = values.meta.num_elements();
     if len > 0 {
         // A unit looks at several values.
         let units = len.min(1 << 20);

@@ -1,9 +1,8 @@
 //! `W` and `W^T` of a view whose geometry is frozen, and the counter of Algorithm 1.
 
 use super::blend;
-use super::inputs::Inputs;
 use super::pixel_sums;
-use super::prepare::{Prepared, Scenery, check_size, prepare, read_words};
+use super::prepare::{Prepared, check_size, read_words};
 use super::project::SPLAT;
 use super::sh::{self, Harmonics};
 use crate::backend::gpu::{Gpu, launch};
@@ -51,39 +50,23 @@ fn count_pixels(
     counts[i] = count;
 }
 
-/// Projection and tile lists of a view.
-pub(crate) struct Lists {
-    prepared: Prepared,
-}
-
-impl Lists {
-    /// The lists for `inputs`; `None` when an input holds a NaN or an infinity.
-    ///
-    /// # Errors
-    /// As [`super::forward`].
-    pub fn new(inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<Self>> {
-        let gpu = Gpu::of(&inputs.means);
-        let prepared = prepare(&gpu, inputs, scenery)?;
-        Ok(prepared.map(|prepared| Self { prepared }))
-    }
-
+impl Prepared {
     /// Number of Gaussians.
     pub fn len(&self) -> usize {
-        self.prepared.order.len
+        self.order.len
     }
 
     /// Bytes of projection and lists.
     pub fn bytes(&self) -> usize {
-        100 * self.prepared.order.len + 8 * self.prepared.entries.len
+        100 * self.order.len + 8 * self.entries.len
     }
 
     /// Colours `[N, 3]` of the Gaussians with these means, from coefficients `[N, K, 3]` of degree `degree`.
     pub fn colours(&self, means: CubeTensor, sh: CubeTensor, degree: usize) -> CubeTensor {
         let gpu = Gpu::of(&means);
-        let prepared = &self.prepared;
-        let radii = &prepared.projected.radii;
-        let harmonics = Harmonics::new(sh, prepared.order.len, degree);
-        sh::colours(&gpu, &means, &harmonics, radii, &prepared.view)
+        let harmonics = Harmonics::new(sh, degree);
+        let radii = &self.projected.radii;
+        sh::colours(&gpu, &means, &harmonics, radii, &self.view)
     }
 
     /// Disc pixels of every Gaussian.
@@ -91,12 +74,11 @@ impl Lists {
     /// # Errors
     /// [`crate::Error::Device`] when the device does not return them.
     pub fn disc_pixels(&self) -> Result<Vec<u32>> {
-        let prepared = &self.prepared;
-        let gpu = Gpu::of(&prepared.view);
+        let gpu = Gpu::of(&self.view);
         let counts = gpu.words(self.len());
         launch!(gpu, count_pixels, gpu.cubes_for(self.len());
-            &prepared.projected.splats, &prepared.projected.radii, &counts;
-            self.len() as u32, prepared.size[0] as f32, prepared.size[1] as f32);
+            &self.projected.splats, &self.projected.radii, &counts;
+            self.len() as u32, self.size[0] as f32, self.size[1] as f32);
         read_words(&gpu, &counts)
     }
 
@@ -106,10 +88,10 @@ impl Lists {
     /// [`crate::Error::Limit`] for what the device cannot hold.
     pub fn blend(&self, values: CubeTensor, channels: usize) -> Result<(CubeTensor, CubeTensor)> {
         let gpu = Gpu::of(&values);
-        let count = self.prepared.size.iter().product::<usize>();
+        let count = self.size.iter().product::<usize>();
         let count = count.saturating_mul(channels);
         check_size(&gpu, "pixels times channels", count, size_of::<f32>())?;
-        Ok(blend::blend(&gpu, &self.prepared, &values, channels))
+        Ok(blend::blend(&gpu, self, &values, channels))
     }
 
     /// `W^T y` `[N, channels]`; `y` is `[H, W, channels]`, contiguous.
@@ -118,9 +100,9 @@ impl Lists {
     /// [`crate::Error::Limit`] for what the device cannot hold.
     pub fn lift(&self, y: &CubeTensor, channels: usize) -> Result<CubeTensor> {
         let gpu = Gpu::of(y);
-        let count = self.prepared.order.len.saturating_mul(channels);
+        let count = self.len().saturating_mul(channels);
         check_size(&gpu, "Gaussians times channels", count, size_of::<f32>())?;
         let budget = pixel_sums::row_bytes(&gpu);
-        Ok(pixel_sums::adjoint(&gpu, &self.prepared, y, budget))
+        Ok(pixel_sums::adjoint(&gpu, self, y, budget))
     }
 }

@@ -16,8 +16,7 @@ pub(crate) struct Inputs {
     pub rotations: CubeTensor,
     /// `[N]`.
     pub logits: CubeTensor,
-    /// `[N, K, 3]`, and the degree in use.
-    pub sh: Option<(CubeTensor, usize)>,
+    pub sh: Option<Harmonics>,
     /// `[N, C]`, C above 0.
     pub features: Option<CubeTensor>,
 }
@@ -28,9 +27,10 @@ impl Inputs {
         self.logits.meta.num_elements()
     }
 
-    pub(super) fn harmonics(&self) -> Option<Harmonics> {
-        let (sh, active) = self.sh.as_ref()?;
-        Some(Harmonics::new(sh.clone(), self.len(), *active))
+    /// The coefficients of SH and the features, where they are given.
+    pub(super) fn coefficients_and_features(&self) -> impl Iterator<Item = &CubeTensor> {
+        let coefficients = self.sh.iter().map(|harmonics| &harmonics.sh);
+        coefficients.chain(&self.features)
     }
 
     /// Number of channels.

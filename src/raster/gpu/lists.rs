@@ -68,10 +68,10 @@ fn emit_entries(
     }
     let mut at = offsets[rank];
     let end = offsets[rank + 1];
+    let tiles_across = (width + (TILE - 1) as u32) / TILE as u32;
+    let tiles_down = (height + (TILE - 1) as u32) / TILE as u32;
+    let id = ids[rank];
     if at < end {
-        let tiles_across = (width + (TILE - 1) as u32) / TILE as u32;
-        let tiles_down = (height + (TILE - 1) as u32) / TILE as u32;
-        let id = ids[rank];
         let o = outline(splats, id as usize);
         let pixels = pixel_rows(&o, height);
         let rows = tile_rows(&pixels);
@@ -86,15 +86,13 @@ fn emit_entries(
                 }
             }
         }
-        ends[rank] = at;
-        // and give missing entries to a tile that does not exist.
-        while at < end {
-            tiles[at as usize] = tiles_across * tiles_down;
-            gaussian_of[at as usize] = id;
-            at += 1u32;
-        }
-    } else {
-        ends[rank] = at;
+    }
+    ends[rank] = at;
+    // and give missing entries to a tile that does not exist.
+    while at < end {
+        tiles[at as usize] = tiles_across * tiles_down;
+        gaussian_of[at as usize] = id;
+        at += 1u32;
     }
 }
 

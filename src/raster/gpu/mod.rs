@@ -31,11 +31,11 @@ mod sh;
 mod vec3;
 mod view;
 
-pub(crate) use self::frozen::Lists;
 pub(crate) use self::inputs::Inputs;
 pub(crate) use self::passes::Forward;
 pub(super) use self::passes::forward;
-pub(crate) use self::prepare::Scenery;
+pub(crate) use self::prepare::{Prepared, Scenery};
+pub(crate) use self::sh::Harmonics;
 
 use crate::backend::gpu::missing_capability;
 use burn::tensor::DType;
@@ -54,7 +54,7 @@ mod fixture {
     //! What the tests of the kernels share.
 
     use super::inputs::Inputs;
-    use super::prepare::{Prepared, Scenery, prepare, read_words};
+    use super::prepare::{Prepared, Scenery, read_words};
     use crate::backend::device::gpu_of_tests;
     use crate::backend::gpu::Gpu;
     use crate::raster::Settings;
@@ -133,7 +133,7 @@ mod fixture {
                 settings,
                 background: [0.0; 3],
             };
-            let prepared = prepare(&gpu, &inputs, scenery).expect("a working device");
+            let prepared = Prepared::new(&inputs, scenery).expect("a working device");
             Some(Self {
                 prepared: prepared.expect("finite"),
                 gpu,

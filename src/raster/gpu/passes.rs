@@ -4,7 +4,7 @@ use super::blend;
 use super::inputs::Inputs;
 use super::parameters::{self, GeometryGradients};
 use super::pixel_sums::{PixelGradients, pixel_sums, row_bytes};
-use super::prepare::{Prepared, Scenery, check_size, prepare};
+use super::prepare::{Prepared, Scenery, check_size};
 use super::sh;
 use crate::backend::gpu::Gpu;
 use crate::error::Result;
@@ -40,7 +40,6 @@ pub(in crate::raster) fn forward(
     scenery: Scenery<'_>,
 ) -> Result<Option<(CubeTensor, Forward)>> {
     let gpu = Gpu::of(&inputs.means);
-    let harmonics = inputs.harmonics();
     let channels = inputs.channels();
     let pixels = scenery.camera.width.saturating_mul(scenery.camera.height);
     check_size(
@@ -49,7 +48,7 @@ pub(in crate::raster) fn forward(
         pixels.saturating_mul(channels.max(1)),
         size_of::<f32>(),
     )?;
-    for tensor in inputs.sh.iter().map(|(sh, _)| sh).chain(&inputs.features) {
+    for tensor in inputs.coefficients_and_features() {
         check_size(
             &gpu,
             "values of the Gaussians",
@@ -57,12 +56,12 @@ pub(in crate::raster) fn forward(
             size_of::<f32>(),
         )?;
     }
-    let Some(prepared) = prepare(&gpu, inputs, scenery)? else {
+    let Some(prepared) = Prepared::new(inputs, scenery)? else {
         return Ok(None);
     };
     let radii = &prepared.projected.radii;
-    let colours = |h| sh::colours(&gpu, &inputs.means, &h, radii, &prepared.view);
-    let colours = harmonics.map(colours);
+    let colours = |given| sh::colours(&gpu, &inputs.means, given, radii, &prepared.view);
+    let colours = inputs.sh.as_ref().map(colours);
     let values = inputs.values(colours);
     let (image, transmittance) = blend::blend(&gpu, &prepared, &values, channels);
     Ok(Some((
@@ -88,7 +87,7 @@ impl Forward {
         inputs: &Inputs,
         image: &CubeTensor,
         d_image: &CubeTensor,
-        d_transmittance: Option<&CubeTensor>,
+        d_transmittance: &CubeTensor,
         absolute: bool,
     ) -> Gradients {
         let gpu = Gpu::of(&inputs.means);
@@ -98,34 +97,26 @@ impl Forward {
             image,
             d_image,
             transmittance: &self.transmittance,
-            d_transmittance,
+            d_transmittance: Some(d_transmittance),
             absolute,
         };
         let values = Some(&self.values);
         let sums = pixel_sums(&gpu, &self.prepared, values, &pixels, row_bytes(&gpu));
         let geometry = parameters::backward(&gpu, inputs, view, projected, &sums.moments);
-        let harmonics = inputs.harmonics();
-        let features = inputs.features.as_ref().map(|_| match &harmonics {
+        let features = inputs.features.as_ref().map(|_| match &inputs.sh {
             None => sums.values.clone(),
             Some(_) => {
                 let after_colours = [Slice::full(), Slice::from(3..)];
                 CubeBackend::float_slice(sums.values.clone(), &after_colours)
             }
         });
-        let sh = harmonics.map(|harmonics| {
+        let sh = inputs.sh.as_ref().map(|harmonics| {
             let from = sh::ColourGradients {
                 values: &self.values,
                 d_values: &sums.values,
                 radii: &projected.radii,
             };
-            sh::backward(
-                &gpu,
-                &inputs.means,
-                &harmonics,
-                &from,
-                view,
-                &geometry.means,
-            )
+            sh::backward(&gpu, &inputs.means, harmonics, &from, view, &geometry.means)
         });
         Gradients {
             geometry,

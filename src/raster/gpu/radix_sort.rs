@@ -240,8 +240,7 @@ mod tests {
         ] {
             let most = u32::MAX >> (32 - bits);
             let keys: Vec<u32> = (0..len).map(|_| rng.random_range(0..=most)).collect();
-            let (sorted, positions) =
-                sort_positions(&gpu, gpu.upload(&keys), len, bits);
+            let (sorted, positions) = sort_positions(&gpu, gpu.upload(&keys), len, bits);
             let mut want: Vec<u32> = (0..len as u32).collect();
             want.sort_by_key(|&i| keys[i as usize]);
             assert!(

@@ -133,21 +133,15 @@ mod tests {
             2048 * 2048 + 5,
         ] {
             let values: Vec<u32> = (0..len).map(|_| rng.random_range(0..100)).collect();
-            let sums = words(
-                &gpu,
-                &exclusive_sums(&gpu, &gpu.upload(&values), len),
-            );
+            let sums = words(&gpu, &exclusive_sums(&gpu, &gpu.upload(&values), len));
             let mut sum = 0;
             for (i, value) in values.iter().enumerate() {
                 assert_eq!(sums[i], sum, "{i} of {len}");
                 sum += value;
             }
         }
-        let large = vec![1 << 29; 5000];
-        let sums = words(
-            &gpu,
-            &exclusive_sums(&gpu, &gpu.upload(&large), 5000),
-        );
+        let large = vec![1_u32 << 29; 5000];
+        let sums = words(&gpu, &exclusive_sums(&gpu, &gpu.upload(&large), 5000));
         assert_eq!(sums[..3], [0, 1 << 29, 1 << 30]);
         assert!(sums[4..].iter().all(|&s| s == CEILING));
     }

@@ -199,17 +199,16 @@ fn colours_backward(
 }
 
 /// SH coefficients `[N, stored, 3]`. Those up to `degree` are in use.
-#[derive(Clone)]
-pub(super) struct Harmonics {
-    pub sh: CubeTensor,
-    pub stored: usize,
-    pub degree: u32,
+pub(crate) struct Harmonics {
+    pub(super) sh: CubeTensor,
+    stored: usize,
+    degree: u32,
 }
 
 impl Harmonics {
-    /// The coefficients of `gaussians` Gaussians, up to the degree `active`.
-    pub fn new(sh: CubeTensor, gaussians: usize, active: usize) -> Self {
-        let stored = sh.meta.num_elements() / (3 * gaussians.max(1));
+    /// The coefficients `[N, K, 3]` up to the degree `active`.
+    pub fn new(sh: CubeTensor, active: usize) -> Self {
+        let stored = sh.meta.shape()[1];
         let degree = active.min(stored.isqrt().saturating_sub(1)) as u32;
         Self { sh, stored, degree }
     }

@@ -26,11 +26,7 @@ pub(super) const BACKGROUND: usize = 31;
 const LEN: usize = 34;
 
 /// The numbers at the offsets above.
-pub(super) fn constants(
-    view: &Viewpoint,
-    settings: &Settings,
-    background: [f64; 3],
-) -> [f32; LEN] {
+pub(super) fn constants(view: &Viewpoint, settings: &Settings, background: [f64; 3]) -> [f32; LEN] {
     let mut out = [0.0; LEN];
     let mut put = |at: usize, values: &[f64]| {
         for (out, &v) in out[at..].iter_mut().zip(values) {

@@ -143,7 +143,7 @@ pub(super) fn blend_view_adjoint<B: HostBackend>(
 }
 
 /// Slices of the inputs.
-pub(super) struct Inputs<E> {
+struct Inputs<E> {
     means: HostValues<E>,
     log_scales: HostValues<E>,
     rotations: HostValues<E>,
@@ -153,7 +153,7 @@ pub(super) struct Inputs<E> {
 }
 
 impl<E: Real> Inputs<E> {
-    pub fn read<B: HostBackend>(tensors: RasterTensors<B>) -> Self {
+    fn read<B: HostBackend>(tensors: RasterTensors<B>) -> Self {
         Self {
             means: B::values(tensors.means),
             log_scales: B::values(tensors.log_scales),
@@ -178,7 +178,7 @@ impl<E: Real> Inputs<E> {
     }
 
     /// Image `[H, W, channels]`, background included, and what the backward pass needs.
-    pub fn forward(&self, call: &RasterCall) -> Result<(Vec<E>, Forward<E>)> {
+    fn forward(&self, call: &RasterCall) -> Result<(Vec<E>, Forward<E>)> {
         let extra = self.features_per_row();
         check_finite("features", &self.features, extra)?;
         let projected = Projected::new(&self.splats(), &call.camera, &call.settings)?;

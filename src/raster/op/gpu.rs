@@ -6,8 +6,8 @@ use super::tensors::{
     SavedForward, ViewCall,
 };
 use crate::backend::HostBackend;
-use crate::error::{Error, Result};
-use crate::raster::gpu::{self, Inputs, Lists, Scenery};
+use crate::error::Result;
+use crate::raster::gpu::{self, Harmonics, Inputs, Prepared, Scenery};
 use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::kernel::{cast, into_contiguous};
@@ -31,7 +31,7 @@ fn inputs(tensors: &RasterTensors<CubeBackend>, sh_degree: Option<usize>) -> Inp
         log_scales: whole(&tensors.log_scales),
         rotations: whole(&tensors.rotations),
         logits: whole(&tensors.opacity_logits),
-        sh: sh_degree.map(|degree| (whole(&tensors.sh), degree)),
+        sh: sh_degree.map(|degree| Harmonics::new(whole(&tensors.sh), degree)),
         features: (tensors.features.meta.num_elements() > 0).then(|| whole(&tensors.features)),
     }
 }
@@ -56,10 +56,7 @@ pub(super) fn raster_forward(
             saved: SavedForward::Gpu(Arc::new(forward)),
         },
         // The CPU's own check names tensor and row.
-        Ok(None) => match cpu::Inputs::<f32>::read::<CubeBackend>(tensors).forward(&call) {
-            Err(error) => RasterPass::Failed(error),
-            Ok(_) => RasterPass::Failed(Error::non_finite("raster input", 0)),
-        },
+        Ok(None) => cpu::raster_forward(tensors, call),
         Err(error) => RasterPass::Failed(error),
     }
 }
@@ -77,7 +74,7 @@ pub(super) fn raster_backward(
         &inputs(&tensors, call.shown_degree()),
         &into_contiguous(pixels.image),
         &into_contiguous(pixels.d_image),
-        Some(&into_contiguous(pixels.d_transmittance)),
+        &into_contiguous(pixels.d_transmittance),
         call.absolute_screen,
     );
     let geometry = gradients.geometry;
@@ -109,8 +106,8 @@ pub(super) fn project_view(
         settings: &call.settings,
         background: [0.0; 3],
     };
-    match Lists::new(&inputs(&tensors, None), scenery)? {
-        Some(lists) => Ok(ProjectedView::Gpu(Arc::new(lists))),
+    match Prepared::new(&inputs(&tensors, None), scenery)? {
+        Some(prepared) => Ok(ProjectedView::Gpu(Arc::new(prepared))),
         // The CPU's own check names tensor and row.
         None => cpu::project_view(tensors, call),
     }
@@ -124,15 +121,15 @@ pub(super) fn view_colours(
     call: Arc<ViewCall>,
 ) -> Rows<CubeBackend> {
     match &view {
-        ProjectedView::Gpu(lists) => {
-            Rows::Done(lists.colours(into_contiguous(means), into_contiguous(sh), degree))
+        ProjectedView::Gpu(prepared) => {
+            Rows::Done(prepared.colours(into_contiguous(means), into_contiguous(sh), degree))
         }
         _ => cpu::view_colours(means, sh, degree, view, call),
     }
 }
 
 pub(super) fn blend_view(values: CubeTensor, view: ProjectedView) -> BlendedView<CubeBackend> {
-    let ProjectedView::Gpu(lists) = &view else {
+    let ProjectedView::Gpu(prepared) = &view else {
         return cpu::blend_view(values, view);
     };
     if values.dtype != DType::F32 {
@@ -140,8 +137,8 @@ pub(super) fn blend_view(values: CubeTensor, view: ProjectedView) -> BlendedView
     }
     let channels = values.meta.shape()[1];
     let blended = match channels {
-        0 => no_channels(&values, lists),
-        _ => lists.blend(into_contiguous(values), channels),
+        0 => no_channels(&values, prepared),
+        _ => prepared.blend(into_contiguous(values), channels),
     };
     match blended {
         Ok((image, transmittance)) => BlendedView::Done(image, transmittance),
@@ -150,17 +147,17 @@ pub(super) fn blend_view(values: CubeTensor, view: ProjectedView) -> BlendedView
 }
 
 /// The transmittance beside an image without channels: no kernel binds an empty buffer.
-fn no_channels(values: &CubeTensor, lists: &Lists) -> Result<(CubeTensor, CubeTensor)> {
+fn no_channels(values: &CubeTensor, prepared: &Prepared) -> Result<(CubeTensor, CubeTensor)> {
     let rows = values.meta.shape()[0];
     let zeros = CubeBackend::tensor::<f32>(vec![0.0; rows], &[rows, 1], &values.device);
-    let (_, transmittance) = lists.blend(zeros, 1)?;
+    let (_, transmittance) = prepared.blend(zeros, 1)?;
     let [height, width] = transmittance.meta.shape().dims::<2>();
     let image = CubeBackend::tensor::<f32>(Vec::new(), &[height, width, 0], &values.device);
     Ok((image, transmittance))
 }
 
 pub(super) fn blend_view_adjoint(image: CubeTensor, view: ProjectedView) -> Rows<CubeBackend> {
-    let ProjectedView::Gpu(lists) = &view else {
+    let ProjectedView::Gpu(prepared) = &view else {
         return cpu::blend_view_adjoint(image, view);
     };
     if image.dtype != DType::F32 {
@@ -168,10 +165,10 @@ pub(super) fn blend_view_adjoint(image: CubeTensor, view: ProjectedView) -> Rows
     }
     let channels = image.meta.shape()[2];
     if channels == 0 {
-        let none = CubeBackend::tensor::<f32>(Vec::new(), &[lists.len(), 0], &image.device);
+        let none = CubeBackend::tensor::<f32>(Vec::new(), &[prepared.len(), 0], &image.device);
         return Rows::Done(none);
     }
-    match lists.lift(&into_contiguous(image), channels) {
+    match prepared.lift(&into_contiguous(image), channels) {
         Ok(sums) => Rows::Done(sums),
         Err(error) => Rows::Failed(error),
     }

@@ -203,7 +203,7 @@ by_kernels! {
 
 by_kernels! {
     /// Projection and tile lists of a view.
-    ProjectedView, Projected, Lists
+    ProjectedView, Projected, Prepared
 }
 
 /// What the CPU's forward pass computes.

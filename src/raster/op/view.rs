@@ -78,7 +78,7 @@ impl SplatView {
             ProjectedView::F32(projected) => projected.bytes(),
             ProjectedView::F64(projected) => projected.bytes(),
             #[cfg(feature = "cube")]
-            ProjectedView::Gpu(lists) => lists.bytes(),
+            ProjectedView::Gpu(prepared) => prepared.bytes(),
         })
     }
 
@@ -186,7 +186,7 @@ impl SplatView {
             ProjectedView::F32(projected) => Ok(projected.counts()),
             ProjectedView::F64(projected) => Ok(projected.counts()),
             #[cfg(feature = "cube")]
-            ProjectedView::Gpu(lists) => lists.disc_pixels(),
+            ProjectedView::Gpu(prepared) => prepared.disc_pixels(),
         }
     }
 
