@@ -13,15 +13,6 @@ use std::sync::Arc;
 /// Rows of a task.
 const BAND: usize = 32;
 
-/// The loss alone.
-pub fn photometric_loss<B: HostBackend>(
-    image: FloatTensor<B>,
-    target: Arc<PhotometricTarget>,
-    ssim_weight: f64,
-) -> FloatTensor<B> {
-    loss_and_gradient::<B>(image, target, ssim_weight).0
-}
-
 /// Loss and gradient by the kernels for CPUs, wherever the tensor lives.
 pub fn loss_and_gradient<B: HostBackend>(
     image: FloatTensor<B>,

@@ -291,15 +291,6 @@ fn fits(gpu: &Gpu, values: usize) -> bool {
     values.saturating_mul(PARTIALS) <= (gpu.largest() / size_of::<f32>()).min(i32::MAX as usize)
 }
 
-/// The loss alone.
-pub fn photometric_loss(
-    image: FloatTensor<CubeBackend>,
-    target: Arc<PhotometricTarget>,
-    ssim_weight: f64,
-) -> FloatTensor<CubeBackend> {
-    loss_and_gradient(image, target, ssim_weight).0
-}
-
 /// Loss and gradient on a GPU. Tensors that are not f32 and images that are too large take the kernels for CPUs.
 pub fn loss_and_gradient(
     image: FloatTensor<CubeBackend>,

@@ -132,43 +132,41 @@ impl PhotometricTarget {
 custom_op! {
     /// Backend side of [`photometric_loss`].
     pub(crate) trait PhotometricBackend {
-        /// The loss `[1]`. The mask is ignored.
-        fn photometric_loss(
-            image: FloatTensor<Self>,
-            target: Arc<PhotometricTarget>,
-            ssim_weight: f64,
-        ) -> FloatTensor<Self>;
-    }
-    backward {
-        /// The loss `[1]` and its gradient to the image, `[H, W, 3]`.
+        /// The loss `[1]` and its gradient to the image, `[H, W, 3]`. The mask is ignored.
         fn loss_and_gradient(
             image: FloatTensor<Self>,
             target: Arc<PhotometricTarget>,
             ssim_weight: f64,
         ) -> (FloatTensor<Self>, FloatTensor<Self>);
     }
+    backward {}
 }
 
 mod autodiff {
     use super::{PhotometricBackend, PhotometricTarget};
     use crate::backend::{AutodiffTensor, track};
     use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
+    use burn::backend::{Autodiff, AutodiffBackend};
     use burn::tensor::Shape;
     use std::sync::Arc;
 
-    pub fn photometric_loss<B: PhotometricBackend, C: CheckpointStrategy>(
+    /// The loss has a gradient to the image; the gradient itself has none.
+    pub fn loss_and_gradient<B: PhotometricBackend, C: CheckpointStrategy>(
         image: AutodiffTensor<B, C>,
         target: Arc<PhotometricTarget>,
         ssim_weight: f64,
-    ) -> AutodiffTensor<B, C> {
-        track::<B, C, 1, _>([image], |[image]| {
-            let (loss, gradient) = B::loss_and_gradient(image, target, ssim_weight);
+    ) -> (AutodiffTensor<B, C>, AutodiffTensor<B, C>) {
+        let plain = Autodiff::<B, C>::inner(image.clone());
+        let (loss, gradient) = B::loss_and_gradient(plain, target, ssim_weight);
+        let of_image = gradient.clone();
+        let loss = track::<B, C, 1, _>([image], |_| {
             let backward = move |upstream, _wanted| {
                 let upstream = B::float_reshape(upstream, Shape::new([1; 3]));
-                [Some(B::float_mul(gradient, upstream))]
+                [Some(B::float_mul(of_image, upstream))]
             };
             (loss, backward)
-        })
+        });
+        (loss, Autodiff::<B, C>::from_inner(gradient))
     }
 }
 
@@ -192,7 +190,7 @@ pub fn photometric_loss(
         return photometric_loss_plain(image, target, ssim_weight);
     }
     let image = target.masked(image).into_dispatch();
-    let loss = Dispatch::photometric_loss(image, target.clone(), ssim_weight);
+    let (loss, _) = Dispatch::loss_and_gradient(image, target.clone(), ssim_weight);
     Tensor::from_dispatch(loss)
 }
 
