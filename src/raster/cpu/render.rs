@@ -1,7 +1,7 @@
 //! Pictures of a scene.
 
 use super::projected::{Blended, Projected};
-use super::sh::visible_colours;
+use super::sh::Harmonics;
 use crate::error::Result;
 use crate::raster::settings::Settings;
 use crate::splat::Gaussians;
@@ -28,10 +28,9 @@ pub fn render(
 ) -> Result<Rendered> {
     let projected = Projected::new(&gaussians.splats(), camera, settings)?;
     let degree = gaussians.sh_degree;
-    let center = camera.center.to_array();
     let means = gaussians.means.as_flattened();
-    let radii = projected.radii();
-    let colours = visible_colours(means, &gaussians.sh, degree, degree, center, radii)?;
+    let harmonics = Harmonics::new(means, &gaussians.sh, degree, degree, camera);
+    let colours = harmonics.colours(projected.radii())?;
     let Blended {
         image: mut rgb,
         transmittance,

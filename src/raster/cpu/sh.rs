@@ -4,6 +4,7 @@ use super::geometry::{Vec3, dot};
 use crate::backend::simd::wide_kernel;
 use crate::backend::{Real, check_finite};
 use crate::error::Result;
+use crate::splat::camera::Camera;
 use crate::splat::sh::{C1, C2, C3, basis};
 use rayon::prelude::*;
 
@@ -56,44 +57,8 @@ fn direction<E: Real>(means: &[E], i: usize, center: Vec3) -> (Vec3, f64) {
     }
 }
 
-/// Colours `max(0, SH(direction) + 0.5)`, `[N, 3]`, of rows with a nonzero entry in `wanted`; other rows are 0.
-///
-/// `means` is `[N, 3]`, `sh` `[N, K, 3]` with `K = (sh_degree + 1)^2`; terms above `active_degree` are left out; the
-/// direction runs from the camera centre to the mean.
-///
-/// # Errors
-/// [`crate::Error::NonFinite`] for a NaN or an infinity in `sh`, wanted or not.
-///
-/// # Panics
-/// If the lengths disagree, or a degree is above 3.
-pub(in crate::raster) fn visible_colours<E: Real>(
-    means: &[E],
-    sh: &[E],
-    sh_degree: usize,
-    active_degree: usize,
-    center: Vec3,
-    wanted: &[u32],
-) -> Result<Vec<E>> {
-    let rows = Coefficients::new(means, sh, sh_degree, active_degree, center);
-    let mut out = vec![E::zero(); means.len()];
-    // Coefficients are most of a scene's memory: each is checked and used while it is in the cache.
-    let finite = out
-        .par_chunks_mut(3 * CHUNK)
-        .zip(wanted.par_chunks(CHUNK))
-        .enumerate()
-        .map(|(chunk, (out, wanted))| {
-            evaluate(&rows, chunk * CHUNK, wanted, out);
-            rows.are_finite(chunk * CHUNK, wanted.len())
-        });
-    // All chunks are checked, so that the result does not depend on which thread comes first.
-    if !finite.reduce(|| true, |a, b| a & b) {
-        check_finite("sh", sh, rows.width)?;
-    }
-    Ok(out)
-}
-
 /// Spherical harmonics of Gaussians seen from a point.
-struct Coefficients<'a, E> {
+pub(in crate::raster) struct Harmonics<'a, E> {
     means: &'a [E],
     sh: &'a [E],
     /// Values a Gaussian.
@@ -102,13 +67,18 @@ struct Coefficients<'a, E> {
     center: Vec3,
 }
 
-impl<'a, E: Real> Coefficients<'a, E> {
-    fn new(
+impl<'a, E: Real> Harmonics<'a, E> {
+    /// `means` is `[N, 3]`, `sh` `[N, K, 3]` with `K = (sh_degree + 1)^2`; terms above `active_degree` are left out; the
+    /// direction runs from the camera centre to the mean.
+    ///
+    /// # Panics
+    /// If the lengths disagree, or `sh_degree` is above 3.
+    pub fn new(
         means: &'a [E],
         sh: &'a [E],
         sh_degree: usize,
         active_degree: usize,
-        center: Vec3,
+        camera: &Camera,
     ) -> Self {
         let width = 3 * (sh_degree + 1).pow(2);
         assert!(sh_degree <= 3, "colours: degree {sh_degree} above 3");
@@ -122,8 +92,30 @@ impl<'a, E: Real> Coefficients<'a, E> {
             sh,
             width,
             degree: active_degree.min(sh_degree),
-            center,
+            center: camera.center.to_array(),
         }
+    }
+
+    /// Colours `max(0, SH(direction) + 0.5)`, `[N, 3]`, of rows with a nonzero entry in `wanted`; other rows are 0.
+    ///
+    /// # Errors
+    /// [`crate::Error::NonFinite`] for a NaN or an infinity among the coefficients, wanted or not.
+    pub fn colours(&self, wanted: &[u32]) -> Result<Vec<E>> {
+        let mut out = vec![E::zero(); self.means.len()];
+        // Coefficients are most of a scene's memory: each is checked and used while it is in the cache.
+        let finite = out
+            .par_chunks_mut(3 * CHUNK)
+            .zip(wanted.par_chunks(CHUNK))
+            .enumerate()
+            .map(|(chunk, (out, wanted))| {
+                evaluate(self, chunk * CHUNK, wanted, out);
+                self.are_finite(chunk * CHUNK, wanted.len())
+            });
+        // All chunks are checked, so that the result does not depend on which thread comes first.
+        if !finite.reduce(|| true, |a, b| a & b) {
+            check_finite("sh", self.sh, self.width)?;
+        }
+        Ok(out)
     }
 
     /// Whether those of `count` Gaussians from `first` on are finite.
@@ -132,16 +124,80 @@ impl<'a, E: Real> Coefficients<'a, E> {
         let own = &self.sh[first * self.width..(first + count) * self.width];
         own.iter().map(|v| u32::from(!v.is_finite())).sum::<u32>() == 0
     }
+
+    /// Gradient of the coefficients, `[N, K, 3]`, by that of the colours; that of the means is added to `d_means`, `[N, 3]`.
+    ///
+    /// `colours` are those of [`Harmonics::colours`] and `gradient` is theirs, both in rows of `stride` values. Rows with 0 in
+    /// `wanted` have no gradient.
+    pub fn backward(
+        &self,
+        colours: &[E],
+        gradient: &[E],
+        stride: usize,
+        wanted: &[u32],
+        d_means: &mut [E],
+    ) -> Vec<E> {
+        let mut d_sh = vec![E::zero(); self.sh.len()];
+        d_sh.par_chunks_mut(self.width * CHUNK)
+            .zip(d_means.par_chunks_mut(3 * CHUNK))
+            .enumerate()
+            .for_each(|(chunk, (d_sh, d_means))| {
+                let rows = d_sh
+                    .chunks_exact_mut(self.width)
+                    .zip(d_means.chunks_exact_mut(3));
+                for ((d_sh, d_mean), i) in rows.zip(chunk * CHUNK..) {
+                    if wanted[i] == 0 {
+                        continue;
+                    }
+                    let at = i * stride;
+                    // The colour is 0 where max(0, .) cut it off.
+                    let g: [E; 3] = std::array::from_fn(|c| {
+                        if colours[at + c] > E::zero() {
+                            gradient[at + c]
+                        } else {
+                            E::zero()
+                        }
+                    });
+                    self.row_backward(i, g, d_sh, d_mean);
+                }
+            });
+        d_sh
+    }
+
+    /// Gradients of Gaussian `i` by that of its colour, `g`.
+    #[inline(always)]
+    fn row_backward(&self, i: usize, g: [E; 3], d_sh: &mut [E], d_mean: &mut [E]) {
+        let (d, length) = direction(self.means, i, self.center);
+        let basis = basis(d, self.degree);
+        let mut d_basis = [0.0; 16];
+        let sh = &self.sh[i * self.width..];
+        for k in 0..(self.degree + 1).pow(2) {
+            let b = E::of(basis[k]);
+            let mut sum = E::zero();
+            for c in 0..3 {
+                d_sh[3 * k + c] = b * g[c];
+                sum += sh[3 * k + c] * g[c];
+            }
+            d_basis[k] = sum.wide();
+        }
+        if self.degree > 0 && length > 0.0 {
+            let d_direction = basis_backward(d, self.degree, &d_basis);
+            let along = dot(d, d_direction);
+            for a in 0..3 {
+                d_mean[a] += E::of((d_direction[a] - d[a] * along) / length);
+            }
+        }
+    }
 }
 
 wide_kernel! {
     /// Colours of the Gaussians from `first` on, one for each of `wanted`, where that is not 0.
-    fn evaluate(rows: &Coefficients<'_, E>, first: usize, wanted: &[u32], out: &mut [E]) => evaluate_all
+    fn evaluate(rows: &Harmonics<'_, E>, first: usize, wanted: &[u32], out: &mut [E]) => evaluate_all
 }
 
 #[inline(always)]
 fn evaluate_all<E: Real, const _FMA: bool>(
-    rows: &Coefficients<'_, E>,
+    rows: &Harmonics<'_, E>,
     first: usize,
     wanted: &[u32],
     out: &mut [E],
@@ -164,76 +220,5 @@ fn evaluate_all<E: Real, const _FMA: bool>(
             }
         }
         out.copy_from_slice(&sum.map(|v| v.max(E::zero())));
-    }
-}
-
-/// The inputs of the backward pass of the colours.
-pub(in crate::raster) struct ShBackward<'a, E> {
-    /// `[N, 3]`.
-    pub means: &'a [E],
-    /// `[N, K, 3]`.
-    pub sh: &'a [E],
-    pub sh_degree: usize,
-    pub active_degree: usize,
-    pub center: Vec3,
-    /// Colours as [`visible_colours`] gave them, rows of `stride` values.
-    pub colours: &'a [E],
-    /// Their gradient, rows of `stride` values.
-    pub gradient: &'a [E],
-    pub stride: usize,
-    /// Rows with 0 here have no gradient.
-    pub wanted: &'a [u32],
-}
-
-impl<E: Real> ShBackward<'_, E> {
-    /// Gradient of the SH coefficients, `[N, K, 3]`; that of the means is added to `d_means`, `[N, 3]`.
-    pub fn run(&self, d_means: &mut [E]) -> Vec<E> {
-        let width = 3 * (self.sh_degree + 1).pow(2);
-        let degree = self.active_degree.min(self.sh_degree);
-        let terms = (degree + 1).pow(2);
-        let mut d_sh = vec![E::zero(); self.sh.len()];
-        d_sh.par_chunks_mut(width * CHUNK)
-            .zip(d_means.par_chunks_mut(3 * CHUNK))
-            .enumerate()
-            .for_each(|(chunk, (d_sh, d_means))| {
-                let rows = d_sh
-                    .chunks_exact_mut(width)
-                    .zip(d_means.chunks_exact_mut(3));
-                for ((d_sh, d_mean), i) in rows.zip(chunk * CHUNK..) {
-                    if self.wanted[i] == 0 {
-                        continue;
-                    }
-                    let at = i * self.stride;
-                    // The colour is 0 where max(0, .) cut it off.
-                    let g: [E; 3] = std::array::from_fn(|c| {
-                        if self.colours[at + c] > E::zero() {
-                            self.gradient[at + c]
-                        } else {
-                            E::zero()
-                        }
-                    });
-                    let (d, length) = direction(self.means, i, self.center);
-                    let basis = basis(d, degree);
-                    let mut d_basis = [0.0; 16];
-                    let sh = &self.sh[i * width..];
-                    for k in 0..terms {
-                        let b = E::of(basis[k]);
-                        let mut sum = E::zero();
-                        for c in 0..3 {
-                            d_sh[3 * k + c] = b * g[c];
-                            sum += sh[3 * k + c] * g[c];
-                        }
-                        d_basis[k] = sum.wide();
-                    }
-                    if degree > 0 && length > 0.0 {
-                        let d_direction = basis_backward(d, degree, &d_basis);
-                        let along = dot(d, d_direction);
-                        for a in 0..3 {
-                            d_mean[a] += E::of((d_direction[a] - d[a] * along) / length);
-                        }
-                    }
-                }
-            });
-        d_sh
     }
 }

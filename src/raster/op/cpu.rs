@@ -8,7 +8,7 @@ use crate::backend::{HostBackend, HostValues, Real, check_finite, device_of, rea
 use crate::error::{Error, Result, invalid};
 use crate::raster::PixelGradients;
 use crate::raster::cpu::projected::{Blended, Projected};
-use crate::raster::cpu::sh::{ShBackward, visible_colours};
+use crate::raster::cpu::sh::Harmonics;
 use crate::raster::settings::Splats;
 use burn::backend::{TensorMetadata, tensor::FloatTensor};
 use std::sync::Arc;
@@ -92,10 +92,10 @@ pub(super) fn view_colours<B: HostBackend>(
             return Rows::Failed(other_kernels());
         };
         let stored = sh.shape()[1].isqrt() - 1;
-        let center = call.camera.center.to_array();
         let means = B::values::<E>(means);
         let sh = B::values::<E>(sh);
-        match visible_colours(&means, &sh, stored, degree, center, projected.radii()) {
+        let harmonics = Harmonics::new(&means, &sh, stored, degree, &call.camera);
+        match harmonics.colours(projected.radii()) {
             Ok(colours) => Rows::Done(B::tensor::<E>(colours, &shape, &device)),
             Err(error) => Rows::Failed(error),
         }
@@ -173,6 +173,16 @@ impl<E: Real> Inputs<E> {
         }
     }
 
+    fn harmonics(&self, call: &RasterCall) -> Harmonics<'_, E> {
+        Harmonics::new(
+            &self.means,
+            &self.sh,
+            call.sh_degree,
+            call.active_sh_degree,
+            &call.camera,
+        )
+    }
+
     fn features_per_row(&self) -> usize {
         self.features.len() / self.opacity_logits.len().max(1)
     }
@@ -209,14 +219,7 @@ impl<E: Real> Inputs<E> {
         if !call.has_sh {
             return Ok(None);
         }
-        let colours = visible_colours(
-            &self.means,
-            &self.sh,
-            call.sh_degree,
-            call.active_sh_degree,
-            call.camera.center.to_array(),
-            radii,
-        )?;
+        let colours = self.harmonics(call).colours(radii)?;
         let extra = self.features_per_row();
         if extra == 0 {
             return Ok(Some(colours));
@@ -249,18 +252,9 @@ impl<E: Real> Inputs<E> {
             call.absolute_screen,
         );
         let d_sh = if call.has_sh {
-            ShBackward {
-                means: &self.means,
-                sh: &self.sh,
-                sh_degree: call.sh_degree,
-                active_degree: call.active_sh_degree,
-                center: call.camera.center.to_array(),
-                colours: values,
-                gradient: &d.values,
-                stride: channels,
-                wanted: projected.radii(),
-            }
-            .run(&mut d.means)
+            let harmonics = self.harmonics(call);
+            let radii = projected.radii();
+            harmonics.backward(values, &d.values, channels, radii, &mut d.means)
         } else {
             Vec::new()
         };
