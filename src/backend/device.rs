@@ -115,22 +115,13 @@ pub fn open_cpu() -> Result<Device> {
 /// `name` and, where it is known, its adapter: "wgpu (NVIDIA H100 PCIe, vulkan)". A software adapter is called one.
 pub fn described(name: BackendName) -> String {
     #[cfg(feature = "wgpu")]
-    if let (
-        BackendName::Wgpu,
-        Ok(Some(Adapter {
-            name: adapter,
-            software,
-        })),
-    ) = (name, adapter())
-    {
-        return format!(
-            "{name} ({adapter}{})",
-            if *software {
-                ", a software adapter"
-            } else {
-                ""
-            }
-        );
+    if let (BackendName::Wgpu, Ok(Some(adapter))) = (name, adapter()) {
+        let kind = if adapter.software {
+            ", a software adapter"
+        } else {
+            ""
+        };
+        return format!("{name} ({}{kind})", adapter.name);
     }
     name.to_string()
 }
