@@ -148,9 +148,6 @@ impl<E: Real, S: Lanes<E>, const C: usize> Pass<E> for AdjointPass<'_, E, S, C> 
     }
 
     #[inline(always)]
-    fn gather(&mut self, _ranks: &[u32]) {}
-
-    #[inline(always)]
     fn take(&mut self, _next: usize, entry: usize, footprint: &Footprint<E>) {
         if footprint.strips == 0 {
             return;
@@ -163,9 +160,7 @@ impl<E: Real, S: Lanes<E>, const C: usize> Pass<E> for AdjointPass<'_, E, S, C> 
                 *sum = s.mul_add(weight, image.get::<S>(strip), *sum);
             }
         });
-        for (to, sum) in self.sums[entry * C..][..C].iter_mut().zip(sum) {
-            *to = s.total(sum);
-        }
+        s.write_totals(&sum, &mut self.sums[entry * C..][..C]);
     }
 }
 

@@ -1,7 +1,8 @@
 //! Blending of many channels, its adjoint and its backward pass: the pairs of a tile first, then the channels in blocks,
 //! with channel lanes inside.
 
-use super::footprint::{PIXELS, Tile, fresh_transmittance};
+use super::blend::write_tile;
+use super::footprint::{PIXELS, Tile};
 use super::pairs::Pairs;
 use super::pixel_gradients::{PixelGradients, drift, geometry_sums};
 use super::projected::{Blended, Projected};
@@ -145,13 +146,9 @@ pub(super) fn blend<E: Real>(p: &Projected<E>, values: &[E], channels: usize) ->
     let values = p.in_depth_order(values, channels, width);
     let size = p.size();
     for_each_tile_row(p, channels, |tile, image, transmittance| {
-        let pairs = Pairs::<E, false>::gather(p, tile, fresh_transmittance(tile, size));
+        let pairs = Pairs::<E, false>::gather(p, tile, |_| true);
         let first = tile.origin[1] * size[0];
-        for (from, to, len) in tile.rows(size) {
-            for x in 0..len {
-                transmittance[to - first + x] = pairs.t.0[from + x].abs();
-            }
-        }
+        write_tile(tile, size, &pairs.t, &[], &mut [], transmittance);
         for_each_block!(&pairs, tile.ranks, &values, width; |block, K| {
             let channel = block.channel;
             let mut out = vec![E::zero(); PIXELS * K];
@@ -192,7 +189,7 @@ pub(super) fn adjoint<E: Real>(p: &Projected<E>, image: &[E], channels: usize) -
     let size = p.size();
     let width = channels.next_multiple_of(NARROW);
     sum_over_tiles(p, channels, |tile, sums| {
-        let pairs = Pairs::<E, false>::gather(p, tile, fresh_transmittance(tile, size));
+        let pairs = Pairs::<E, false>::gather(p, tile, |_| true);
         for_each_block!(&pairs, tile.ranks, &[], width; |block, K| {
             let at = block.channel;
             let image = tile_channels(image, tile, size, channels, at, K);
@@ -217,7 +214,7 @@ pub(super) fn backward<E: Real, const ABSOLUTE: bool>(
     let stride = geometry_sums(ABSOLUTE) + channels;
     let values = p.in_depth_order(values, channels, width);
     sum_over_tiles(p, stride, |tile, sums| {
-        let pairs = Pairs::<E, true>::gather(p, tile, fresh_transmittance(tile, size));
+        let pairs = Pairs::<E, true>::gather(p, tile, |_| true);
         let mut projections = vec![E::zero(); pairs.pixels.len()];
         for_each_block!(&pairs, tile.ranks, &values, width; |block, K| {
             let channel = block.channel;

@@ -1,7 +1,7 @@
 //! The contributing pairs of a tile as a list, for many channels and for the matrix `W` itself. The weight of a pair is computed
 //! once, over pixel lanes.
 
-use super::footprint::{Buffer, Footprint, Rule, TILE, Tile};
+use super::footprint::{Buffer, Footprint, Rule, TILE, Tile, fresh_transmittance};
 use super::projected::Projected;
 use super::tile_loop::{Pass, walk};
 use crate::backend::Real;
@@ -25,8 +25,14 @@ pub(super) struct Pairs<E, const GEOMETRY: bool> {
 }
 
 impl<E: Real, const GEOMETRY: bool> Pairs<E, GEOMETRY> {
-    /// The pairs of `tile`, of pixels where `t` is positive.
-    pub fn gather(p: &Projected<E>, tile: Tile<'_>, t: Buffer<E>) -> Self {
+    /// The pairs of `tile`, of the pixels of the image that are `used`. The others take nothing.
+    pub fn gather(p: &Projected<E>, tile: Tile<'_>, used: impl Fn(usize) -> bool) -> Self {
+        let mut t = fresh_transmittance(tile, p.size());
+        for (at, pixel, len) in tile.rows(p.size()) {
+            for x in (0..len).filter(|x| !used(pixel + x)) {
+                t.0[at + x] = -E::one();
+            }
+        }
         E::dispatch(Gather { p, tile, t })
     }
 
@@ -89,9 +95,6 @@ impl<E: Real, S: Lanes<E>, const GEOMETRY: bool> Pass<E> for PairPass<E, S, GEOM
     fn transmittance(&self) -> &Buffer<E> {
         &self.pairs.t
     }
-
-    #[inline(always)]
-    fn gather(&mut self, _ranks: &[u32]) {}
 
     #[inline(always)]
     fn take(&mut self, _next: usize, _entry: usize, footprint: &Footprint<E>) {

@@ -54,17 +54,11 @@ fn project_all<E: Real, const _FMA: bool>(
     radii: &mut [u32],
     visible: &mut Vec<Visible>,
 ) {
-    let Settings {
-        near,
-        low_pass,
-        alpha_min,
-        ..
-    } = *settings;
     let view = View {
         point: *viewpoint,
-        near,
-        low_pass,
-        ln_alpha_min: alpha_min.ln(),
+        near: settings.near,
+        low_pass: settings.low_pass,
+        ln_alpha_min: settings.alpha_min.ln(),
     };
     let mut in_sight = Vec::with_capacity(radii.len());
     for start in (0..radii.len()).step_by(BLOCK) {

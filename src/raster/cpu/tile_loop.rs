@@ -5,27 +5,23 @@ use super::projected::{Blended, Projected};
 use crate::backend::Real;
 use crate::backend::simd::{Lanes, prefetch};
 use rayon::prelude::*;
+use std::ops::{Range, RangeInclusive};
 
 /// List entries between two checks of which rows are still live.
 pub(super) const LIVE_CHECK_INTERVAL: usize = 16;
 /// Bytes of per-entry sums held at once. They are few, so that they stay in the cache. There are never more than [`BANDS`] bands,
 /// because each band looks at all Gaussians.
-const BAND_BYTES: std::ops::RangeInclusive<usize> = 4 << 20..=64 << 20;
+const BAND_BYTES: RangeInclusive<usize> = 4 << 20..=64 << 20;
 const BANDS: usize = 8;
 
 impl<E: Real> Projected<E> {
-    /// The tile in column `x`, row `y`.
-    pub(super) fn tile(&self, x: usize, y: usize) -> Tile<'_> {
-        Tile {
+    /// The tiles of these rows of tiles, row-major.
+    pub(super) fn tiles_of_rows(&self, rows: Range<usize>) -> impl Iterator<Item = Tile<'_>> {
+        let tile = move |x, y| Tile {
             origin: [x * TILE, y * TILE],
             ranks: &self.tiles.ranks[self.tiles.tile(x, y)],
-        }
-    }
-
-    /// All tiles, row-major.
-    pub(super) fn all_tiles(&self) -> impl Iterator<Item = Tile<'_>> {
-        (0..self.tiles.rows)
-            .flat_map(move |y| (0..self.tiles.columns).map(move |x| self.tile(x, y)))
+        };
+        rows.flat_map(move |y| (0..self.tiles.columns).map(move |x| tile(x, y)))
     }
 }
 
@@ -51,8 +47,8 @@ pub(super) fn for_each_tile_row<E: Real>(
         .into_par_iter()
         .with_max_len(1)
         .for_each(|(row, image, transmittance)| {
-            for column in 0..p.tiles.columns {
-                f(p.tile(column, row), image, transmittance);
+            for tile in p.tiles_of_rows(row..row + 1) {
+                f(tile, image, transmittance);
             }
         });
     out
@@ -70,7 +66,7 @@ pub(super) fn sum_over_tiles<E: Real>(
         return sums;
     }
     let mut cursors = vec![0_u32; p.splats.len()];
-    let entry = width * std::mem::size_of::<E>();
+    let entry = width * size_of::<E>();
     let limit = (p.tiles.ranks.len() * entry / BANDS).clamp(*BAND_BYTES.start(), *BAND_BYTES.end());
     let mut partial = Vec::new();
     let mut row = 0;
@@ -85,15 +81,12 @@ pub(super) fn sum_over_tiles<E: Real>(
         partial.resize(band.len() * width, E::zero());
         let mut rest = partial.as_mut_slice();
         let mut parts = Vec::with_capacity((end - row) * p.tiles.columns);
-        for tile_row in row..end {
-            for column in 0..p.tiles.columns {
-                let tile = p.tile(column, tile_row);
-                let own = rest
-                    .split_off_mut(..tile.ranks.len() * width)
-                    .unwrap_or_default();
-                if !own.is_empty() {
-                    parts.push((tile, own));
-                }
+        for tile in p.tiles_of_rows(row..end) {
+            let own = rest
+                .split_off_mut(..tile.ranks.len() * width)
+                .unwrap_or_default();
+            if !own.is_empty() {
+                parts.push((tile, own));
             }
         }
         parts.into_par_iter().for_each(|(tile, own)| f(tile, own));
@@ -122,8 +115,9 @@ pub(super) fn sum_over_tiles<E: Real>(
 pub(super) trait Pass<E> {
     /// Transmittance of the tile's pixels, negative where a pixel has ended.
     fn transmittance(&self) -> &Buffer<E>;
-    /// The next Gaussians have these ranks, [`LIVE_CHECK_INTERVAL`] at most.
-    fn gather(&mut self, ranks: &[u32]);
+    /// The next Gaussians have these ranks, [`LIVE_CHECK_INTERVAL`] at most. Passes that read nothing of them do nothing.
+    #[inline(always)]
+    fn gather(&mut self, _ranks: &[u32]) {}
     /// Takes the `next`-th of them, which is entry `entry` of the tile's list.
     fn take(&mut self, next: usize, entry: usize, footprint: &Footprint<E>);
 }

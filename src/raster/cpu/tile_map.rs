@@ -1,7 +1,7 @@
 //! The contributing pairs of a view, tile by tile, for `segmentation::unprojection::lift_view`, which sums pixels by cells of a
 //! lattice.
 
-use super::footprint::{Buffer, TILE, Tile, fresh_transmittance};
+use super::footprint::TILE;
 use super::pairs::Pairs;
 use super::projected::Projected;
 use super::tiles::TileLists;
@@ -61,7 +61,7 @@ impl<E: Real> Projected<E> {
         );
         let mut rest = entries;
         let mut parts = Vec::with_capacity(self.tiles.columns * self.tiles.rows);
-        for tile in self.all_tiles() {
+        for tile in self.tiles_of_rows(0..self.tiles.rows) {
             let own = rest.split_off_mut(..tile.ranks.len());
             parts.push((tile, own.unwrap_or_default()));
         }
@@ -69,13 +69,10 @@ impl<E: Real> Projected<E> {
             .into_par_iter()
             .enumerate()
             .map(|(number, (tile, own))| {
-                let mut t = fresh_transmittance(tile, self.size());
-                if let Some(mask) = mask {
-                    end_unused(&mut t, tile, self.size(), |pixel| mask.uses(pixel));
-                }
+                let used = |pixel| mask.is_none_or(|mask| mask.uses(pixel));
                 let pairs = TilePairs {
                     origin: tile.origin,
-                    pairs: Pairs::gather(self, tile, t),
+                    pairs: Pairs::gather(self, tile, used),
                 };
                 f(number, &pairs, own)
             })
@@ -87,20 +84,6 @@ impl<E: Real> Projected<E> {
         Positions {
             ranks: self.ranks(),
             tiles: &self.tiles,
-        }
-    }
-}
-
-/// Ends the pixels of a tile that are not `used`: they take nothing.
-pub(super) fn end_unused<E: Real>(
-    t: &mut Buffer<E>,
-    tile: Tile<'_>,
-    size: [usize; 2],
-    used: impl Fn(usize) -> bool,
-) {
-    for (at, pixel, len) in tile.rows(size) {
-        for x in (0..len).filter(|x| !used(pixel + x)) {
-            t.0[at + x] = -E::one();
         }
     }
 }

@@ -1,9 +1,8 @@
 //! The matrix `W` of a view.
 
-use super::footprint::{TILE, Tile, fresh_transmittance};
+use super::footprint::{TILE, Tile};
 use super::pairs::Pairs;
 use super::projected::Projected;
-use super::tile_map::end_unused;
 use crate::backend::Real;
 use crate::ops::SparseMatrix;
 use rayon::prelude::*;
@@ -21,14 +20,10 @@ impl<E: Real> Projected<E> {
         for &pixel in pixels {
             wanted[pixel as usize] = true;
         }
-        let tiles: Vec<Tile<'_>> = self.all_tiles().collect();
+        let tiles: Vec<Tile<'_>> = self.tiles_of_rows(0..self.tiles.rows).collect();
         let tiles: Vec<(Tile<'_>, Pairs<E, false>)> = tiles
             .into_par_iter()
-            .map(|tile| {
-                let mut t = fresh_transmittance(tile, self.size());
-                end_unused(&mut t, tile, self.size(), |pixel| wanted[pixel]);
-                (tile, Pairs::gather(self, tile, t))
-            })
+            .map(|tile| (tile, Pairs::gather(self, tile, |pixel| wanted[pixel])))
             .collect();
         let in_image = |tile: &Tile<'_>, pixel: u16| {
             let pixel = pixel as usize;
