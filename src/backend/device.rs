@@ -3,7 +3,7 @@
 
 use crate::error::{Error, Result, invalid};
 use burn::backend::DispatchDevice;
-use burn::tensor::{DType, Device, Int, Tensor, TensorData};
+use burn::tensor::{DType, Device, Element, Int, Tensor, TensorData};
 use serde::de::IntoDeserializer;
 use serde::{Deserialize, Serialize};
 use std::fmt::Display;
@@ -212,12 +212,12 @@ pub(crate) fn indices(rows: &[u32], device: &Device) -> Tensor<1, Int> {
 /// # Errors
 /// [`Error::Device`] when the device does not return them, also for errors since the last read, such as a lack of memory.
 pub(crate) fn read<const D: usize>(what: &str, tensor: Tensor<D>) -> Result<Vec<f32>> {
-    let data = host_data(what, tensor)?;
-    data.into_vec().map_err(|e| unreadable(what, &e))
+    read_as(what, tensor)
 }
 
-fn host_data<const D: usize>(what: &str, tensor: Tensor<D>) -> Result<TensorData> {
-    tensor.try_into_data().map_err(|e| unreadable(what, &e))
+fn read_as<E: Element, const D: usize>(what: &str, tensor: Tensor<D>) -> Result<Vec<E>> {
+    let data = tensor.try_into_data().map_err(|e| unreadable(what, &e))?;
+    data.into_vec().map_err(|e| unreadable(what, &e))
 }
 
 fn unreadable(what: &str, reason: &dyn std::fmt::Debug) -> Error {
@@ -229,9 +229,7 @@ fn unreadable(what: &str, reason: &dyn std::fmt::Debug) -> Error {
 /// [`read`] of a tensor of any float type.
 pub(crate) fn read_wide<const D: usize>(what: &str, tensor: Tensor<D>) -> Result<Vec<f64>> {
     if tensor.dtype() == DType::F64 {
-        return host_data(what, tensor)?
-            .into_vec()
-            .map_err(|e| unreadable(what, &e));
+        return read_as(what, tensor);
     }
     Ok(read(what, tensor)?.into_iter().map(f64::from).collect())
 }

@@ -56,18 +56,7 @@ impl<E: Real> Projected<E> {
         let chunks: Vec<Vec<Visible>> = radii
             .par_chunks_mut(CHUNK)
             .enumerate()
-            .map(|(chunk, radii)| {
-                let mut visible = Vec::with_capacity(radii.len());
-                project(
-                    splats,
-                    chunk * CHUNK,
-                    &viewpoint,
-                    settings,
-                    radii,
-                    &mut visible,
-                );
-                visible
-            })
+            .map(|(chunk, radii)| project(splats, chunk * CHUNK, &viewpoint, settings, radii))
             .collect();
         // Depths of the visible ones, and where in `chunks` they are.
         let count = chunks.iter().map(Vec::len).sum();

@@ -37,12 +37,12 @@ struct View {
 }
 
 wide_kernel! {
-    /// Projects the Gaussians from `first` on, one for each of `radii`. `radii` are zero before; those of culled Gaussians stay
-    /// zero. The visible Gaussians are appended in order.
+    /// Projects the Gaussians from `first` on, one for each of `radii`; gives the visible ones in order. `radii` are zero before;
+    /// those of culled Gaussians stay zero.
     pub(super) fn project(
         splats: &Splats<'_, E>, first: usize, viewpoint: &Viewpoint, settings: &Settings,
-        radii: &mut [u32], visible: &mut Vec<Visible>,
-    ) => project_all
+        radii: &mut [u32],
+    ) -> Vec<Visible> => project_all
 }
 
 #[inline(always)]
@@ -52,8 +52,7 @@ fn project_all<E: Real, const _FMA: bool>(
     viewpoint: &Viewpoint,
     settings: &Settings,
     radii: &mut [u32],
-    visible: &mut Vec<Visible>,
-) {
+) -> Vec<Visible> {
     let view = View {
         point: *viewpoint,
         near: settings.near,
@@ -70,6 +69,7 @@ fn project_all<E: Real, const _FMA: bool>(
                 .map(|(id, _)| id),
         );
     }
+    let mut visible = Vec::with_capacity(radii.len());
     for ids in in_sight.chunks(BLOCK) {
         let block = Block::new(splats, ids, &view);
         for (l, &id) in ids.iter().enumerate() {
@@ -83,6 +83,7 @@ fn project_all<E: Real, const _FMA: bool>(
             }
         }
     }
+    visible
 }
 
 /// The cheap test of the Gaussians `first..first + len`: a sphere around each one against the image. 0 where a Gaussian is

@@ -4,7 +4,7 @@ use super::blend;
 use super::pixel_sums;
 use super::prepare::{Prepared, check_size, read_words};
 use super::project::SPLAT;
-use super::sh::{self, Harmonics};
+use super::sh::Harmonics;
 use crate::backend::gpu::{Gpu, launch};
 use crate::error::Result;
 use burn_cubecl::cubecl::{self, prelude::*};
@@ -63,10 +63,7 @@ impl Prepared {
 
     /// Colours `[N, 3]` of the Gaussians with these means, from coefficients `[N, K, 3]` of degree `degree`.
     pub fn colours(&self, means: CubeTensor, sh: CubeTensor, degree: usize) -> CubeTensor {
-        let gpu = Gpu::of(&means);
-        let harmonics = Harmonics::new(sh, degree);
-        let radii = &self.projected.radii;
-        sh::colours(&gpu, &means, &harmonics, radii, &self.view)
+        Harmonics::new(sh, degree).colours(&means, &self.projected.radii, &self.view)
     }
 
     /// Disc pixels of every Gaussian.

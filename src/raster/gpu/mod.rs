@@ -34,7 +34,7 @@ mod view;
 pub(crate) use self::inputs::Inputs;
 pub(crate) use self::passes::Forward;
 pub(super) use self::passes::forward;
-pub(crate) use self::prepare::{Prepared, Scenery};
+pub(crate) use self::prepare::Prepared;
 pub(crate) use self::sh::Harmonics;
 
 use crate::backend::gpu::missing_capability;
@@ -54,7 +54,7 @@ mod fixture {
     //! What the tests of the kernels share.
 
     use super::inputs::Inputs;
-    use super::prepare::{Prepared, Scenery, read_words};
+    use super::prepare::{Prepared, read_words};
     use crate::backend::device::gpu_of_tests;
     use crate::backend::gpu::Gpu;
     use crate::raster::Settings;
@@ -128,12 +128,8 @@ mod fixture {
                 sh: None,
                 features: None,
             };
-            let scenery = Scenery {
-                camera: &camera,
-                settings,
-                background: [0.0; 3],
-            };
-            let prepared = Prepared::new(&inputs, scenery).expect("a working device");
+            let prepared =
+                Prepared::new(&inputs, &camera, settings, [0.0; 3]).expect("a working device");
             Some(Self {
                 prepared: prepared.expect("finite"),
                 gpu,

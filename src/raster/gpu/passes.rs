@@ -4,10 +4,12 @@ use super::blend;
 use super::inputs::Inputs;
 use super::parameters::{self, GeometryGradients};
 use super::pixel_sums::{PixelGradients, pixel_sums, row_bytes};
-use super::prepare::{Prepared, Scenery, check_size};
-use super::sh;
+use super::prepare::{Prepared, check_size};
+use super::sh::Harmonics;
 use crate::backend::gpu::Gpu;
 use crate::error::Result;
+use crate::raster::settings::Settings;
+use crate::splat::camera::Camera;
 use burn::backend::ops::FloatTensorOps;
 use burn::tensor::Slice;
 use burn_cubecl::CubeBackend;
@@ -37,11 +39,13 @@ pub(crate) struct Gradients {
 /// what the device cannot hold; [`crate::Error::Device`] when it fails.
 pub(in crate::raster) fn forward(
     inputs: &Inputs,
-    scenery: Scenery<'_>,
+    camera: &Camera,
+    settings: &Settings,
+    background: [f64; 3],
 ) -> Result<Option<(CubeTensor, Forward)>> {
     let gpu = Gpu::of(&inputs.means);
     let channels = inputs.channels();
-    let pixels = scenery.camera.width.saturating_mul(scenery.camera.height);
+    let pixels = camera.width.saturating_mul(camera.height);
     check_size(
         &gpu,
         "pixels times channels",
@@ -56,11 +60,11 @@ pub(in crate::raster) fn forward(
             size_of::<f32>(),
         )?;
     }
-    let Some(prepared) = Prepared::new(inputs, scenery)? else {
+    let Some(prepared) = Prepared::new(inputs, camera, settings, background)? else {
         return Ok(None);
     };
     let radii = &prepared.projected.radii;
-    let colours = |given| sh::colours(&gpu, &inputs.means, given, radii, &prepared.view);
+    let colours = |sh: &Harmonics| sh.colours(&inputs.means, radii, &prepared.view);
     let colours = inputs.sh.as_ref().map(colours);
     let values = inputs.values(colours);
     let (image, transmittance) = blend::blend(&gpu, &prepared, &values, channels);
@@ -110,13 +114,15 @@ impl Forward {
                 CubeBackend::float_slice(sums.values.clone(), &after_colours)
             }
         });
-        let sh = inputs.sh.as_ref().map(|harmonics| {
-            let from = sh::ColourGradients {
-                values: &self.values,
-                d_values: &sums.values,
-                radii: &projected.radii,
-            };
-            sh::backward(&gpu, &inputs.means, harmonics, &from, view, &geometry.means)
+        let sh = inputs.sh.as_ref().map(|sh| {
+            sh.backward(
+                &inputs.means,
+                &projected.radii,
+                view,
+                &self.values,
+                &sums.values,
+                &geometry.means,
+            )
         });
         Gradients {
             geometry,

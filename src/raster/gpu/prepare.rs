@@ -12,14 +12,6 @@ use crate::splat::camera::Camera;
 use burn_cubecl::cubecl::prelude::*;
 use burn_cubecl::tensor::CubeTensor;
 
-/// Camera, settings and background.
-#[derive(Clone, Copy)]
-pub(crate) struct Scenery<'a> {
-    pub camera: &'a Camera,
-    pub settings: &'a Settings,
-    pub background: [f64; 3],
-}
-
 /// A view's projection and tile lists.
 pub(crate) struct Prepared {
     pub(super) view: CubeTensor,
@@ -42,12 +34,12 @@ impl Prepared {
     ///
     /// # Errors
     /// As [`super::forward`].
-    pub fn new(inputs: &Inputs, scenery: Scenery<'_>) -> Result<Option<Self>> {
-        let Scenery {
-            camera,
-            settings,
-            background,
-        } = scenery;
+    pub fn new(
+        inputs: &Inputs,
+        camera: &Camera,
+        settings: &Settings,
+        background: [f64; 3],
+    ) -> Result<Option<Self>> {
         settings.check()?;
         let viewpoint = Viewpoint::new(camera)?;
         // The background is part of colours alone.

@@ -212,44 +212,40 @@ impl Harmonics {
         let degree = active.min(stored.isqrt().saturating_sub(1)) as u32;
         Self { sh, stored, degree }
     }
-}
 
-/// `max(0, SH(direction) + 0.5)`, `[N, 3]`; 0 for culled Gaussians.
-pub(super) fn colours(
-    gpu: &Gpu,
-    means: &CubeTensor,
-    harmonics: &Harmonics,
-    radii: &CubeTensor,
-    view: &CubeTensor,
-) -> CubeTensor {
-    let count = means.meta.shape()[0];
-    let out = gpu.floats([count, 3]);
-    launch!(gpu, eval_colours, gpu.cubes_for(count);
-        means, &harmonics.sh, radii, view, &out; count as u32, harmonics.stored, harmonics.degree);
-    out
-}
+    /// `max(0, SH(direction) + 0.5)`, `[N, 3]`; 0 for culled Gaussians.
+    pub(super) fn colours(
+        &self,
+        means: &CubeTensor,
+        radii: &CubeTensor,
+        view: &CubeTensor,
+    ) -> CubeTensor {
+        let gpu = Gpu::of(means);
+        let count = means.meta.shape()[0];
+        let out = gpu.floats([count, 3]);
+        launch!(gpu, eval_colours, gpu.cubes_for(count);
+            means, &self.sh, radii, view, &out; count as u32, self.stored, self.degree);
+        out
+    }
 
-/// The values that were blended, `[N, C]`, colours first, and their gradients.
-pub(super) struct ColourGradients<'a> {
-    pub values: &'a CubeTensor,
-    pub d_values: &'a CubeTensor,
-    pub radii: &'a CubeTensor,
-}
-
-/// Gradient of the coefficients; that of the means, through the direction, is added to `d_means`.
-pub(super) fn backward(
-    gpu: &Gpu,
-    means: &CubeTensor,
-    harmonics: &Harmonics,
-    from: &ColourGradients<'_>,
-    view: &CubeTensor,
-    d_means: &CubeTensor,
-) -> CubeTensor {
-    let count = means.meta.shape()[0];
-    let out = gpu.floats([count, harmonics.stored, 3]);
-    launch!(gpu, colours_backward, gpu.cubes_for(count);
-        means, &harmonics.sh, from.radii, view, from.values, from.d_values, &out, d_means;
-        count as u32, (from.values.meta.num_elements() / count.max(1)) as u32, harmonics.stored,
-        harmonics.degree);
-    out
+    /// Gradient of the coefficients; that of the means, through the direction, is added to `d_means`. `values` are those that were
+    /// blended, `[N, C]`, colours first, and `d_values` their gradients.
+    pub(super) fn backward(
+        &self,
+        means: &CubeTensor,
+        radii: &CubeTensor,
+        view: &CubeTensor,
+        values: &CubeTensor,
+        d_values: &CubeTensor,
+        d_means: &CubeTensor,
+    ) -> CubeTensor {
+        let gpu = Gpu::of(means);
+        let count = means.meta.shape()[0];
+        let channels = values.meta.num_elements() / count.max(1);
+        let out = gpu.floats([count, self.stored, 3]);
+        launch!(gpu, colours_backward, gpu.cubes_for(count);
+            means, &self.sh, radii, view, values, d_values, &out, d_means;
+            count as u32, channels as u32, self.stored, self.degree);
+        out
+    }
 }

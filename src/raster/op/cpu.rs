@@ -19,12 +19,12 @@ pub(super) fn raster_forward<B: HostBackend>(
 ) -> RasterPass<B> {
     let device = device_of::<B>(&tensors.means);
     let channels = call.colours() + tensors.features.shape().dims::<2>()[1];
-    let [w, h] = call.size();
     real_kernel!(tensors.means, E => {
         let (image, forward) = match Inputs::<E>::read::<B>(tensors).forward(&call) {
             Ok(found) => found,
             Err(error) => return RasterPass::Failed(error),
         };
+        let [w, h] = forward.projected.size();
         let radii: Vec<E> = forward.projected.radii().iter().map(|&r| E::of(f64::from(r))).collect();
         RasterPass::Done {
             image: B::tensor::<E>(image, &[h, w, channels], &device),

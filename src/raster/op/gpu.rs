@@ -7,7 +7,7 @@ use super::tensors::{
 };
 use crate::backend::HostBackend;
 use crate::error::Result;
-use crate::raster::gpu::{self, Harmonics, Inputs, Prepared, Scenery};
+use crate::raster::gpu::{self, Harmonics, Inputs, Prepared};
 use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::kernel::{cast, into_contiguous};
@@ -43,12 +43,8 @@ pub(super) fn raster_forward(
     if !on_device(&tensors, &call) {
         return cpu::raster_forward(tensors, call);
     }
-    let scenery = Scenery {
-        camera: &call.camera,
-        settings: &call.settings,
-        background: call.background,
-    };
-    match gpu::forward(&inputs(&tensors, call.shown_degree()), scenery) {
+    let inputs = inputs(&tensors, call.shown_degree());
+    match gpu::forward(&inputs, &call.camera, &call.settings, call.background) {
         Ok(Some((image, forward))) => RasterPass::Done {
             image,
             transmittance: forward.transmittance.clone(),
@@ -101,12 +97,8 @@ pub(super) fn project_view(
     if tensors.opacity_logits.meta.num_elements() == 0 || !gpu::covers(&tensors.means) {
         return cpu::project_view(tensors, call);
     }
-    let scenery = Scenery {
-        camera: &call.camera,
-        settings: &call.settings,
-        background: [0.0; 3],
-    };
-    match Prepared::new(&inputs(&tensors, None), scenery)? {
+    let inputs = inputs(&tensors, None);
+    match Prepared::new(&inputs, &call.camera, &call.settings, [0.0; 3])? {
         Some(prepared) => Ok(ProjectedView::Gpu(Arc::new(prepared))),
         // The CPU's own check names tensor and row.
         None => cpu::project_view(tensors, call),

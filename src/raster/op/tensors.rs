@@ -83,11 +83,6 @@ pub(crate) struct RasterCall {
 }
 
 impl RasterCall {
-    /// Width and height in pixels.
-    pub(super) fn size(&self) -> [usize; 2] {
-        [self.camera.width, self.camera.height]
-    }
-
     /// The SH degree in use, if there are SH.
     #[cfg(feature = "cube")]
     pub(super) fn shown_degree(&self) -> Option<usize> {
