@@ -73,21 +73,22 @@ pub fn choose(name: Option<BackendName>) -> Result<(BackendName, Device)> {
     if let Some(name) = name {
         return Ok((name, device(name)?));
     }
-    let compiled = BackendName::compiled();
-    for (i, &name) in compiled.iter().enumerate() {
-        let next = compiled.get(i + 1);
-        let reason = match (device(name), next) {
-            (Err(error), None) => return Err(error),
-            (Err(Error::Device { reason, .. }), _) => reason,
-            (Err(other), _) => other.to_string(),
-            (Ok(device), next) => match unsuited(name, &device).filter(|_| next.is_some()) {
+    let mut compiled = BackendName::compiled().iter().copied().peekable();
+    while let Some(name) = compiled.next() {
+        let opened = device(name);
+        // The last one is taken as it is.
+        let Some(next) = compiled.peek() else {
+            return Ok((name, opened?));
+        };
+        let reason = match opened {
+            Ok(device) => match unsuited(name, &device) {
                 None => return Ok((name, device)),
                 Some(reason) => format!("{reason} (--backend {name} takes it)"),
             },
+            Err(Error::Device { reason, .. }) => reason,
+            Err(other) => other.to_string(),
         };
-        if let Some(next) = next {
-            tracing::warn!("{name}: {reason}; computing with {next} instead");
-        }
+        tracing::warn!("{name}: {reason}; computing with {next} instead");
     }
     let reason = "no backend is compiled in";
     Err(unusable("none", reason, "build with --features ndarray"))
