@@ -173,14 +173,11 @@ impl<E: Real> Inputs<E> {
         }
     }
 
-    fn harmonics(&self, call: &RasterCall) -> Harmonics<'_, E> {
-        Harmonics::new(
-            &self.means,
-            &self.sh,
-            call.sh_degree,
-            call.active_sh_degree,
-            &call.camera,
-        )
+    fn harmonics(&self, call: &RasterCall) -> Option<Harmonics<'_, E>> {
+        let active = call.active_sh_degree;
+        let of_degree =
+            |degree| Harmonics::new(&self.means, &self.sh, degree, active, &call.camera);
+        call.sh_degree.map(of_degree)
     }
 
     fn features_per_row(&self) -> usize {
@@ -199,7 +196,7 @@ impl<E: Real> Inputs<E> {
             transmittance,
         } = projected.blend(values.as_deref().unwrap_or(&self.features), channels);
         let background = call.background.map(E::of);
-        if call.has_sh && background != [E::zero(); 3] {
+        if call.sh_degree.is_some() && background != [E::zero(); 3] {
             for (pixel, &t) in image.chunks_exact_mut(channels).zip(&transmittance) {
                 for (value, &b) in pixel.iter_mut().zip(&background) {
                     *value += t * b;
@@ -216,10 +213,10 @@ impl<E: Real> Inputs<E> {
 
     /// Colours and features side by side, `[N, C]`; `None` for the features alone.
     fn blended_values(&self, call: &RasterCall, radii: &[u32]) -> Result<Option<Vec<E>>> {
-        if !call.has_sh {
+        let Some(harmonics) = self.harmonics(call) else {
             return Ok(None);
-        }
-        let colours = self.harmonics(call).colours(radii)?;
+        };
+        let colours = harmonics.colours(radii)?;
         let extra = self.features_per_row();
         if extra == 0 {
             return Ok(Some(colours));
@@ -251,8 +248,7 @@ impl<E: Real> Inputs<E> {
             pixels,
             call.absolute_screen,
         );
-        let d_sh = if call.has_sh {
-            let harmonics = self.harmonics(call);
+        let d_sh = if let Some(harmonics) = self.harmonics(call) {
             let radii = projected.radii();
             harmonics.backward(values, &d.values, channels, radii, &mut d.means)
         } else {

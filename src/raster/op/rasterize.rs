@@ -36,8 +36,7 @@ pub fn rasterize(
         camera: camera.clone(),
         settings: *settings,
         background: background.map(f64::from),
-        has_sh: input.sh.is_some(),
-        sh_degree: input.sh.as_ref().map_or(0, |sh| sh.dims()[1].isqrt() - 1),
+        sh_degree: input.sh.as_ref().map(|sh| sh.dims()[1].isqrt() - 1),
         active_sh_degree: input.active_sh_degree,
         absolute_screen: input.has_absolute_screen(),
     };

@@ -75,8 +75,8 @@ pub(crate) struct RasterCall {
     pub(super) camera: Camera,
     pub(super) settings: Settings,
     pub(super) background: [f64; 3],
-    pub(super) has_sh: bool,
-    pub(super) sh_degree: usize,
+    /// The degree of the SH, if there are SH.
+    pub(super) sh_degree: Option<usize>,
     pub(super) active_sh_degree: usize,
     /// Whether the gradient of the screen has the columns of AbsGS.
     pub(super) absolute_screen: bool,
@@ -86,12 +86,12 @@ impl RasterCall {
     /// The SH degree in use, if there are SH.
     #[cfg(feature = "cube")]
     pub(super) fn shown_degree(&self) -> Option<usize> {
-        self.has_sh.then_some(self.active_sh_degree)
+        self.sh_degree.map(|_| self.active_sh_degree)
     }
 
     /// Number of colour channels.
     pub(super) fn colours(&self) -> usize {
-        if self.has_sh { 3 } else { 0 }
+        self.sh_degree.map_or(0, |_| 3)
     }
 }
 
