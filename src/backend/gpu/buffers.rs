@@ -12,7 +12,7 @@ pub const UNITS: u32 = 256;
 #[derive(Clone)]
 pub struct Gpu {
     pub client: Client,
-    device: CubeDevice,
+    pub device: CubeDevice,
 }
 
 impl Gpu {
@@ -31,11 +31,6 @@ impl Gpu {
             client: device.client(),
             device,
         }
-    }
-
-    /// Which device it is.
-    pub fn device(&self) -> &CubeDevice {
-        &self.device
     }
 
     /// Uninitialised floats; at least one, because a binding cannot be empty.

@@ -268,7 +268,7 @@ fn compare(
 ) -> (CubeTensor, CubeTensor) {
     let (height, width) = target.size();
     let cubes = cubes(height, width);
-    let is_here = |words: &PhotoWords| words.device == *gpu.device();
+    let is_here = |words: &PhotoWords| words.device == gpu.device;
     let photo = target.words.get(is_here, || gpu.upload(&words(target)));
     let gradient = gpu.floats([height, width, CHANNELS]);
     let values = height * width * CHANNELS;

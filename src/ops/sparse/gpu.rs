@@ -52,7 +52,7 @@ impl DeviceMatrix {
     }
 
     fn is_on(&self, gpu: &Gpu) -> bool {
-        self.values.device == *gpu.device()
+        self.values.device == gpu.device
     }
 
     /// `W x`, `[rows, channels]`.
