@@ -18,7 +18,7 @@ pub(super) fn raster_forward<B: HostBackend>(
     call: Arc<RasterCall>,
 ) -> RasterPass<B> {
     let device = device_of::<B>(&tensors.means);
-    let channels = call.colours() + tensors.features.shape().dims::<2>()[1];
+    let channels = call.colours() + tensors.features.shape()[1];
     real_kernel!(tensors.means, E => {
         let (image, forward) = match Inputs::<E>::read::<B>(tensors).forward(&call) {
             Ok(found) => found,
@@ -150,11 +150,14 @@ struct Inputs<E> {
     opacity_logits: HostValues<E>,
     sh: HostValues<E>,
     features: HostValues<E>,
+    /// Channels of the features. Without Gaussians their values do not tell.
+    extra: usize,
 }
 
 impl<E: Real> Inputs<E> {
     fn read<B: HostBackend>(tensors: RasterTensors<B>) -> Self {
         Self {
+            extra: tensors.features.shape()[1],
             means: B::values(tensors.means),
             log_scales: B::values(tensors.log_scales),
             rotations: B::values(tensors.rotations),
@@ -180,16 +183,11 @@ impl<E: Real> Inputs<E> {
         call.sh_degree.map(of_degree)
     }
 
-    fn features_per_row(&self) -> usize {
-        self.features.len() / self.opacity_logits.len().max(1)
-    }
-
     /// Image `[H, W, channels]`, background included, and what the backward pass needs.
     fn forward(&self, call: &RasterCall) -> Result<(Vec<E>, Forward<E>)> {
-        let extra = self.features_per_row();
-        check_finite("features", &self.features, extra)?;
+        check_finite("features", &self.features, self.extra)?;
         let projected = Projected::new(&self.splats(), &call.camera, &call.settings)?;
-        let channels = call.colours() + extra;
+        let channels = call.colours() + self.extra;
         let values = self.blended_values(call, projected.radii())?;
         let Blended {
             mut image,
@@ -217,13 +215,12 @@ impl<E: Real> Inputs<E> {
             return Ok(None);
         };
         let colours = harmonics.colours(radii)?;
-        let extra = self.features_per_row();
-        if extra == 0 {
+        if self.extra == 0 {
             return Ok(Some(colours));
         }
         let rows = colours
             .chunks_exact(3)
-            .zip(self.features.chunks_exact(extra));
+            .zip(self.features.chunks_exact(self.extra));
         Ok(Some(
             rows.flat_map(|(rgb, features)| rgb.iter().chain(features).copied())
                 .collect(),
@@ -239,7 +236,7 @@ impl<E: Real> Inputs<E> {
     ) -> [Vec<E>; INPUTS] {
         let projected = &forward.projected;
         let colours = call.colours();
-        let channels = colours + self.features_per_row();
+        let channels = colours + self.extra;
         let values = forward.values.as_deref().unwrap_or(&self.features);
         let mut d = projected.backward(
             &self.splats(),
