@@ -2,8 +2,7 @@
 
 use super::machine::reset_peak_memory;
 use super::{Bench, Figures};
-use crate::config::Budget;
-use crate::config::Variant;
+use crate::config::{Budget, Variant};
 use crate::error::{Error, Result};
 use crate::metrics::ImageScores;
 use crate::pipeline::SegmentationInputs;

@@ -17,7 +17,7 @@ const BANDS: usize = 8;
 impl<E: Real> Projected<E> {
     /// The tiles of these rows of tiles, row-major.
     pub(super) fn tiles_of_rows(&self, rows: Range<usize>) -> impl Iterator<Item = Tile<'_>> {
-        let tile = move |x, y| Tile {
+        let tile = move |x: usize, y: usize| Tile {
             origin: [x * TILE, y * TILE],
             ranks: &self.tiles.ranks[self.tiles.tile(x, y)],
         };
