@@ -214,10 +214,11 @@ impl SplatView {
     }
 
     /// Colours `max(0, SH + 0.5)` of all Gaussians, `[N, 3]`, from coefficients `[N, K, 3]` of degree `degree`, without autodiff.
-    /// Rows of Gaussians that the view does not show are undefined.
+    /// Rows of Gaussians that the view does not show are undefined. A GPU does not check that the coefficients are finite, as
+    /// [`Gaussians::check`](crate::splat::Gaussians::check) does.
     ///
     /// # Errors
-    /// As [`SplatView::blend`]; [`crate::Error::NonFinite`] for the coefficients.
+    /// As [`SplatView::blend`]; on a CPU [`crate::Error::NonFinite`] for the coefficients.
     pub(crate) fn colours(&self, sh: Tensor<3>, degree: usize) -> Result<Tensor<2>> {
         if CustomOp::Raster.is_replaced() {
             return Ok(colours(&self.splats.means, sh, degree, self.camera()).inner());

@@ -224,6 +224,34 @@ fn nothing_to_see_is_an_empty_image() {
 }
 
 #[test]
+fn features_of_no_gaussians_are_the_background() {
+    for (name, device) in crate::support::devices() {
+        let zeros = |width| Tensor::<2>::zeros([0, width], &device);
+        let input = RasterInput {
+            means: zeros(3),
+            log_scales: zeros(3),
+            rotations: zeros(4),
+            opacity_logits: Tensor::zeros([0], &device),
+            sh: Some(Tensor::zeros([0, 1, 3], &device)),
+            active_sh_degree: 0,
+            features: Some(zeros(5)),
+            screen: None,
+        };
+        let out = rasterize(
+            input,
+            &camera(9, 7),
+            &Settings::default(),
+            [0.25, 0.5, 0.75],
+        );
+        let out = out.unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert_eq!(out.image.dims(), [7, 9, 8], "{name}");
+        let image: Vec<f32> = out.image.into_data().into_vec().expect("f32");
+        let pixel = [0.25, 0.5, 0.75, 0.0, 0.0, 0.0, 0.0, 0.0];
+        assert!(image.chunks(8).all(|p| p == pixel), "{name}");
+    }
+}
+
+#[test]
 fn non_finite_input_is_named() {
     let camera = camera(20, 20);
     for (part, name) in ["means", "log_scales", "rotations", "opacity_logits"]
