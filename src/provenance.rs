@@ -237,7 +237,6 @@ fn values(config: &Config, sections: &[&str]) -> Values {
     config.features.cache_dir = None;
     config.segmentation.rows = None;
     config.segmentation.render = LabelSource::Labels;
-    config.segmentation.weight_cache_mb = 0;
     config.segmentation.eval_every = 0;
     for path in config.paths() {
         *path = path.file_name().unwrap_or_default().into();

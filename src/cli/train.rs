@@ -44,13 +44,12 @@ The run folder gets
 Ctrl-C, or SIGTERM, saves a checkpoint and stops after the step or view; a second one stops at once. The report and the other
 results are written when the run is done.
 
-Settings come from the preset (preset = \"default\", \"paper\" or \"fast\"), then --config, then --set. Their sections are
+Settings come from the preset (preset = \"default\" or \"paper\"), then --config, then --set. Their sections are
 data, building, raster, features, unprojection, spatial and segmentation. Relative paths start at the working folder. Times are
 in seconds, lengths in world units, shares from 0 to 1.
 
-Without --data and data.dir, `coseg train` trains the built-in room. Its defaults are building.iterations = 2400
-and segmentation.pixel_share = 0.25. The preset \"paper\" keeps its own values, and --config and
---set override all of them.
+Without --data and data.dir, `coseg train` trains the built-in room. Its default for
+building.iterations is 2400. The preset \"paper\" keeps its own value, and --config and --set override both.
 
 Examples:
   coseg train

@@ -66,13 +66,11 @@ pub struct Config {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Preset {
-    /// Our choices, all pixels.
+    /// Our choices.
     #[default]
     Default,
     /// The paper's choices, where the defaults of this crate differ from them. The paper's networks need weights of their own.
     Paper,
-    /// A quarter of the pixels a step, cached blending weights.
-    Fast,
 }
 
 /// Shows values of an enum by the names that serde gives them.

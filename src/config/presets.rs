@@ -11,12 +11,11 @@ impl Config {
         Self::default().changed_by(preset)
     }
 
-    /// The same for the built-in scene, whose own defaults are smaller. The paper's preset is the same for every scene.
+    /// The same for the built-in scene, whose first stage is shorter. The paper's preset is the same for every scene.
     pub fn builtin_preset(preset: Preset) -> Self {
         let mut config = Self::default();
         if preset != Preset::Paper {
             config.building.iterations = 2_400;
-            config.segmentation.pixel_share = 0.25;
         }
         config.changed_by(preset)
     }
@@ -49,10 +48,7 @@ impl Config {
                 config.segmentation.standardise = false;
                 config.segmentation.lr_decay = false;
                 config.segmentation.lr = 1e-3;
-            }
-            Preset::Fast => {
-                config.segmentation.pixel_share = 0.25;
-                config.segmentation.weight_cache_mb = 8_192;
+                config.segmentation.pixel_share = 1.0;
             }
         }
         config

@@ -13,7 +13,6 @@ pub const GCE_EXPONENTS: [f64; 2] = [1e-6, 1.0];
 pub const LAMBDA_PIX: f64 = 0.8;
 
 /// Largest cache of blending weights, megabytes: 16 TB.
-const MAX_CACHE_MB: f64 = 16_777_216.0;
 
 /// Loss on rendered labels. A name alone stands for the variant with its defaults.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -132,7 +131,7 @@ pub enum Prior {
 #[serde(default, deny_unknown_fields)]
 pub struct SegmentationConfig {
     /// Views that each trained variant learns from, one for each optimiser step unless `batch` says otherwise.
-    #[default(2_000)]
+    #[default(400)]
     pub iterations: usize,
     /// Views of an optimiser step, as `building.batch`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -182,13 +181,8 @@ pub struct SegmentationConfig {
     #[default(0.5)]
     pub min_coverage: f64,
     /// Share of the labelled pixels of a view that a step uses, in (0, 1].
-    #[default(1.0)]
+    #[default(0.0625)]
     pub pixel_share: f64,
-    /// Megabytes (2^20 bytes, 2^24 at most) for the blending weights of the training views, shared by all variants. On a GPU they hold the
-    /// Gaussians that each view shows. The decoder keeps half as much again for what it prepares per view. The rest is
-    /// computed at each use, to the same bits.
-    #[default(2_048)]
-    pub weight_cache_mb: usize,
     /// Iterations between held-out evaluations; 0 means ten in the run.
     pub eval_every: usize,
     /// Iterations between checkpoints; 0 means ten in the run.
@@ -230,8 +224,6 @@ impl SegmentationConfig {
             min_coverage: Unit,
             pixel_share: Share,
         });
-        Range::Within(0.0, MAX_CACHE_MB)
-            .check("segmentation.weight_cache_mb", self.weight_cache_mb)?;
         self.loss.check()?;
         let rows = self.rows();
         if let Some(row) = (1..rows.len()).find(|&i| rows[..i].contains(&rows[i])) {

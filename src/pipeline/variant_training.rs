@@ -85,15 +85,13 @@ fn provenance(variant: Variant, inputs: &SegmentationInputs) -> Result<Provenanc
 }
 
 /// The decoder of `variant` before its first step, over the frozen `input`. Its scores are added to `prior`, `[N, C]`. Where its
-/// parameters are averaged, that begins after the share `segmentation.warmup` of the iterations of `plan`. `views` is the number
-/// of training views.
+/// parameters are averaged, that begins after the share `segmentation.warmup` of the iterations of `plan`.
 pub fn decoder_training<'a>(
     variant: Variant,
     plan: &TrainingPlan,
     input: &'a DecoderInput,
     prior: Option<Vec<f32>>,
     inputs: &'a SegmentationInputs,
-    views: usize,
 ) -> Training<DecoderModel<'a>> {
     let config: &SegmentationConfig = &inputs.config.segmentation;
     let seed = inputs.config.seed;
@@ -111,7 +109,7 @@ pub fn decoder_training<'a>(
         seed,
     };
     let means = &inputs.gaussians.means;
-    let mut model = DecoderModel::new(input, means, views, decoder_plan);
+    let mut model = DecoderModel::new(input, means, decoder_plan);
     if let Some(prior) = prior {
         model = model.with_prior(prior, &device);
         decoder = decoder.with_silent_start();

@@ -205,7 +205,7 @@ impl<'a> StageTwo<'a> {
             }
             Prior::None | Prior::Votes => self.views.use_raw_labels(),
         }
-        let training = decoder_training(variant, &plan, &input, prior, inputs, self.views.len());
+        let training = decoder_training(variant, &plan, &input, prior, inputs);
         let schedule = schedule(variant, inputs, self.checkpoints)?;
         let mut outcome = self.trained(variant, training, &plan, &schedule, progress)?;
         if variant.reads_lifted_features() {

@@ -18,7 +18,7 @@ pub const NO_CLASS: u16 = u16::MAX;
 pub enum PixelWeights {
     /// Stored as a matrix `[P, V]`.
     Stored(Arc<SparseMatrix>),
-    /// Computed anew at each use, on a GPU.
+    /// Computed anew at each use.
     Rendered {
         /// The V Gaussians in the view.
         view: Box<SplatView>,
@@ -31,7 +31,7 @@ pub enum PixelWeights {
 
 impl PixelWeights {
     /// Blends `values` `[V, C]`: `[P, C]`, with gradient to `values`.
-    fn blend(&self, values: Tensor<2>) -> Result<Tensor<2>> {
+    pub(crate) fn blend(&self, values: Tensor<2>) -> Result<Tensor<2>> {
         match self {
             Self::Stored(weights) => Ok(sparse_apply(values, weights.clone())),
             Self::Rendered {
@@ -67,17 +67,9 @@ impl PixelWeights {
             }
         }
     }
-
-    /// Bytes held.
-    pub(crate) fn bytes(&self) -> Result<usize> {
-        match self {
-            Self::Stored(weights) => Ok(weights.bytes()),
-            Self::Rendered { view, pixels, .. } => Ok(view.bytes()? + 4 * pixels.len()),
-        }
-    }
 }
 
-/// Gaussians whose views are blended with frozen weights: stored ones in host memory, rendered ones on a GPU.
+/// Gaussians whose views are blended with frozen weights.
 #[derive(Clone, Debug)]
 pub(crate) struct FrozenGaussians {
     splats: SplatTensors,
@@ -100,34 +92,40 @@ impl FrozenGaussians {
         }
     }
 
-    /// The pixels of `camera` that have one of `labels` and a coverage 1 - T of at least `min_coverage`, with their weights.
+    /// The pixels of `camera` that have one of `labels` and a coverage 1 - T of at least `min_coverage`.
     ///
     /// # Errors
-    /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite; on a GPU those of [`SplatView::blend`].
+    /// Those of [`SplatView::blend`].
     pub fn labelled_pixels(
         &self,
         camera: &Camera,
         labels: &[u16],
         min_coverage: f32,
-    ) -> Result<(LabelledView, PixelWeights)> {
-        let wanted = rows_where(labels, |label| *label != NO_CLASS);
+    ) -> Result<LabelledView> {
         let view = self.splats.seen_by(camera, &self.settings);
-        let (visible, pixels, weights) = if self.splats.have_stored_weights() {
-            self.stored(&view, &wanted, min_coverage)?
-        } else {
-            self.rendered(&view, wanted, min_coverage)?
-        };
+        let device = self.splats.device();
+        // One channel of zeros: only the transmittance is used.
+        let nothing = Tensor::<2>::zeros([self.splats.len(), 1], &device);
+        let transmittance = read("transmittance", view.blend(nothing)?.1)?;
+        let mut pixels = rows_where(labels, |label| *label != NO_CLASS);
+        pixels.retain(|&pixel| {
+            let coverage = 1.0 - transmittance[pixel as usize];
+            coverage >= min_coverage && coverage > 0.0
+        });
+        let mut mask = vec![0.0_f32; camera.width * camera.height];
+        pixels.iter().for_each(|&pixel| mask[pixel as usize] = 1.0);
+        let mask = upload(mask, [camera.height, camera.width, 1], &device);
+        let weights = read("weights", view.blend_adjoint(mask)?)?;
         let labels = pixels.iter().map(|&p| labels[p as usize]).collect();
-        let view = LabelledView {
-            visible: Arc::new(visible),
+        Ok(LabelledView {
+            visible: Arc::new(rows_where(weights, |weight| weight > 0.0)),
             numbers: Arc::new(pixels),
             labels: Arc::new(labels),
-        };
-        Ok((view, weights))
+        })
     }
 
-    /// The weights of the pixels `numbers` of `camera` over the Gaussians `visible`: bit for bit those that
-    /// [`FrozenGaussians::labelled_pixels`] gives.
+    /// The weights of the pixels `numbers` of `camera` over the Gaussians `visible`, which those pixels show: stored in host
+    /// memory, rendered on a GPU.
     ///
     /// # Errors
     /// As [`FrozenGaussians::labelled_pixels`].
@@ -137,71 +135,26 @@ impl FrozenGaussians {
         visible: &[u32],
         numbers: Arc<Vec<u32>>,
     ) -> Result<PixelWeights> {
-        let view = self.splats.seen_by(camera, &self.settings);
-        if self.splats.have_stored_weights() {
-            let weights = view.weights(&numbers)?.over_columns(visible);
-            return Ok(self.as_stored(weights));
+        if !self.splats.have_stored_weights() {
+            return Ok(self.rendered(camera, visible, numbers));
         }
-        Ok(self.as_rendered(&view, visible, numbers))
-    }
-
-    /// Visible Gaussians, covered pixels among `wanted`, and their weights as a matrix.
-    fn stored(
-        &self,
-        view: &SplatView,
-        wanted: &[u32],
-        min_coverage: f32,
-    ) -> Result<(Vec<u32>, Vec<u32>, PixelWeights)> {
-        let weights = view.weights(wanted)?;
-        let covered = weights.rows_from(min_coverage);
-        let pixels = covered.iter().map(|&row| wanted[row as usize]).collect();
-        let weights = weights.select_rows(&covered);
-        let visible = weights.used_columns();
-        let weights = self.as_stored(weights.over_columns(&visible));
-        Ok((visible, pixels, weights))
-    }
-
-    /// Visible Gaussians, covered pixels among `wanted`, and weights that are blended anew at each use.
-    fn rendered(
-        &self,
-        view: &SplatView,
-        wanted: Vec<u32>,
-        min_coverage: f32,
-    ) -> Result<(Vec<u32>, Vec<u32>, PixelWeights)> {
-        let splats = view.splats();
-        let camera = view.camera();
-        // One channel of zeros: only the transmittance is used.
-        let nothing = Tensor::<2>::zeros([splats.len(), 1], &splats.device());
-        let transmittance = read("transmittance", view.blend(nothing)?.1)?;
-        let mut pixels = wanted;
-        pixels.retain(|&pixel| {
-            let coverage = 1.0 - transmittance[pixel as usize];
-            coverage >= min_coverage && coverage > 0.0
-        });
-        let mut mask = vec![0.0_f32; camera.width * camera.height];
-        pixels.iter().for_each(|&pixel| mask[pixel as usize] = 1.0);
-        let mask = upload(mask, [camera.height, camera.width, 1], &splats.device());
-        let weights = read("weights", view.blend_adjoint(mask)?)?;
-        let visible = rows_where(weights, |weight| weight > 0.0);
-        let weights = self.as_rendered(view, &visible, Arc::new(pixels.clone()));
-        Ok((visible, pixels, weights))
-    }
-
-    /// `weights` whose rows sum to the coverage, as they are used.
-    fn as_stored(&self, weights: SparseMatrix) -> PixelWeights {
-        PixelWeights::Stored(Arc::new(if self.over_coverage {
+        let view = self.splats.seen_by(camera, &self.settings);
+        let weights = view.weights(&numbers)?.over_columns(visible);
+        Ok(PixelWeights::Stored(Arc::new(if self.over_coverage {
             weights.normalised()
         } else {
             weights
-        }))
+        })))
     }
 
-    fn as_rendered(
+    /// The same, rendered on any device: the faster way to blend all pixels of a view once.
+    pub fn rendered(
         &self,
-        view: &SplatView,
+        camera: &Camera,
         visible: &[u32],
         pixels: Arc<Vec<u32>>,
     ) -> PixelWeights {
+        let view = self.splats.seen_by(camera, &self.settings);
         PixelWeights::Rendered {
             view: Box::new(view.of_gaussians(visible)),
             pixels,
@@ -213,7 +166,7 @@ impl FrozenGaussians {
 /// The labelled, covered pixels of a view.
 #[derive(Clone, Debug)]
 pub(crate) struct LabelledView {
-    /// Scene index of each Gaussian that the pixels show, ascending: the columns of their weights.
+    /// Scene index of each Gaussian that the pixels show, ascending.
     pub visible: Arc<Vec<u32>>,
     /// Row-major number of each pixel.
     pub numbers: Arc<Vec<u32>>,

@@ -195,14 +195,6 @@ impl Dependencies {
     pub fn rows(&self, scale: usize) -> &[u32] {
         self.levels[scale].selection.entries().0
     }
-
-    /// Bytes held.
-    pub fn bytes(&self) -> usize {
-        let of_level = |level: &LevelPart| {
-            level.selection.bytes() + 4 * level.points.len() + level.upsample.bytes()
-        };
-        self.levels.iter().map(of_level).sum::<usize>() + self.top.bytes()
-    }
 }
 
 /// Per-channel mean and spread of a pyramid's frozen features.

@@ -98,11 +98,6 @@ impl SparseMatrix {
         self.offsets.len().saturating_sub(1)
     }
 
-    /// Bytes held.
-    pub fn bytes(&self) -> usize {
-        4 * (self.offsets.len() + self.indices.len() + self.values.len())
-    }
-
     /// Entries of row `r` as (columns, values).
     pub fn row(&self, r: usize) -> (&[u32], &[f32]) {
         let span = self.offsets[r] as usize..self.offsets[r + 1] as usize;
@@ -120,14 +115,6 @@ impl SparseMatrix {
             }
         }
         self
-    }
-
-    /// Numbers of the rows that sum to at least `floor`, and to more than 0.
-    pub fn rows_from(&self, floor: f32) -> Vec<u32> {
-        let sum = |row: u32| self.row(row as usize).1.iter().sum::<f32>();
-        (0..self.rows() as u32)
-            .filter(|&row| sum(row) >= floor && sum(row) > 0.0)
-            .collect()
     }
 
     /// The rows `rows` in that order.
@@ -161,32 +148,29 @@ impl SparseMatrix {
         Self::unchecked(self.columns * classes, offsets, indices, values)
     }
 
-    /// The columns that hold an entry, ascending.
-    pub(crate) fn used_columns(&self) -> Vec<u32> {
-        let mut used = vec![false; self.columns];
-        self.indices.iter().for_each(|&c| used[c as usize] = true);
-        let columns = (0..).zip(used).filter(|(_, used)| *used);
-        columns.map(|(column, _)| column).collect()
-    }
-
-    /// The matrix over `columns` (ascending, below [`SparseMatrix::columns`]) alone. Of equal ones it reads the last.
-    ///
-    /// # Panics
-    /// If an entry lies in another column.
+    /// The matrix over `columns` (ascending, below [`SparseMatrix::columns`]) alone: entries in other columns are left out. Of
+    /// equal ones it reads the last.
     #[must_use]
-    pub fn over_columns(mut self, columns: &[u32]) -> Self {
-        let mut place = vec![u32::MAX; self.columns];
-        for (i, &c) in columns.iter().enumerate() {
-            place[c as usize] = i as u32;
+    pub fn over_columns(&self, columns: &[u32]) -> Self {
+        let mut place = vec![None; self.columns];
+        for (i, &c) in (0..).zip(columns) {
+            place[c as usize] = Some(i);
         }
-        for c in &mut self.indices {
-            *c = place[*c as usize];
+        let mut offsets = Vec::with_capacity(self.offsets.len());
+        let mut indices = Vec::with_capacity(self.indices.len());
+        let mut values = Vec::with_capacity(self.values.len());
+        offsets.push(0);
+        for r in 0..self.rows() {
+            let (of_row, row) = self.row(r);
+            for (&c, &value) in of_row.iter().zip(row) {
+                if let Some(column) = place[c as usize] {
+                    indices.push(column);
+                    values.push(value);
+                }
+            }
+            offsets.push(indices.len() as u32);
         }
-        assert!(
-            !self.indices.contains(&u32::MAX),
-            "over_columns: an entry in a column that is left out"
-        );
-        Self::unchecked(columns.len(), self.offsets, self.indices, self.values)
+        Self::unchecked(columns.len(), offsets, indices, values)
     }
 
     /// The transposed matrix; the entries of its rows ascend.

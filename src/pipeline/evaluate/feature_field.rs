@@ -78,10 +78,12 @@ impl FieldScores {
         let frozen = FrozenGaussians::new(gaussians, inputs.settings, over_coverage, inputs.device);
         for (view, drawn) in drawn_pixels(inputs, channels) {
             let coverage = config.min_coverage as f32;
-            let (shown, weights) = frozen.labelled_pixels(&view.camera, &drawn, coverage)?;
+            let camera = &view.camera;
+            let shown = frozen.labelled_pixels(camera, &drawn, coverage)?;
             if shown.labels.is_empty() {
                 continue;
             }
+            let weights = frozen.weights(camera, &shown.visible, shown.numbers.clone())?;
             let pixels = LabelledPixels::new(weights, shown.labels.to_vec());
             let found = features(&shown.visible, &pixels)?;
             rows.extend(read("features of held-out pixels", found)?);

@@ -12,7 +12,6 @@ use super::view_input::{DecoderInput, Encoded, Part, REGULARISED, ViewInput};
 use super::{DecodedScores, IdentityModel};
 use crate::backend::device::{read, upload};
 use crate::config::{Blend, SegmentationConfig};
-use crate::data::ViewCache;
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::{SparseMatrix, selected};
@@ -69,7 +68,7 @@ pub(super) fn stored_scores(scores: Tensor<2>, blend: Blend) -> Tensor<2> {
 
 /// A view that was decoded in parts. Its scores are leaves of the loss's graph and wait for their gradient.
 pub struct DecodedParts {
-    input: Arc<ViewInput>,
+    input: ViewInput,
     /// Factors of the channels, for each prediction.
     factors: Vec<ChannelFactors>,
 }
@@ -82,24 +81,16 @@ pub struct DecoderModel<'a> {
     plan: DecoderPlan<'a>,
     /// Centres of all Gaussians.
     means: &'a [[f32; 3]],
-    views: ViewCache<ViewInput>,
 }
 
 impl<'a> DecoderModel<'a> {
-    /// A model of a scene with Gaussians at `means` and `views` training views.
-    pub fn new(
-        input: &'a DecoderInput,
-        means: &'a [[f32; 3]],
-        views: usize,
-        plan: DecoderPlan<'a>,
-    ) -> Self {
+    /// A model of a scene with Gaussians at `means`.
+    pub fn new(input: &'a DecoderInput, means: &'a [[f32; 3]], plan: DecoderPlan<'a>) -> Self {
         Self {
             prior: None,
             input,
             plan,
             means,
-            // Half of what the weights of the views may take.
-            views: ViewCache::new(views, plan.config.weight_cache_mb << 19),
         }
     }
 
@@ -134,17 +125,6 @@ impl<'a> DecoderModel<'a> {
             }
             None => scores,
         }
-    }
-
-    fn view_input(&mut self, view: usize, visible: &[u32]) -> Result<Arc<ViewInput>> {
-        let encoded = self.input.view(view);
-        let means = self.means;
-        let plan = &self.plan;
-        self.views.get(view, || {
-            let input = ViewInput::new(encoded, visible, means, plan)?;
-            let bytes = input.bytes();
-            Ok((input, bytes))
-        })
     }
 
     /// Factors of the channels of each prediction; no factors for all channels as they are.
@@ -232,8 +212,9 @@ impl IdentityModel for DecoderModel<'_> {
         visible: &[u32],
         iteration: usize,
     ) -> Result<DecodedScores> {
-        let input = self.view_input(view, visible)?;
-        let pyramid = &self.input.view(view).pyramid;
+        let encoded = self.input.view(view);
+        let input = ViewInput::new(encoded, visible, self.means, &self.plan)?;
+        let pyramid = &encoded.pyramid;
         let factors = self.channel_factors(pyramid, iteration);
         match &input.parts[..] {
             [part] => {

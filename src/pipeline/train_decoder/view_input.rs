@@ -149,15 +149,6 @@ impl ViewInput {
         });
         terms.reduce(|sum, term| sum + term)
     }
-
-    /// Bytes held.
-    pub fn bytes(&self) -> usize {
-        let clouds = self.clouds.iter();
-        let clouds = clouds.map(|cloud| 4 * (cloud.rows.len() + cloud.neighbours.len()));
-        let of_part = |part: &Part| part.rows.bytes() + part.gaussians.bytes();
-        let parts = self.parts.iter().map(of_part);
-        parts.chain(clouds).sum()
-    }
 }
 
 impl Cloud {

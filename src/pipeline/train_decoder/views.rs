@@ -9,9 +9,7 @@ use crate::objects::{Identities, first_largest};
 use crate::ops::select;
 use crate::raster::Settings;
 use crate::segmentation::loss::Scores;
-use crate::segmentation::pixels::{
-    FrozenGaussians, LabelledPixels, LabelledView, NO_CLASS, PixelWeights,
-};
+use crate::segmentation::pixels::{FrozenGaussians, LabelledPixels, LabelledView, NO_CLASS};
 use crate::splat::Gaussians;
 use burn::tensor::{Device, Tensor};
 use rand::Rng;
@@ -57,10 +55,8 @@ pub struct TrainingViews<'a> {
     /// not count.
     lookup: Option<Vec<u16>>,
     min_coverage: f32,
-    /// The labelled pixels of the views that were used already, with their weights, while the budget lasts.
-    used: Vec<Option<(LabelledView, Option<PixelWeights>)>>,
-    /// Bytes left for weights.
-    budget: usize,
+    /// The labelled pixels of the views that were used already.
+    used: Vec<Option<LabelledView>>,
     /// What replaces the raw labels.
     replaced: Option<ReplacedLabels>,
     classes: Classes,
@@ -113,7 +109,6 @@ impl<'a> TrainingViews<'a> {
             classes: Classes::default(),
             scores: ViewCache::new(views.len(), usize::MAX),
             used: vec![None; views.len()],
-            budget: config.weight_cache_mb << 20,
             views,
             replaced: None,
         }
@@ -157,25 +152,18 @@ impl<'a> TrainingViews<'a> {
     /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite; on a GPU those of
     /// [`crate::raster::SplatView::blend`].
     pub fn sample(&mut self, index: usize, share: f64, rng: &mut impl Rng) -> Result<ViewSample> {
-        let (view, weights) = self.labelled(index)?;
-        let (labels, weights) = self.labels(index, &view, weights)?;
-        let drawn = (share < 1.0).then(|| stratified_sample(labels.len(), share, rng));
-        let (labels, numbers) = match &drawn {
-            Some(drawn) => {
-                let labels = drawn.iter().map(|&i| labels[i as usize]).collect();
-                let numbers = drawn.iter().map(|&i| view.numbers[i as usize]).collect();
-                (Arc::new(labels), Arc::new(numbers))
-            }
-            None => (labels, view.numbers),
+        let view = self.labelled(index)?;
+        let labels = self.labels(index, &view)?;
+        let (labels, numbers) = if share < 1.0 {
+            let drawn = stratified_sample(labels.len(), share, rng);
+            let labels = drawn.iter().map(|&i| labels[i as usize]).collect();
+            let numbers = drawn.iter().map(|&i| view.numbers[i as usize]).collect();
+            (Arc::new(labels), Arc::new(numbers))
+        } else {
+            (labels, view.numbers)
         };
-        let weights = match (weights, &drawn) {
-            (Some(weights), Some(drawn)) => weights.at(drawn),
-            (Some(weights), None) => weights,
-            (None, _) => {
-                let camera = &self.views[index].camera;
-                (self.gaussians).weights(camera, &view.visible, numbers.clone())?
-            }
-        };
+        let camera = &self.views[index].camera;
+        let weights = (self.gaussians).weights(camera, &view.visible, numbers.clone())?;
         let pixels = LabelledPixels {
             weights,
             distributions: self.distributions(index, &labels, &numbers)?,
@@ -211,8 +199,8 @@ impl<'a> TrainingViews<'a> {
         Ok(Some(upload(rows, size, &self.device)))
     }
 
-    /// The labelled, covered pixels of view `index`, and their weights at the first use and while they are kept.
-    fn labelled(&mut self, index: usize) -> Result<(LabelledView, Option<PixelWeights>)> {
+    /// The labelled, covered pixels of view `index`.
+    fn labelled(&mut self, index: usize) -> Result<LabelledView> {
         if let Some(used) = &self.used[index] {
             return Ok(used.clone());
         }
@@ -230,14 +218,9 @@ impl<'a> TrainingViews<'a> {
             }
             None => vec![0; view.camera.width * view.camera.height],
         };
-        let (view, weights) =
-            self.gaussians
-                .labelled_pixels(&view.camera, &labels, self.min_coverage)?;
-        let left = self.budget.checked_sub(weights.bytes()?);
-        self.budget = left.unwrap_or(self.budget);
-        let kept = left.map(|_| weights.clone());
-        self.used[index] = Some((view.clone(), kept));
-        Ok((view, Some(weights)))
+        let view = (self.gaussians).labelled_pixels(&view.camera, &labels, self.min_coverage)?;
+        self.used[index] = Some(view.clone());
+        Ok(view)
     }
 
     /// The pixels of view `index` whose labels a person corrected.
@@ -249,38 +232,22 @@ impl<'a> TrainingViews<'a> {
         CorrectedPixels(ids.map(|id| lookup[usize::from(id)]).collect())
     }
 
-    /// The labels of the pixels of `view`, number `index`: its own or what replaces them; and `weights`, which that may need.
-    fn labels(
-        &mut self,
-        index: usize,
-        view: &LabelledView,
-        mut weights: Option<PixelWeights>,
-    ) -> Result<(Arc<Vec<u16>>, Option<PixelWeights>)> {
+    /// The labels of the pixels of `view`, number `index`: its own or what replaces them.
+    fn labels(&mut self, index: usize, view: &LabelledView) -> Result<Arc<Vec<u16>>> {
         let corrected = self.corrected(index);
         let Some(ReplacedLabels { scores, labels }) = &mut self.replaced else {
-            return Ok((view.labels.clone(), weights));
+            return Ok(view.labels.clone());
         };
-        let gaussians = &self.gaussians;
         let camera = &self.views[index].camera;
-        let labels = labels.get(index, || {
-            let weights = match &mut weights {
-                Some(weights) => weights,
-                none => {
-                    none.insert(gaussians.weights(camera, &view.visible, view.numbers.clone())?)
-                }
-            };
-            let pixels = LabelledPixels {
-                weights: weights.clone(),
-                labels: view.labels.clone(),
-                distributions: None,
-            };
-            let mut labels = largest_blended(scores, &view.visible, &pixels)?;
+        labels.get(index, || {
+            let weights = (self.gaussians).rendered(camera, &view.visible, view.numbers.clone());
+            let blended = weights.blend(select(scores, &view.visible))?;
+            let mut labels = largest_scores(blended, &view.labels)?;
             for (label, &number) in labels.iter_mut().zip(view.numbers.iter()) {
                 *label = corrected.at(number).unwrap_or(*label);
             }
             Ok((labels, 0))
-        })?;
-        Ok((labels, weights))
+        })
     }
 }
 
@@ -322,19 +289,11 @@ fn probabilities(
     rows
 }
 
-/// The class of the largest blended score of each of `pixels`, its own label where all are zero. `visible` are the Gaussians that
-/// they show.
-fn largest_blended(
-    scores: &Tensor<2>,
-    visible: &[u32],
-    pixels: &LabelledPixels,
-) -> Result<Vec<u16>> {
-    let classes = scores.dims()[1];
-    let blended = pixels.blend(select(scores, visible))?;
+/// The class of the largest score of each pixel, `[P, C]`; its own label where no score is above 0.
+fn largest_scores(blended: Tensor<2>, own: &[u16]) -> Result<Vec<u16>> {
+    let classes = blended.dims()[1];
     let blended = read("labels of pixels", blended)?;
-    let rows = blended
-        .chunks_exact(classes.max(1))
-        .zip(pixels.labels.iter());
+    let rows = blended.chunks_exact(classes.max(1)).zip(own);
     let label = |(row, &own): (&[f32], &u16)| {
         let best = first_largest(row);
         best.filter(|&c| row[c] > 0.0).map_or(own, |c| c as u16)

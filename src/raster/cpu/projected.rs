@@ -98,14 +98,6 @@ impl<E: Real> Projected<E> {
         self.radii.is_empty()
     }
 
-    /// Bytes held.
-    pub fn bytes(&self) -> usize {
-        size_of_val(&self.splats[..])
-            + size_of_val(&self.ids[..])
-            + size_of_val(&self.radii[..])
-            + self.tiles.bytes()
-    }
-
     /// Image width and height, pixels.
     pub fn size(&self) -> [usize; 2] {
         self.viewpoint.size

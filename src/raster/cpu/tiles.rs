@@ -26,14 +26,6 @@ pub(in crate::raster) struct TileLists {
 }
 
 impl TileLists {
-    /// Bytes held.
-    pub fn bytes(&self) -> usize {
-        [&self.starts, &self.ranks, &self.runs, &self.slots]
-            .into_iter()
-            .map(|list| size_of_val(&**list))
-            .sum()
-    }
-
     /// Positions in [`TileLists::ranks`] of the tile in column `x`, row `y`.
     pub fn tile(&self, x: usize, y: usize) -> Range<usize> {
         let tile = y * self.columns + x;

@@ -56,11 +56,6 @@ impl Prepared {
         self.order.len
     }
 
-    /// Bytes of projection and lists.
-    pub fn bytes(&self) -> usize {
-        100 * self.order.len + 8 * self.entries.len
-    }
-
     /// Colours `[N, 3]` of the Gaussians with these means, from coefficients `[N, K, 3]` of degree `degree`.
     pub fn colours(&self, means: CubeTensor, sh: CubeTensor, degree: usize) -> CubeTensor {
         Harmonics::new(sh, degree).colours(&means, &self.projected.radii, &self.view)

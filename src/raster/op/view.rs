@@ -69,19 +69,6 @@ impl SplatView {
         self.splats.device()
     }
 
-    /// Bytes of projection and tile lists, which are made if need be.
-    ///
-    /// # Errors
-    /// As [`SplatView::blend`].
-    pub(crate) fn bytes(&self) -> Result<usize> {
-        Ok(match self.projected()? {
-            ProjectedView::F32(projected) => projected.bytes(),
-            ProjectedView::F64(projected) => projected.bytes(),
-            #[cfg(feature = "cube")]
-            ProjectedView::Gpu(prepared) => prepared.bytes(),
-        })
-    }
-
     /// Where it is seen from.
     pub fn camera(&self) -> &Camera {
         &self.call.camera

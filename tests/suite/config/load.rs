@@ -49,9 +49,8 @@ fn file_overrides_preset_and_set_overrides_file() {
 
 #[test]
 fn a_set_preset_replaces_the_files_preset() {
-    let config = load("preset = \"paper\"\n", &["preset=fast"]).unwrap();
-    assert_eq!(config, Config::preset(Preset::Fast));
-    assert_eq!(config.segmentation.pixel_share, 0.25);
+    let config = load("preset = \"paper\"\n", &["preset=default"]).unwrap();
+    assert_eq!(config, Config::default());
 }
 
 #[test]
@@ -64,19 +63,10 @@ fn the_built_in_scene_has_defaults_of_its_own_below_all_that_is_given() {
         Config::load_for(data.map(Path::new), Some(&file), &sets).unwrap()
     };
     let size = |config: &Config| {
-        let Config {
-            building,
-            segmentation,
-            ..
-        } = config;
-        (
-            building.iterations,
-            building.max_gaussians,
-            segmentation.iterations,
-            segmentation.pixel_share,
-        )
+        let building = &config.building;
+        (building.iterations, building.max_gaussians)
     };
-    let builtin = (2_400, Budget::Auto, 2_000, 0.25);
+    let builtin = (2_400, Budget::Auto);
     assert_eq!(
         Config::load_for(None, None, &[]).unwrap(),
         Config::builtin_preset(Preset::Default)
@@ -90,15 +80,10 @@ fn the_built_in_scene_has_defaults_of_its_own_below_all_that_is_given() {
         )),
         builtin
     );
-    let fast = own(None, "", &["preset=fast"]);
-    assert_eq!(
-        (size(&fast), fast.segmentation.weight_cache_mb),
-        (builtin, 8_192)
-    );
-    let toml = "preset = \"fast\"\n[building]\niterations = 9\n[segmentation]\npixel_share = 0.5\n";
+    let toml = "[building]\niterations = 9\n";
     assert_eq!(
         size(&own(None, toml, &["building.max_gaussians=unlimited"])),
-        (9, Budget::Unlimited, 2_000, 0.5)
+        (9, Budget::Unlimited)
     );
     let mut paper = Config::preset(Preset::Paper);
     paper.features.weights = Some("dino.pth".into());
@@ -107,7 +92,8 @@ fn the_built_in_scene_has_defaults_of_its_own_below_all_that_is_given() {
         paper,
         "the paper's are the paper's"
     );
-    assert_eq!(own(None, "preset = \"paper\"\n", &["preset=fast"]), fast);
+    let default = own(None, "preset = \"paper\"\n", &["preset=default"]);
+    assert_eq!(size(&default), builtin);
     // A scene folder, wherever it is named.
     let usual = size(&Config::default());
     for config in [
@@ -160,7 +146,7 @@ fn an_empty_value_takes_an_optional_path_away() {
 
 #[test]
 fn written_config_loads_as_itself() {
-    for preset in [Preset::Default, Preset::Paper, Preset::Fast] {
+    for preset in [Preset::Default, Preset::Paper] {
         let mut config = Config::preset(preset);
         config.data.dir = Some("with \"quotes\" and \\".into());
         config.seed = 77;

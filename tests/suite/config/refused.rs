@@ -62,7 +62,7 @@ fn wrong_types_name_found_and_expected() {
         &["segmentation.loss", "\"mse\"", "\"js\"", "\"ce\""],
     );
     let error = load("preset = \"best\"\n", &[]).unwrap_err();
-    assert_names(&error, &["line 1, preset", "\"best\"", "\"fast\""]);
+    assert_names(&error, &["line 1, preset", "\"best\"", "\"paper\""]);
     let error = load("building = 3\n", &[]).unwrap_err();
     assert_names(&error, &["building", "found 3", "a section"]);
     let error = load("", &["raster.background=1,0"]).unwrap_err();

@@ -133,7 +133,7 @@ fn stage_two(config: &Config) -> StageTwo {
     let votes = votes.expect("votes");
     let prior = Some(votes.log_shares(0.02));
     let mut views = inputs.training_views();
-    let mut training = decoder_training(Variant::Ours, &plan, &input, prior, &inputs, views.len());
+    let mut training = decoder_training(Variant::Ours, &plan, &input, prior, &inputs);
     let loss = training.step(&mut views, &plan).expect("a step");
     let identities = Identities {
         scores: (0..gaussians.len() * scene.classes.len())

@@ -19,17 +19,14 @@ fn views_show_the_same_pixels_and_blend_alike() {
     crate::support::plates::scene(folder.path());
     let scene = load(folder.path(), &LoadOptions::default()).expect("a scene");
     let (gaussians, _) = crate::support::plates::plates();
-    let (over_coverage, plain) = (Blend::Probabilities, Blend::Logits);
-    // With and without room for the Gaussians that a view shows; all of its pixels, or some.
-    for (weight_cache_mb, share, blend) in [
-        (1, 0.25, over_coverage),
-        (0, 0.25, over_coverage),
-        (1, 1.0, over_coverage),
-        (0, 1.0, plain),
-        (1, 0.25, plain),
+    // All pixels of a view, or some.
+    for (share, blend) in [
+        (0.25, Blend::Probabilities),
+        (1.0, Blend::Probabilities),
+        (1.0, Blend::Logits),
+        (0.25, Blend::Logits),
     ] {
         let config = SegmentationConfig {
-            weight_cache_mb,
             blend,
             ..SegmentationConfig::default()
         };

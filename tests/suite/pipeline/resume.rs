@@ -119,7 +119,6 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
         other.segmentation.eval_every,
         other.building.checkpoint_every,
     ) = (3, 5);
-    other.segmentation.weight_cache_mb = 0;
     other.segmentation.rows = Some(vec![
         Variant::Raw,
         Variant::Vote,

@@ -126,16 +126,9 @@ fn probabilities_are_blended_over_the_coverage_and_logits_as_they_are() {
     let settings = Settings::default();
     let projected = Projected::<f32>::new(&gaussians.splats(), camera, &settings).expect("a view");
     let weights = projected.weights(&all_pixels(projected.size()));
-    // With stored weights, and with ones that each step computes.
-    for (blend, weight_cache_mb) in [
-        (Blend::Logits, 2_048),
-        (Blend::Logits, 0),
-        (Blend::Probabilities, 2_048),
-        (Blend::Probabilities, 0),
-    ] {
+    for blend in [Blend::Logits, Blend::Probabilities] {
         let config = SegmentationConfig {
             blend,
-            weight_cache_mb,
             min_coverage: 0.2,
             ..SegmentationConfig::default()
         };
@@ -207,26 +200,6 @@ fn votes_under_blended_logits_are_refused() {
         matches!(error, Error::Config { .. }) && error.to_string().contains("segmentation.prior"),
         "{error}"
     );
-}
-
-#[test]
-fn weights_made_again_at_each_step_give_the_same_bits_as_kept_ones() {
-    let scores = |megabytes| {
-        let outcome = trained(|s| {
-            s.weight_cache_mb = megabytes;
-            s.pixel_share = 0.25;
-            s.rows = Some(vec![Variant::PerGaussian, Variant::Ours]);
-        });
-        let bits = |row: &coseg::pipeline::VariantOutcome| -> Vec<u32> {
-            row.identities
-                .iter()
-                .flat_map(|i| &i.scores)
-                .map(|s| s.to_bits())
-                .collect()
-        };
-        outcome.rows.iter().map(bits).collect::<Vec<_>>()
-    };
-    assert!(scores(0) == scores(2_048));
 }
 
 #[test]

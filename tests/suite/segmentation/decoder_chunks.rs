@@ -114,7 +114,7 @@ fn model<'a>(
     let decoder = DecoderConfig::for_pyramid(pyramid, CLASSES)
         .with_seed(1)
         .init(&device);
-    let mut model = DecoderModel::new(&scene.source, &scene.means, 1, plan);
+    let mut model = DecoderModel::new(&scene.source, &scene.means, plan);
     if prior {
         let shares = (0..POINTS * CLASSES)
             .map(|i| (i as f32 * 0.71).sin())
