@@ -197,3 +197,22 @@ impl SparseMatrix {
         Self::unchecked(self.rows(), offsets, indices, values)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::SparseMatrix;
+
+    #[test]
+    fn a_matrix_over_some_columns_leaves_out_the_other_entries() {
+        let matrix = SparseMatrix::new(
+            4,
+            vec![0, 2, 2, 3, 5],
+            vec![3, 1, 2, 0, 3],
+            vec![1.0, 2.0, 3.0, 4.0, 5.0],
+        );
+        let some = SparseMatrix::new(2, vec![0, 1, 1, 1, 3], vec![1, 0, 1], vec![1.0, 4.0, 5.0]);
+        assert_eq!(matrix.over_columns(&[0, 3]), some);
+        assert_eq!(matrix.over_columns(&[0, 1, 2, 3]), matrix);
+        assert_eq!(matrix.over_columns(&[]).entries().0, [0; 0]);
+    }
+}
