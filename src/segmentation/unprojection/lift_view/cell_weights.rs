@@ -175,9 +175,9 @@ impl<E: Real> TileGrids<E> {
             };
             for (pixel, &(a, b, f)) in clipped(&taps.x, x0, edge).iter().enumerate() {
                 let f = E::of(f64::from(f));
-                let at = pixel * lanes + grid.lane - grid.left;
-                column_weights[at + a] += E::one() - f;
-                column_weights[at + b] += f;
+                let at = pixel * lanes + grid.lane;
+                column_weights[at + a - grid.left] += E::one() - f;
+                column_weights[at + b - grid.left] += f;
             }
             let own = grid.lane..grid.lane + grid.columns.last().map_or(0, |c| c[1]);
             for (pixel, &(a, b, f)) in clipped(&taps.y, y0, edge).iter().enumerate() {
