@@ -161,6 +161,7 @@ mod tests {
         full.building.batch = Some(2);
         full.segmentation.batch = Some(2);
         full.segmentation.prior_exponent = Some(0.5);
+        full.segmentation.pixel_share = Some(0.5);
         full.segmentation.fine_tune = Some(true);
         full.segmentation.rows = Some(Variant::COMPARED.to_vec());
         full.data.dir = Some(path());

@@ -48,7 +48,7 @@ impl Config {
                 config.segmentation.standardise = false;
                 config.segmentation.lr_decay = false;
                 config.segmentation.lr = 1e-3;
-                config.segmentation.pixel_share = 1.0;
+                config.segmentation.pixel_share = Some(1.0);
             }
         }
         config

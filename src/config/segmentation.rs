@@ -180,9 +180,9 @@ pub struct SegmentationConfig {
     /// Pixels whose coverage 1 - T is below this are not trained on and show no label.
     #[default(0.5)]
     pub min_coverage: f64,
-    /// Share of the labelled pixels of a view that a step uses, in (0, 1].
-    #[default(0.0625)]
-    pub pixel_share: f64,
+    /// Share of the labelled pixels of a view that a step uses, in (0, 1]. Absent: a sixteenth, but no fewer than 4,096 pixels.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pixel_share: Option<f64>,
     /// Iterations between held-out evaluations; 0 means ten in the run.
     pub eval_every: usize,
     /// Iterations between checkpoints; 0 means ten in the run.
@@ -222,13 +222,15 @@ impl SegmentationConfig {
             lambda_reg: NotNegative,
             warmup: Unit,
             min_coverage: Unit,
-            pixel_share: Share,
         });
         self.loss.check()?;
         let rows = self.rows();
         if let Some(row) = (1..rows.len()).find(|&i| rows[..i].contains(&rows[i])) {
             bail!(setting "segmentation.rows"; found "{} twice", rows[row]; expected "each variant once";
                 help "leave the second one out");
+        }
+        if let Some(share) = self.pixel_share {
+            Range::Share.check("segmentation.pixel_share", share)?;
         }
         if let Some(exponent) = self.prior_exponent {
             Range::Unit.check("segmentation.prior_exponent", exponent)?;

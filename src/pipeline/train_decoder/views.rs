@@ -15,6 +15,10 @@ use burn::tensor::{Device, Tensor};
 use rand::Rng;
 use std::sync::Arc;
 
+/// Share of the labelled pixels of a view in a step, and the number below which it does not fall.
+const PIXEL_SHARE: f64 = 1.0 / 16.0;
+const MIN_PIXELS: f64 = 4_096.0;
+
 /// Labelled pixels of a view.
 #[derive(Clone, Debug)]
 pub struct ViewSample {
@@ -146,14 +150,21 @@ impl<'a> TrainingViews<'a> {
     }
 
     /// A random share of the labelled, covered pixels of view `index`: one of each run of `1 / share` neighbours in row
-    /// order.
+    /// order. Without a `share` it is a sixteenth, but no fewer than 4,096 pixels.
     ///
     /// # Errors
     /// [`crate::Error::NonFinite`] when a Gaussian's parameters are not finite; on a GPU those of
     /// [`crate::raster::SplatView::blend`].
-    pub fn sample(&mut self, index: usize, share: f64, rng: &mut impl Rng) -> Result<ViewSample> {
+    pub fn sample(
+        &mut self,
+        index: usize,
+        share: Option<f64>,
+        rng: &mut impl Rng,
+    ) -> Result<ViewSample> {
         let view = self.labelled(index)?;
         let labels = self.labels(index, &view)?;
+        let least = MIN_PIXELS / labels.len().max(1) as f64;
+        let share = share.unwrap_or(PIXEL_SHARE.max(least));
         let (labels, numbers) = if share < 1.0 {
             let drawn = stratified_sample(labels.len(), share, rng);
             let labels = drawn.iter().map(|&i| labels[i as usize]).collect();

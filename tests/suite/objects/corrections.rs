@@ -104,7 +104,7 @@ fn training<'a>(scene: &'a Scene, gaussians: &'a Gaussians) -> TrainingViews<'a>
 /// All labelled pixels of training view `index`.
 fn pixels(views: &mut TrainingViews, index: usize) -> ViewSample {
     let mut rng = ChaCha8Rng::seed_from_u64(0);
-    views.sample(index, 1.0, &mut rng).unwrap()
+    views.sample(index, Some(1.0), &mut rng).unwrap()
 }
 
 fn count(labels: &[u16], class: u16) -> usize {

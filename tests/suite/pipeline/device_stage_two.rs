@@ -47,8 +47,12 @@ fn views_show_the_same_pixels_and_blend_alike() {
             // A view's first use, and another.
             for time in 0..2 {
                 let rng = || stream(3, Purpose::Pixels, time);
-                let want = on_host.sample(index, share, &mut rng()).expect("finite");
-                let got = on_gpu.sample(index, share, &mut rng()).expect("finite");
+                let want = on_host
+                    .sample(index, Some(share), &mut rng())
+                    .expect("finite");
+                let got = on_gpu
+                    .sample(index, Some(share), &mut rng())
+                    .expect("finite");
                 // A Gaussian that shows at a cut-off alone may be seen here and not there.
                 let both = got
                     .visible

@@ -98,7 +98,7 @@ fn labels_of_pixels_can_come_from_identities() {
     );
     let classes = scene.classes.len();
     let labels = |views: &mut TrainingViews| {
-        let sample = views.sample(0, 1.0, &mut stream(1, Purpose::Pixels, 0));
+        let sample = views.sample(0, Some(1.0), &mut stream(1, Purpose::Pixels, 0));
         sample.expect("pixels").pixels.labels
     };
     let raw = labels(&mut views);
@@ -142,7 +142,7 @@ fn probabilities_are_blended_over_the_coverage_and_logits_as_they_are() {
             &device,
         );
         for time in 0..2 {
-            let sample = views.sample(0, 0.5, &mut stream(1, Purpose::Pixels, time));
+            let sample = views.sample(0, Some(0.5), &mut stream(1, Purpose::Pixels, time));
             let sample = sample.expect("pixels");
             let ones = Tensor::<2>::ones([sample.visible.len(), 1], &device);
             let blended = sample.pixels.blend(ones).expect("blended");

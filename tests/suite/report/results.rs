@@ -123,7 +123,7 @@ fn the_page_stands_alone() {
             "lamp &lt;tall&gt;",
             "table &amp; chairs",
             "+22.2",
-            "iterations = 2000",
+            "iterations = 400",
             "simulated",
         ] {
             assert!(page.contains(part), "{part} is not in the page");

@@ -12,7 +12,7 @@ use std::path::Path;
 pub fn noise(i: usize, salt: usize) -> f64 {
     let x = (i as u64)
         .wrapping_mul(0x9e37_79b9_7f4a_7c15)
-        .wrapping_add(salt as u64 * 0x5851_f42d_4c95_7f2d);
+        .wrapping_add((salt as u64).wrapping_mul(0x5851_f42d_4c95_7f2d));
     let x = (x ^ x >> 29).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     ((x ^ x >> 32) & 0xffff_ffff) as f64 / 2_147_483_648.0 - 1.0
 }

@@ -31,7 +31,7 @@ pub fn config(data: &Path) -> Config {
     let mut config = short(data, 30, &rows);
     config.seed = 5;
     config.segmentation = SegmentationConfig {
-        pixel_share: 0.5,
+        pixel_share: Some(0.5),
         eval_every: 10,
         checkpoint_every: 7,
         // Every loss depends on earlier measurements.
