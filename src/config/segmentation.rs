@@ -12,8 +12,6 @@ pub const GCE_EXPONENTS: [f64; 2] = [1e-6, 1.0];
 /// Weight of the label loss in Eq. 10 (the paper's). No key sets it, because Adam follows the ratio of the weights alone.
 pub const LAMBDA_PIX: f64 = 0.8;
 
-/// Largest cache of blending weights, megabytes: 16 TB.
-
 /// Loss on rendered labels. A name alone stands for the variant with its defaults.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
