@@ -166,7 +166,7 @@ fn a_run_that_is_interrupted_saves_and_is_gone_on_with() {
     without_results();
 
     let mut running =
-        Running::coseg(&[&resume[..], &["--set", "segmentation.render=scores"]].concat());
+        Running::coseg(&[&resume[..], &["--set", "data.raw_labels_note=mine"]].concat());
     running.until("building: continues after");
     running.until("per_gaussian 5/");
     running.send("-TERM");
@@ -174,7 +174,7 @@ fn a_run_that_is_interrupted_saves_and_is_gone_on_with() {
     assert_eq!(code, Some(130), "{said}");
     // What the run was not begun with has to be said again.
     assert!(
-        said.ends_with(&format!("{line} --set segmentation.render=scores")),
+        said.ends_with(&format!("{line} --set data.raw_labels_note=mine")),
         "{said}"
     );
     assert!(run.join("checkpoint/per_gaussian.safetensors").is_file());
