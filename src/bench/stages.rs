@@ -109,7 +109,7 @@ fn stage_two(
     train_variants(&inputs, folder.path(), &mut clock)?;
     figures.add("image features of all views", "s", &[features]);
     figures.add("their lifting onto the Gaussians", "s", &[unprojection]);
-    // The first pass over the views computes their weights.
+    // The first step on a view finds its labelled pixels, the Gaussians that they show, and the labels that replace raw ones.
     let (first, rest) = clock.steps.split_at(labelled.min(clock.steps.len()));
     figures.add("stage two, the first step on a view", "ms", first);
     figures.add("stage two, a step", "ms", rest);

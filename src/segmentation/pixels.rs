@@ -92,7 +92,8 @@ impl FrozenGaussians {
         }
     }
 
-    /// The pixels of `camera` that have one of `labels` and a coverage 1 - T of at least `min_coverage`.
+    /// The pixels of `camera` that have one of `labels` and a coverage 1 - T of at least `min_coverage`, and the Gaussians that
+    /// they show.
     ///
     /// # Errors
     /// Those of [`SplatView::blend`].
@@ -124,8 +125,8 @@ impl FrozenGaussians {
         })
     }
 
-    /// The weights of the pixels `numbers` of `camera` over the Gaussians `visible`, which those pixels show: stored in host
-    /// memory, rendered on a GPU.
+    /// The weights of the pixels `numbers` of `camera` over the Gaussians `visible`, at least all that these pixels show: stored
+    /// in host memory, rendered on a GPU.
     ///
     /// # Errors
     /// As [`FrozenGaussians::labelled_pixels`].
@@ -135,11 +136,14 @@ impl FrozenGaussians {
         visible: &[u32],
         numbers: Arc<Vec<u32>>,
     ) -> Result<PixelWeights> {
+        if numbers.is_empty() {
+            let none = SparseMatrix::new(visible.len(), vec![0], Vec::new(), Vec::new());
+            return Ok(PixelWeights::Stored(Arc::new(none)));
+        }
         if !self.splats.have_stored_weights() {
             return Ok(self.rendered(camera, visible, numbers));
         }
-        let view = self.splats.seen_by(camera, &self.settings);
-        let weights = view.weights(&numbers)?.over_columns(visible);
+        let weights = self.view_of(camera, visible).weights(&numbers)?;
         Ok(PixelWeights::Stored(Arc::new(if self.over_coverage {
             weights.normalised()
         } else {
@@ -154,12 +158,16 @@ impl FrozenGaussians {
         visible: &[u32],
         pixels: Arc<Vec<u32>>,
     ) -> PixelWeights {
-        let view = self.splats.seen_by(camera, &self.settings);
         PixelWeights::Rendered {
-            view: Box::new(view.of_gaussians(visible)),
+            view: Box::new(self.view_of(camera, visible)),
             pixels,
             over_coverage: self.over_coverage,
         }
+    }
+
+    fn view_of(&self, camera: &Camera, visible: &[u32]) -> SplatView {
+        let view = self.splats.seen_by(camera, &self.settings);
+        view.of_gaussians(visible)
     }
 }
 

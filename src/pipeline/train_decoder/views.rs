@@ -15,8 +15,9 @@ use burn::tensor::{Device, Tensor};
 use rand::Rng;
 use std::sync::Arc;
 
-/// Share of the labelled pixels of a view in a step, and the number below which it does not fall.
+/// Share of a view's labelled pixels in a step, where the settings name none.
 const PIXEL_SHARE: f64 = 1.0 / 16.0;
+/// Such a step takes at least this many pixels, or all.
 const MIN_PIXELS: f64 = 4_096.0;
 
 /// Labelled pixels of a view.
@@ -163,8 +164,7 @@ impl<'a> TrainingViews<'a> {
     ) -> Result<ViewSample> {
         let view = self.labelled(index)?;
         let labels = self.labels(index, &view)?;
-        let least = MIN_PIXELS / labels.len().max(1) as f64;
-        let share = share.unwrap_or(PIXEL_SHARE.max(least));
+        let share = share.unwrap_or_else(|| default_share(labels.len()));
         let (labels, numbers) = if share < 1.0 {
             let drawn = stratified_sample(labels.len(), share, rng);
             let labels = drawn.iter().map(|&i| labels[i as usize]).collect();
@@ -246,7 +246,9 @@ impl<'a> TrainingViews<'a> {
     /// The labels of the pixels of `view`, number `index`: its own or what replaces them.
     fn labels(&mut self, index: usize, view: &LabelledView) -> Result<Arc<Vec<u16>>> {
         let corrected = self.corrected(index);
-        let Some(ReplacedLabels { scores, labels }) = &mut self.replaced else {
+        let replaced = self.replaced.as_mut();
+        let replaced = replaced.filter(|_| !view.labels.is_empty());
+        let Some(ReplacedLabels { scores, labels }) = replaced else {
             return Ok(view.labels.clone());
         };
         let camera = &self.views[index].camera;
@@ -260,6 +262,11 @@ impl<'a> TrainingViews<'a> {
             Ok((labels, 0))
         })
     }
+}
+
+/// The share of `pixels` labelled pixels that a step takes where the settings name none.
+fn default_share(pixels: usize) -> f64 {
+    PIXEL_SHARE.max(MIN_PIXELS / pixels.max(1) as f64).min(1.0)
 }
 
 /// The class of each pixel of a view whose label a person corrected, [`NO_CLASS`] for the others; empty if there are none.
@@ -310,4 +317,19 @@ fn largest_scores(blended: Tensor<2>, own: &[u16]) -> Result<Vec<u16>> {
         best.filter(|&c| row[c] > 0.0).map_or(own, |c| c as u16)
     };
     Ok(rows.map(label).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::default_share;
+
+    #[test]
+    fn a_step_takes_a_sixteenth_of_the_pixels_but_not_too_few() {
+        let taken = |pixels: usize| (default_share(pixels) * pixels as f64).round();
+        let expected = [0.0, 900.0, 4_096.0, 4_096.0, 4_096.0, 10_000.0];
+        assert_eq!(
+            [0, 900, 4_096, 10_000, 65_536, 160_000].map(taken),
+            expected
+        );
+    }
 }

@@ -192,27 +192,27 @@ impl<'a, E: Real> Harmonics<'a, E> {
 
 wide_kernel! {
     /// Colours of the Gaussians from `first` on, one for each of `wanted`, where that is not 0.
-    fn evaluate(rows: &Harmonics<'_, E>, first: usize, wanted: &[u32], out: &mut [E]) => evaluate_all
+    fn evaluate(harmonics: &Harmonics<'_, E>, first: usize, wanted: &[u32], out: &mut [E]) => evaluate_all
 }
 
 #[inline(always)]
 fn evaluate_all<E: Real, const _FMA: bool>(
-    rows: &Harmonics<'_, E>,
+    harmonics: &Harmonics<'_, E>,
     first: usize,
     wanted: &[u32],
     out: &mut [E],
 ) {
-    let terms = (rows.degree + 1).pow(2);
+    let terms = (harmonics.degree + 1).pow(2);
     for ((out, i), &wanted) in out.chunks_exact_mut(3).zip(first..).zip(wanted) {
         if wanted == 0 {
             continue;
         }
-        let (d, _) = direction(rows.means, i, rows.center);
-        let basis = basis(d, rows.degree);
+        let (d, _) = direction(harmonics.means, i, harmonics.center);
+        let basis = basis(d, harmonics.degree);
         let mut sum = [E::of(0.5); 3];
         for (b, sh) in basis[..terms]
             .iter()
-            .zip(rows.sh[i * rows.width..].chunks_exact(3))
+            .zip(harmonics.sh[i * harmonics.width..].chunks_exact(3))
         {
             let b = E::of(*b);
             for c in 0..3 {

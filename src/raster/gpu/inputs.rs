@@ -16,6 +16,7 @@ pub(crate) struct Inputs {
     pub rotations: CubeTensor,
     /// `[N]`.
     pub logits: CubeTensor,
+    /// Coefficients `[N, K, 3]`.
     pub sh: Option<Harmonics>,
     /// `[N, C]`, C above 0.
     pub features: Option<CubeTensor>,

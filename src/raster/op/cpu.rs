@@ -150,14 +150,14 @@ struct Inputs<E> {
     opacity_logits: HostValues<E>,
     sh: HostValues<E>,
     features: HostValues<E>,
-    /// Channels of the features. Without Gaussians their values do not tell.
-    extra: usize,
+    /// Channels of the features; without Gaussians only the shape has them.
+    feature_channels: usize,
 }
 
 impl<E: Real> Inputs<E> {
     fn read<B: HostBackend>(tensors: RasterTensors<B>) -> Self {
         Self {
-            extra: tensors.features.shape()[1],
+            feature_channels: tensors.features.shape()[1],
             means: B::values(tensors.means),
             log_scales: B::values(tensors.log_scales),
             rotations: B::values(tensors.rotations),
@@ -185,9 +185,9 @@ impl<E: Real> Inputs<E> {
 
     /// Image `[H, W, channels]`, background included, and what the backward pass needs.
     fn forward(&self, call: &RasterCall) -> Result<(Vec<E>, Forward<E>)> {
-        check_finite("features", &self.features, self.extra)?;
+        check_finite("features", &self.features, self.feature_channels)?;
         let projected = Projected::new(&self.splats(), &call.camera, &call.settings)?;
-        let channels = call.colours() + self.extra;
+        let channels = call.colours() + self.feature_channels;
         let values = self.blended_values(call, projected.radii())?;
         let Blended {
             mut image,
@@ -215,12 +215,12 @@ impl<E: Real> Inputs<E> {
             return Ok(None);
         };
         let colours = harmonics.colours(radii)?;
-        if self.extra == 0 {
+        if self.feature_channels == 0 {
             return Ok(Some(colours));
         }
         let rows = colours
             .chunks_exact(3)
-            .zip(self.features.chunks_exact(self.extra));
+            .zip(self.features.chunks_exact(self.feature_channels));
         Ok(Some(
             rows.flat_map(|(rgb, features)| rgb.iter().chain(features).copied())
                 .collect(),
@@ -236,7 +236,7 @@ impl<E: Real> Inputs<E> {
     ) -> [Vec<E>; INPUTS] {
         let projected = &forward.projected;
         let colours = call.colours();
-        let channels = colours + self.extra;
+        let channels = colours + self.feature_channels;
         let values = forward.values.as_deref().unwrap_or(&self.features);
         let mut d = projected.backward(
             &self.splats(),

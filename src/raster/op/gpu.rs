@@ -51,7 +51,7 @@ pub(super) fn raster_forward(
             radii: cast(forward.radii(), DType::F32),
             saved: SavedForward::Gpu(Arc::new(forward)),
         },
-        // The CPU's own check names tensor and row.
+        // Something is not finite. The CPU's own check names tensor and row; if it finds none, the CPU renders.
         Ok(None) => cpu::raster_forward(tensors, call),
         Err(error) => RasterPass::Failed(error),
     }
