@@ -241,8 +241,9 @@ fn a_share_of_the_pixels_of_a_view_is_drawn_anew_by_each_stream() {
             let sample = views.sample(0, share, &mut rng).expect("pixels");
             sample.numbers.to_vec()
         };
-        let all = draw(None, 0);
-        assert_eq!(all, draw(Some(1.0), 0), "{name}: fewer than 4,096");
+        let all = draw(Some(1.0), 0);
+        let by_default = draw(None, 0).len();
+        assert!(by_default.abs_diff(all.len().min(4_096)) <= 1, "{name}");
         let [first, again, other] = [0, 0, 1].map(|index| draw(Some(0.25), index));
         assert!(
             all.len() > 100 && first.len() == all.len().div_ceil(4),
