@@ -1,8 +1,8 @@
 //! Labels that a person corrected: kept in a file, tied to their Gaussians, put into scores and into the labels of views.
 
-use crate::support::plates::{HEIGHT, WIDTH, loaded};
+use crate::support::plates::{HEIGHT, WIDTH, loaded, training_views};
 use coseg::config::SegmentationConfig;
-use coseg::data::{LoadOptions, Scene, ScoreGrid, ScoreMap, Split, View, load};
+use coseg::data::{LoadOptions, Scene, ScoreGrid, ScoreMap, View, load};
 use coseg::objects::{Corrections, Editing, Identities};
 use coseg::pipeline::train_decoder::{TrainingViews, ViewSample};
 use coseg::raster::{Settings, SplatTensors};
@@ -91,14 +91,8 @@ fn correct(corrections: &Corrections, scene: &mut Scene, gaussians: &Gaussians) 
 
 /// The training views of `scene`.
 fn training<'a>(scene: &'a Scene, gaussians: &'a Gaussians) -> TrainingViews<'a> {
-    TrainingViews::new(
-        gaussians,
-        scene.split(Split::Train),
-        &scene.classes,
-        Settings::default(),
-        &SegmentationConfig::default(),
-        &crate::support::device(),
-    )
+    let config = SegmentationConfig::default();
+    training_views(gaussians, scene, &config, &crate::support::device())
 }
 
 /// All labelled pixels of training view `index`.

@@ -2,14 +2,14 @@
 
 use crate::support::gpu;
 use crate::support::plate_runs::short;
+use crate::support::plates::training_views;
 use burn::tensor::{Device, Tensor, TensorData};
 use coseg::config::{Blend, SegmentationConfig, Variant};
-use coseg::data::{LoadOptions, Split, load};
-use coseg::pipeline::train_decoder::{TrainingViews, ViewSample};
+use coseg::data::{LoadOptions, load};
+use coseg::pipeline::train_decoder::ViewSample;
 use coseg::pipeline::{Outcome, run};
 use coseg::progress::Silent;
 use coseg::random::{Purpose, stream};
-use coseg::raster::Settings;
 use std::path::Path;
 
 #[test]
@@ -30,17 +30,7 @@ fn views_show_the_same_pixels_and_blend_alike() {
             blend,
             ..SegmentationConfig::default()
         };
-        let views = |device: &Device| {
-            let train = scene.split(Split::Train);
-            TrainingViews::new(
-                &gaussians,
-                train,
-                &scene.classes,
-                Settings::default(),
-                &config,
-                device,
-            )
-        };
+        let views = |device: &Device| training_views(&gaussians, &scene, &config, device);
         let (mut on_host, mut on_gpu) = (views(&crate::support::device()), views(&gpu));
         assert!(on_host.len() > 3);
         for index in 0..on_host.len() {

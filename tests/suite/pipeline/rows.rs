@@ -2,10 +2,11 @@
 
 use crate::support::hard_labels::hard_label_map;
 use crate::support::plate_runs::trained;
+use crate::support::plates::training_views;
 use coseg::config::{Association, Config, LabelSource, SegmentationConfig, Variant};
 use coseg::data::{LoadOptions, Split, load};
 use coseg::objects::{Identities, LabelMaps, vote};
-use coseg::pipeline::train_decoder::{TrainingPlan, TrainingViews};
+use coseg::pipeline::train_decoder::TrainingPlan;
 use coseg::pipeline::{Outcome, SegmentationInputs, decoder_training, encode};
 use coseg::random::{Purpose, stream};
 use coseg::raster::{Projected, Settings, SplatTensors};
@@ -223,19 +224,10 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
 
 #[test]
 fn a_share_of_the_pixels_of_a_view_is_drawn_anew_by_each_stream() {
-    let folder = tempfile::tempdir().expect("a folder");
-    crate::support::plates::scene(folder.path());
-    let scene = load(folder.path(), &LoadOptions::default()).expect("scene");
-    let (gaussians, _) = crate::support::plates::plates();
+    let (scene, gaussians, _, _folder) = crate::support::plates::loaded();
     for (name, device) in crate::support::devices() {
-        let mut views = TrainingViews::new(
-            &gaussians,
-            scene.split(Split::Train),
-            &scene.classes,
-            Settings::default(),
-            &SegmentationConfig::default(),
-            &device,
-        );
+        let config = SegmentationConfig::default();
+        let mut views = training_views(&gaussians, &scene, &config, &device);
         let mut draw = |share, stream_index: u64| {
             let mut rng = stream(1, Purpose::Pixels, stream_index);
             let sample = views.sample(0, share, &mut rng).expect("pixels");

@@ -1,6 +1,7 @@
 //! Stage two on the plates: what the decoder starts from, and how views are blended.
 
 use crate::support::plate_runs::trained;
+use crate::support::plates::training_views;
 use crate::support::raster_reference::all_pixels;
 use burn::tensor::Tensor;
 use coseg::Error;
@@ -88,14 +89,8 @@ fn a_decoder_that_has_learned_nothing_stores_the_pooled_vote() {
 fn labels_of_pixels_can_come_from_identities() {
     let (scene, gaussians, _, _folder) = crate::support::plates::loaded();
     let device = crate::support::device();
-    let mut views = TrainingViews::new(
-        &gaussians,
-        scene.split(Split::Train),
-        &scene.classes,
-        Settings::default(),
-        &SegmentationConfig::default(),
-        &device,
-    );
+    let config = SegmentationConfig::default();
+    let mut views = training_views(&gaussians, &scene, &config, &device);
     let classes = scene.classes.len();
     let labels = |views: &mut TrainingViews| {
         let sample = views.sample(0, Some(1.0), &mut stream(1, Purpose::Pixels, 0));
@@ -132,15 +127,7 @@ fn probabilities_are_blended_over_the_coverage_and_logits_as_they_are() {
             min_coverage: 0.2,
             ..SegmentationConfig::default()
         };
-        let views = scene.split(Split::Train);
-        let mut views = TrainingViews::new(
-            &gaussians,
-            views,
-            &scene.classes,
-            settings,
-            &config,
-            &device,
-        );
+        let mut views = training_views(&gaussians, &scene, &config, &device);
         for time in 0..2 {
             let sample = views.sample(0, Some(0.5), &mut stream(1, Purpose::Pixels, time));
             let sample = sample.expect("pixels");

@@ -1,7 +1,10 @@
 //! A small scene for tests of the program: three coloured plates before a wall, photographed and labelled.
 
 use crate::support::hard_labels::hard_label_map;
-use coseg::data::{Classes, LabelMap, LoadOptions, Scene, load};
+use burn::tensor::Device;
+use coseg::config::SegmentationConfig;
+use coseg::data::{Classes, LabelMap, LoadOptions, Scene, Split, load};
+use coseg::pipeline::train_decoder::TrainingViews;
 use coseg::raster::{Projected, Settings, render};
 use coseg::splat::camera::Camera;
 use coseg::splat::{Gaussians, ply};
@@ -89,6 +92,18 @@ pub fn loaded() -> (Scene, Gaussians, Vec<u16>, tempfile::TempDir) {
         *mean = (Vec3::from(*mean) - scene.origin.as_vec3()).to_array();
     }
     (scene, gaussians, labels, folder)
+}
+
+/// The training views of `scene` with raw labels.
+pub fn training_views<'a>(
+    gaussians: &'a Gaussians,
+    scene: &'a Scene,
+    config: &SegmentationConfig,
+    device: &Device,
+) -> TrainingViews<'a> {
+    let views = scene.split(Split::Train);
+    let settings = Settings::default();
+    TrainingViews::new(gaussians, views, &scene.classes, settings, config, device)
 }
 
 /// A scene folder of the plates: photos, exact labels, raw labels with one object swapped in one view, a PLY file.
