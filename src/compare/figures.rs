@@ -23,7 +23,7 @@ pub struct Figures {
     pub learnable_bytes: u64,
     /// Seconds of training, without those of image features.
     pub training_seconds: Option<f64>,
-    /// Seconds of extracting and lifting image features, for variants of the decoder.
+    /// Seconds of extracting and lifting image features, where a decoder reads them.
     pub feature_seconds: Option<f64>,
     /// Mean PSNR of the held-out views in dB, after attendance pruning.
     pub psnr: Option<f64>,
@@ -48,13 +48,15 @@ impl Figures {
         let seconds = &outcome.seconds;
         let features = seconds.features + seconds.unprojection;
         let labels = &row.scores.labels;
+        let variant = row.variant;
+        let decodes_features = variant.trains_decoder() && variant.reads_image_features();
         Ok(Self {
             pixels: labels.pixels,
             boundary_iou: labels.boundary_iou,
             frames_per_second: frames_per_second(row, outcome, device)?,
             learnable_bytes: row.learnable_bytes as u64,
             training_seconds: row.curve.last().map(|_| row.seconds),
-            feature_seconds: row.variant.trains_decoder().then_some(features),
+            feature_seconds: decodes_features.then_some(features),
             psnr: outcome.test.psnr,
             field: row.field,
             gaussians: outcome.gaussians.len(),

@@ -24,6 +24,8 @@ pub enum Variant {
     OursCe,
     /// The decoder with [`SegmentationConfig::loss`](super::SegmentationConfig::loss).
     Ours,
+    /// `Ours` with a free score for each Gaussian and class in place of the decoder.
+    NoDecoder,
     /// `Ours` without image features.
     NoImageFeatures,
     /// `Ours` without spatial features.
@@ -66,6 +68,11 @@ impl Variant {
         )
     }
 
+    /// Whether the variant trains what `Ours` does under the loss of the settings: the decoder, or scores in its place.
+    pub fn trains_under_loss(self) -> bool {
+        self == Self::NoDecoder || (self.trains_decoder() && self != Self::OursCe)
+    }
+
     /// Whether the variant reads 2D image features.
     pub fn reads_image_features(self) -> bool {
         self == Self::Distilled || (self.trains_decoder() && self != Self::NoImageFeatures)
@@ -97,6 +104,7 @@ impl Variant {
             Self::PanopticLifting => ["panoptic_lifting", "Panoptic Lifting"],
             Self::OursCe => ["ours_ce", "ours, CE"],
             Self::Ours => ["ours", "ours"],
+            Self::NoDecoder => ["no_decoder", "ours without the decoder"],
             Self::NoImageFeatures => ["no_image_features", "ours without image features"],
             Self::NoSpatial => ["no_spatial", "ours without spatial features"],
             Self::SingleScale => ["single_scale", "ours, one scale"],

@@ -223,11 +223,8 @@ fn count(
 pub(super) fn reads_features(config: &Config) -> bool {
     let cells = config.unprojection.resolution == Resolution::Feature
         && config.unprojection.attendance > 0.0;
-    let variants = config.segmentation.rows();
-    cells
-        || variants
-            .iter()
-            .any(|variant| variant.reads_image_features() || variant.trains_decoder())
+    let mut variants = config.segmentation.rows().iter();
+    cells || variants.any(|variant| variant.reads_image_features())
 }
 
 #[cfg(test)]

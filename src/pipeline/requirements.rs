@@ -63,6 +63,13 @@ pub(super) fn check_scores(gaussians: usize, scene: &Scene, config: &Config) -> 
     memory::check_scores(gaussians, scene.classes.len(), score_tables(config))
 }
 
+/// Variants that train a score for each Gaussian and class.
+const FREE_SCORES: [Variant; 3] = [
+    Variant::PerGaussian,
+    Variant::PanopticLifting,
+    Variant::NoDecoder,
+];
+
 /// Scores of each Gaussian for each class that are in memory together at most, as measured: votes, identities of each variant,
 /// and what training them takes.
 pub(super) fn score_tables(config: &Config) -> usize {
@@ -71,7 +78,7 @@ pub(super) fn score_tables(config: &Config) -> usize {
     let fine_tunes = has_decoder && config.segmentation.fine_tune != Some(false);
     let training = match rows {
         // Fine-tuning trains free scores too.
-        _ if fine_tunes || rows.contains(&Variant::PerGaussian) => 6,
+        _ if fine_tunes || rows.iter().any(|row| FREE_SCORES.contains(row)) => 6,
         _ if has_decoder => 3,
         _ => 0,
     };

@@ -19,10 +19,10 @@ const GJS_DROPOUT: f64 = 0.2;
 /// How `variant` is trained.
 pub(super) fn plan(variant: Variant, inputs: &SegmentationInputs) -> Result<TrainingPlan> {
     let config = &inputs.config.segmentation;
-    let loss = match variant {
-        Variant::OursCe => LabelLoss::Ce,
-        _ if variant.trains_decoder() => LabelLoss::from_config(config)?,
-        _ => LabelLoss::Ce,
+    let loss = if variant.trains_under_loss() {
+        LabelLoss::from_config(config)?
+    } else {
+        LabelLoss::Ce
     };
     let mut plan = TrainingPlan::new(config, loss, inputs.config.seed);
     match variant {
@@ -114,9 +114,13 @@ pub fn decoder_training<'a>(
         model = model.with_prior(prior, &device);
         decoder = decoder.with_silent_start();
     }
-    // Not `plan.warmup`: a variant under cross-entropy has no warm-up, and is averaged over the same steps as the others.
-    let average_from = (config.warmup * plan.config.iterations as f64) as usize;
-    let average_from = config.average.then_some(average_from);
-    let adam = Adam::new(config.lr, config.batch(), average_from);
+    let adam = Adam::new(config.lr, config.batch(), average_from(&plan.config));
     Training::new(model, decoder, adam, classes)
+}
+
+/// The iteration from which parameters are averaged, if they are. Not `plan.warmup`: a variant under cross-entropy has no warm-up,
+/// and is averaged over the same steps as the others.
+pub(super) fn average_from(config: &SegmentationConfig) -> Option<usize> {
+    let from = (config.warmup * config.iterations as f64) as usize;
+    config.average.then_some(from)
 }

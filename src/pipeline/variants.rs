@@ -11,7 +11,7 @@ use super::train_decoder::{
     TrainingViews,
 };
 use super::variant_outcome::VariantOutcome;
-use super::variant_training::{decoder_training, plan, schedule};
+use super::variant_training::{average_from, decoder_training, plan, schedule};
 use crate::config::{Blend, Prior, SpatialConfig, Variant};
 use crate::error::Result;
 use crate::objects::Identities;
@@ -71,6 +71,7 @@ pub fn train_variants(
                 let model = PanopticLifting::new(inputs);
                 stage.of_raw_labels(variant, model, stage.logits(), LR_PER_GAUSSIAN, progress)?
             }
+            Variant::NoDecoder => stage.no_decoder(progress)?,
             _ => stage.decoder(variant, progress)?,
         };
         if let Some(identities) = &outcome.identities {
@@ -198,13 +199,7 @@ impl<'a> StageTwo<'a> {
         let plan = plan(variant, inputs)?;
         let input = self.encodings(variant)?.decoder_input(variant, inputs)?;
         let prior = self.evidence.prior()?;
-        match self.evidence.prior_kind() {
-            Prior::Pooled => {
-                let pooled = &self.evidence.pooled()?.identities;
-                self.views.use_labels_of(pooled, inputs.device);
-            }
-            Prior::None | Prior::Votes => self.views.use_raw_labels(),
-        }
+        self.use_labels_of_prior()?;
         let training = decoder_training(variant, &plan, &input, prior, inputs);
         let schedule = schedule(variant, inputs, self.checkpoints)?;
         let mut outcome = self.trained(variant, training, &plan, &schedule, progress)?;
@@ -212,6 +207,37 @@ impl<'a> StageTwo<'a> {
             outcome.field = self.lifted()?;
         }
         self.fine_tuned(outcome, &plan, progress)
+    }
+
+    /// Scores of each Gaussian that start at the prior, and learn as a decoder does.
+    fn no_decoder(&mut self, progress: &mut dyn Progress) -> Result<VariantOutcome> {
+        let inputs = self.inputs;
+        let variant = Variant::NoDecoder;
+        let plan = plan(variant, inputs)?;
+        let classes = inputs.scene.classes.len();
+        let logits = match self.evidence.prior()? {
+            Some(prior) => Logits::new(prior, classes, &self.device),
+            None => self.logits(),
+        };
+        self.use_labels_of_prior()?;
+        let config = &plan.config;
+        let adam = Adam::new(LR_PER_GAUSSIAN, config.batch(), average_from(config));
+        let training = Training::new(PerGaussian(config.blend), logits, adam, classes);
+        let schedule = schedule(variant, inputs, self.checkpoints)?;
+        let outcome = self.trained(variant, training, &plan, &schedule, progress)?;
+        self.fine_tuned(outcome, &plan, progress)
+    }
+
+    /// Has the next variant learn what the prior says of the labelled pixels, or raw labels where the prior is not pooled.
+    fn use_labels_of_prior(&mut self) -> Result<()> {
+        match self.evidence.prior_kind() {
+            Prior::Pooled => {
+                let pooled = &self.evidence.pooled()?.identities;
+                self.views.use_labels_of(pooled, self.inputs.device);
+            }
+            Prior::None | Prior::Votes => self.views.use_raw_labels(),
+        }
+        Ok(())
     }
 
     /// Scores of the lifted features, computed once, where they are asked for.

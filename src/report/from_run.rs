@@ -179,7 +179,7 @@ fn notes_of_labels(outcome: &Outcome, config: &Config) -> Vec<String> {
     if rows().any(|row| row == Variant::Raw) {
         notes.push("Raw labels of held-out views are scored, never trained on.".to_owned());
     }
-    if rows().any(|row| row.trains_decoder() && row != Variant::OursCe) {
+    if rows().any(Variant::trains_under_loss) {
         let s = &config.segmentation;
         let steps = (s.warmup * s.iterations as f64).round();
         notes.push(format!(

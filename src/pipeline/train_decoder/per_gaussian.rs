@@ -26,10 +26,14 @@ impl Logits {
     /// Logits that give the `probabilities` with `floor` added to each, on an autodiff `device`.
     pub fn starting_at(probabilities: &Identities, floor: f32, device: &Device) -> Self {
         let logits = probabilities.scores.iter().map(|p| (p + floor).ln());
-        let classes = probabilities.classes;
-        let size = [probabilities.scores.len() / classes.max(1), classes];
+        Self::new(logits.collect(), probabilities.classes, device)
+    }
+
+    /// Logits of `scores` for each Gaussian and each of `classes`, on an autodiff `device`.
+    pub fn new(scores: Vec<f32>, classes: usize, device: &Device) -> Self {
+        let size = [scores.len() / classes.max(1), classes];
         Self {
-            scores: parameter(logits.collect(), size, device),
+            scores: parameter(scores, size, device),
         }
     }
 
