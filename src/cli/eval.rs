@@ -8,7 +8,9 @@ use coseg::data::{Classes, Split};
 use coseg::error::{Result, ensure};
 use coseg::metrics::ImageScores;
 use coseg::objects::Semantics;
-use coseg::pipeline::{HeldOut, Pictures, SegmentationInputs, load_scene, stored_corrections};
+use coseg::pipeline::{
+    HeldOut, Pictures, SegmentationInputs, compare_with_photos, load_scene, stored_corrections,
+};
 use coseg::report::{TestScores, VariantScores};
 use coseg::runs::{RunFolder, SCENE, identities_beside};
 use coseg::splat::ply;
@@ -45,6 +47,7 @@ impl EvalArgs {
     pub fn run(self) -> Result<()> {
         let run = RunFolder::existing(&self.run)?;
         let mut config = run.config(&[])?;
+        let is_elsewhere = self.data.is_some();
         config.data.dir = self.data.or(config.data.dir);
         let ply = ply::read(&run.file(SCENE))?;
         let mut scene = load_scene(&config)?.with_origin(ply.origin);
@@ -61,6 +64,9 @@ impl EvalArgs {
         }
         scene.classes = classes;
         let device = open_cpu()?;
+        if is_elsewhere {
+            compare_with_photos(&run.file(SCENE), &ply.gaussians, &scene, &config, &device)?;
+        }
         let inputs = SegmentationInputs {
             semantics: semantics.as_ref(),
             ..SegmentationInputs::new(&scene, &ply.gaussians, &config, &device)

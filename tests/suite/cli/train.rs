@@ -1,7 +1,7 @@
 //! `coseg train`: the run folder, and what is refused before anything is begun.
 
 use crate::support::plates::scene;
-use crate::support::program::{fails, read_json, succeeds, utf8};
+use crate::support::program::{fails, read_json, succeeds, utf8, warnings};
 use crate::support::short_runs::short_run;
 use std::path::Path;
 
@@ -119,6 +119,25 @@ fn train_fills_the_run_folder_and_eval_agrees() {
         plain.contains("PSNR") && plain.contains("IoU of 2 green"),
         "{plain}"
     );
+}
+
+#[test]
+fn photos_of_another_place_are_noticed_when_a_run_is_scored_on_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let [own, other] = ["own", "other"].map(|name| folder.path().join(name));
+    let run = folder.path().join("run");
+    [&own, &other].map(|data| scene(data));
+    short_run(&own, &run);
+    for photo in std::fs::read_dir(other.join("images")).unwrap() {
+        let path = photo.unwrap().path();
+        let mut photo = image::open(&path).unwrap().into_rgb8();
+        image::imageops::invert(&mut photo);
+        photo.save(&path).unwrap();
+    }
+    let [moved, another] =
+        [&own, &other].map(|data| warnings(&["eval", utf8(&run), "--data", utf8(data)]));
+    assert!(another.contains("misplaced"), "{another}");
+    assert!(!moved.contains("misplaced"), "{moved}");
 }
 
 #[test]

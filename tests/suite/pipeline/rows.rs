@@ -223,6 +223,38 @@ fn parameters_are_averaged_after_the_warm_up_of_the_plan_in_use() {
 }
 
 #[test]
+fn scores_without_a_decoder_start_at_the_pooled_vote() {
+    let outcome = trained(|s| {
+        s.rows = Some(vec![Variant::PooledVote, Variant::NoDecoder]);
+        s.iterations = 1;
+        s.fine_tune = Some(false);
+    });
+    let [pooled, scores] =
+        [0, 1].map(|row| outcome.rows[row].identities.as_ref().expect("identities"));
+    assert_ne!(pooled, scores, "one step of Adam");
+    for (p, q) in pooled.scores.iter().zip(&scores.scores) {
+        // The floor of the prior, and a step of 0.05 in each logit.
+        assert!((p - q).abs() < 0.06, "{p} {q}");
+    }
+}
+
+#[test]
+fn variants_without_image_features_extract_none() {
+    let run = |rows: &[Variant]| trained(|s| s.rows = Some(rows.to_vec()));
+    let outcome = run(&[Variant::NoImageFeatures, Variant::NoDecoder]);
+    assert_eq!(outcome.features, "");
+    assert!(outcome.feature_colors.is_none() && outcome.seconds.features == 0.0);
+    let classes = outcome.scene.classes.len();
+    let scores = 4 * outcome.gaussians.len() * classes;
+    // The scores are learned twice: in place of the decoder, and in fine-tuning.
+    assert_eq!(outcome.rows[1].learnable_bytes, 2 * scores);
+    // Beside a variant that reads features, the scores are the same.
+    let beside = run(&[Variant::Ours, Variant::NoImageFeatures]);
+    assert_ne!(beside.features, "");
+    assert_eq!(beside.rows[1].identities, outcome.rows[0].identities);
+}
+
+#[test]
 fn a_share_of_the_pixels_of_a_view_is_drawn_anew_by_each_stream() {
     let (scene, gaussians, _, _folder) = crate::support::plates::loaded();
     for (name, device) in crate::support::devices() {
