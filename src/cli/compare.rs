@@ -8,8 +8,11 @@ use coseg::compare::{Options, Plan, Tables, run};
 use coseg::error::Result;
 use coseg::files::{absolute, own};
 use coseg::runs::scene_path;
-use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// The last commit that changed what this program was built from.
+const COMMIT: &str = env!("COSEG_COMMIT");
 
 const HELP: &str = "\
 A plan is a TOML file; docs/compare.md describes it, and configs/tables holds those of this crate.
@@ -48,7 +51,7 @@ pub struct CompareArgs {
     /// Run only cells whose name, scene/labels/row/seed, contains this
     #[arg(long, value_name = "TEXT", default_value = "")]
     only: String,
-    /// Commit of this program, for the tables [default: as git says]
+    /// Commit of this program, for the tables [default: as git said when it was built]
     #[arg(long, value_name = "TEXT")]
     commit: Option<String>,
     /// Keep finished cells of other commits
@@ -82,9 +85,7 @@ impl CompareArgs {
         let options = Options {
             out: out.clone(),
             command: command_line(),
-            commit: self
-                .commit
-                .unwrap_or_else(|| commit(Path::new(env!("CARGO_MANIFEST_DIR")))),
+            commit: self.commit.unwrap_or_else(|| COMMIT.to_owned()),
             device: device_text,
             keep_cells: self.keep_cells,
             only: self.only,
@@ -110,14 +111,4 @@ impl CompareArgs {
         }
         Ok(ExitCode::SUCCESS)
     }
-}
-
-/// The commit of the sources at `dir`, with `+changes` where files differ from it; `unknown` without git.
-fn commit(dir: &Path) -> String {
-    let mut git = Command::new("git");
-    git.arg("-C").arg(dir);
-    git.args(["describe", "--always", "--exclude=*", "--dirty=+changes"]);
-    let output = git.output().ok().filter(|output| output.status.success());
-    let commit = output.and_then(|output| String::from_utf8(output.stdout).ok());
-    commit.map_or("unknown".to_owned(), |commit| commit.trim().to_owned())
 }

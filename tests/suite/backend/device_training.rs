@@ -1,9 +1,8 @@
 //! What a step of training has besides rasterizing and losses, on a GPU: optimiser, running means, Eq. 9. Against the CPU's
 //! kernels in f64, fed the same f32 numbers.
 
-use crate::support::device_tensors::{
-    assert_close, host, leaf, on_device, value_and_gradients, waves,
-};
+use crate::support::device_tensors::{assert_close, host, leaf, value_and_gradients, waves};
+use crate::support::on_device;
 use burn::tensor::Device;
 use coseg::ops::{AdamStep, AdamTensors, adam_step, sum_all};
 use coseg::segmentation::loss::{NeighbourPairs, neighbour_divergence};

@@ -1,6 +1,6 @@
 //! Votes and label maps on a GPU: those of the CPU.
 
-use crate::support::device_tensors::on_device;
+use crate::support::on_device;
 use crate::support::raster_reference::{colored_gaussians as gaussians, numbers};
 use burn::tensor::Device;
 use coseg::config::LabelSource;

@@ -278,7 +278,7 @@ fn a_scene_without_gaussians_shows_the_background() {
 #[cfg(feature = "wgpu")]
 mod on_gpu {
     use super::*;
-    use crate::support::device_tensors::on_device;
+    use crate::support::on_device;
     use coseg::objects::Frame;
 
     /// Apart from rounding, a pixel may differ where a Gaussian is at a cut-off (by 1 / 255 at most), and a label where two weigh

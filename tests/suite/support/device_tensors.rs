@@ -1,7 +1,6 @@
 //! The same numbers in f32 on a GPU and in f64 on the CPU, and what operations make of them.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use coseg::backend::host_fallbacks;
 
 /// Numbers up to twice `amplitude`, of both signs.
 pub fn waves(count: usize, amplitude: f32) -> Vec<f32> {
@@ -68,16 +67,4 @@ pub fn value_and_gradients(
             .map(|leaf| host(leaf.grad(&gradients).expect("tracked"))),
     );
     found
-}
-
-/// What `f` gives, none of whose tensors went to the CPU's kernels when it ran on a GPU.
-pub fn on_device<T>(on: Option<&Device>, f: impl FnOnce() -> T) -> T {
-    let before = host_fallbacks();
-    let out = f();
-    assert!(
-        on.is_none() || host_fallbacks() == before,
-        "{} tensors went to the host",
-        host_fallbacks() - before
-    );
-    out
 }

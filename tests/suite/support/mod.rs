@@ -64,6 +64,7 @@ pub mod turned_cameras;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use coseg::backend::device::{self, BackendName};
+use coseg::backend::host_fallbacks;
 use coseg::segmentation::encoder::Encoding;
 use coseg::segmentation::pyramid::{Pyramid, Switches};
 use std::path::PathBuf;
@@ -111,6 +112,18 @@ pub fn gpu() -> Option<Device> {
     suited
         .inspect_err(|reason| eprintln!("SKIPPED: {reason}"))
         .ok()
+}
+
+/// What `f` gives, none of whose tensors went to the CPU's kernels when it ran on a GPU.
+pub fn on_device<T>(on: Option<&Device>, f: impl FnOnce() -> T) -> T {
+    let before = host_fallbacks();
+    let out = f();
+    assert!(
+        on.is_none() || host_fallbacks() == before,
+        "{} tensors went to the host",
+        host_fallbacks() - before
+    );
+    out
 }
 
 /// Prints that a test skips because `reason`. With `COSEG_REQUIRE_PROGRAMS=1` in the environment the test fails.

@@ -1,6 +1,6 @@
 //! A view of random Gaussians rendered in f32 on every backend and in f64 on the CPU, with all gradients.
 
-use crate::support::device_tensors::on_device;
+use crate::support::on_device;
 use crate::support::raster_reference::{Cloud, numbers, render};
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use coseg::raster::{RasterInput, Settings, rasterize};
