@@ -126,7 +126,8 @@ fn photos_of_another_place_are_noticed_when_a_run_is_scored_on_them() {
     let folder = tempfile::tempdir().unwrap();
     let [own, other] = ["own", "other"].map(|name| folder.path().join(name));
     let run = folder.path().join("run");
-    [&own, &other].map(|data| scene(data));
+    scene(&own);
+    scene(&other);
     short_run(&own, &run);
     for photo in std::fs::read_dir(other.join("images")).unwrap() {
         let path = photo.unwrap().path();

@@ -81,6 +81,7 @@ pub struct Compared<'a> {
     pub clear: &'a [bool],
 }
 
+#[cfg(feature = "wgpu")]
 /// Image, transmittance, gradients of a linear loss over both in the order of [`NAMES`]; and the radii.
 pub fn run(
     cloud: &Cloud,
