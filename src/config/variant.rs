@@ -68,8 +68,8 @@ impl Variant {
         )
     }
 
-    /// Whether the variant trains what `Ours` does under the loss of the settings: the decoder, or scores in its place.
-    pub fn trains_under_loss(self) -> bool {
+    /// Whether the variant learns with [`SegmentationConfig::loss`](super::SegmentationConfig::loss), as `Ours` does.
+    pub fn uses_configured_loss(self) -> bool {
         self == Self::NoDecoder || (self.trains_decoder() && self != Self::OursCe)
     }
 

@@ -19,7 +19,7 @@ const GJS_DROPOUT: f64 = 0.2;
 /// How `variant` is trained.
 pub(super) fn plan(variant: Variant, inputs: &SegmentationInputs) -> Result<TrainingPlan> {
     let config = &inputs.config.segmentation;
-    let loss = if variant.trains_under_loss() {
+    let loss = if variant.uses_configured_loss() {
         LabelLoss::from_config(config)?
     } else {
         LabelLoss::Ce

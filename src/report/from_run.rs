@@ -179,11 +179,11 @@ fn notes_of_labels(outcome: &Outcome, config: &Config) -> Vec<String> {
     if rows().any(|row| row == Variant::Raw) {
         notes.push("Raw labels of held-out views are scored, never trained on.".to_owned());
     }
-    if rows().any(Variant::trains_under_loss) {
+    if rows().any(Variant::uses_configured_loss) {
         let s = &config.segmentation;
         let steps = (s.warmup * s.iterations as f64).round();
         notes.push(format!(
-            "The decoder of the row ours learns with segmentation.loss = {}, after {steps} steps of cross-entropy.",
+            "The rows called ours, except \"ours, CE\", learn with segmentation.loss = {}, after {steps} steps of cross-entropy.",
             serde_json::json!(s.loss)
         ));
     }

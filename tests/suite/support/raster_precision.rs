@@ -81,8 +81,8 @@ pub struct Compared<'a> {
     pub clear: &'a [bool],
 }
 
-#[cfg(feature = "wgpu")]
 /// Image, transmittance, gradients of a linear loss over both in the order of [`NAMES`]; and the radii.
+#[cfg(feature = "wgpu")]
 pub fn run(
     cloud: &Cloud,
     channels: Channels,
