@@ -29,6 +29,18 @@ function rowsOf(runs) {
 const packed = (operations) => operations.map((o) => (o.gaussians ? { ...o, gaussians: { runs: runsOf(o.gaussians) } } : o));
 const unpacked = (operations) => operations.map((o) => (o.gaussians?.runs ? { ...o, gaussians: rowsOf(o.gaussians.runs) } : o));
 
+/** Replaces what the browser keeps, in one step: another window that finds nothing in between keeps its own edits. */
+function replaceKept(key, text) {
+  try {
+    if (text) localStorage.setItem(key, text);
+    else localStorage.removeItem(key);
+  } catch (error) {
+    // An older entry must not stay where there is no room for this one.
+    localStorage.removeItem(key);
+    throw error;
+  }
+}
+
 class Edits {
   /** Calls `edited` of `page` where the scene has changed, and else `refresh`. With `isKept`, edits outlive a reload. */
   constructor(scene, isKept, page) {
@@ -181,10 +193,8 @@ class Edits {
       if (isTaken) return;
       // Without edits a page differs from its server, too.
       const isKept = this.done.length || (this.scene.blocks && !saved);
-      // An older entry must not stay where there is no room for this one.
-      localStorage.removeItem(this.key);
       this.kept = isKept ? JSON.stringify({ saved, saves: this.saves, done: packed(this.done) }) : null;
-      if (isKept) localStorage.setItem(this.key, this.kept);
+      replaceKept(this.key, this.kept);
     } catch {
       // Private windows keep nothing, and a page keeps 5 MB at most.
       this.trouble = this.isSaved ? "" : "The browser does not keep these edits: save them before you leave.";
