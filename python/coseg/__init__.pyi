@@ -107,7 +107,7 @@ class Scene:
         gives the features themselves. None where none are beside the file."""
     @property
     def features(self) -> Optional[list[NDArray[np.float32]]]:
-        """Image features of four scales, each ``[N, D]``, of a scene that ``lift`` made; else None. Rows are zero for Gaussians that
+        """Image features of each scale, ``[N, D]``, of a scene that ``lift`` made; else None. Rows are zero for Gaussians that
         hardly any pixel shows."""
     @property
     def classes(self) -> dict[int, str]:

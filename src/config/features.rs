@@ -9,6 +9,8 @@ use std::path::PathBuf;
 
 /// Largest number of dimensions: more than any network here has channels.
 const MAX_DIMENSIONS: f64 = 4_096.0;
+/// Scales of a view's feature maps, at most; the point encoder has as many.
+pub const SCALES: usize = 4;
 
 /// Where 2D image features come from.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -42,14 +44,29 @@ pub struct FeatureConfig {
     /// Dimensions kept by PCA, per scale, 1 to 4096.
     #[default(64)]
     pub dimensions: usize,
+    /// Scales of maps that are lifted and that the decoder reads, from the finest on, 1 to [`SCALES`]; absent for
+    /// [`FeatureConfig::scale_count`] to decide.
+    pub scales: Option<usize>,
     /// Folder of cached maps, keyed by content; absent means no cache.
     #[serde(deserialize_with = "super::optional_path")]
     pub cache_dir: Option<PathBuf>,
 }
 
 impl FeatureConfig {
+    /// The number of scales. Unless `scales` says it, one for the descriptor and for a tensor of a segmenter, whose coarser maps add
+    /// nothing to the finest, and four for networks whose scales come from different depths, and for imported maps.
+    pub fn scale_count(&self) -> usize {
+        let of_source = match self.source {
+            FeatureSource::Descriptor | FeatureSource::Segmenter(_) => 1,
+            FeatureSource::Auto if self.weights.is_none() => 1,
+            _ => SCALES,
+        };
+        self.scales.unwrap_or(of_source)
+    }
+
     pub(super) fn check(&self) -> Result<()> {
         Range::Within(1.0, MAX_DIMENSIONS).check("features.dimensions", self.dimensions)?;
+        Range::Within(1.0, SCALES as f64).check("features.scales", self.scale_count())?;
         let network = match self.source {
             FeatureSource::Mobilenetv2 => "MobileNetV2",
             FeatureSource::Dino => "DINO",

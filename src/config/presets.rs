@@ -2,7 +2,7 @@
 
 use super::{
     Blend, Budget, Config, Encode, FeatureSource, LabelLoss, LabelSource, Normalisation, Preset,
-    Prior, Reduction, Resolution, SizeRule,
+    Prior, Reduction, Resolution, SCALES, SizeRule,
 };
 
 impl Config {
@@ -33,6 +33,7 @@ impl Config {
                 config.building.absgrad = false;
                 config.building.size_limit = SizeRule::Extent;
                 config.features.source = FeatureSource::Dino;
+                config.features.scales = Some(SCALES);
                 config.unprojection.normalisation = Normalisation::Count;
                 config.unprojection.resolution = Resolution::Feature;
                 config.unprojection.attendance_pixels = 0.0;

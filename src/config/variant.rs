@@ -30,8 +30,6 @@ pub enum Variant {
     NoImageFeatures,
     /// `Ours` without spatial features.
     NoSpatial,
-    /// `Ours` with one scale.
-    SingleScale,
     /// `Ours` with a random point encoder.
     RandomSpatial,
 }
@@ -63,7 +61,6 @@ impl Variant {
                 | Self::Ours
                 | Self::NoImageFeatures
                 | Self::NoSpatial
-                | Self::SingleScale
                 | Self::RandomSpatial
         )
     }
@@ -75,12 +72,12 @@ impl Variant {
 
     /// Whether the variant reads 2D image features.
     pub fn reads_image_features(self) -> bool {
-        self == Self::Distilled || (self.trains_decoder() && self != Self::NoImageFeatures)
+        self == Self::Distilled || self.reads_lifted_features()
     }
 
-    /// Whether the variant's decoder reads lifted image features of all scales.
+    /// Whether the variant's decoder reads lifted image features.
     pub fn reads_lifted_features(self) -> bool {
-        self.trains_decoder() && !matches!(self, Self::NoImageFeatures | Self::SingleScale)
+        self.trains_decoder() && self != Self::NoImageFeatures
     }
 
     /// The variant's name in `config.toml` and `metrics.json`.
@@ -107,7 +104,6 @@ impl Variant {
             Self::NoDecoder => ["no_decoder", "ours without the decoder"],
             Self::NoImageFeatures => ["no_image_features", "ours without image features"],
             Self::NoSpatial => ["no_spatial", "ours without spatial features"],
-            Self::SingleScale => ["single_scale", "ours, one scale"],
             Self::RandomSpatial => ["random_spatial", "ours, random encoder"],
         }
     }

@@ -1,6 +1,6 @@
 //! Colours of Gaussians by their image features.
 
-use super::{Moments, Pca, SCALES};
+use super::{Moments, Pca};
 use crate::error::{Result, ensure};
 use crate::weights::{HostTensor, WeightFile};
 use std::path::Path;
@@ -27,9 +27,10 @@ impl FeatureColors {
     ///
     /// # Errors
     /// [`crate::Error::NonFinite`] for features that are not finite.
-    pub fn of(scales: &[Vec<f32>; SCALES], dimensions: usize) -> Result<Self> {
-        let channels = SCALES * dimensions;
-        let count = scales[0].len() / dimensions.max(1);
+    pub fn of(scales: &[Vec<f32>], dimensions: usize) -> Result<Self> {
+        let channels = scales.len() * dimensions;
+        let values = scales.first().map_or(0, Vec::len);
+        let count = values / dimensions.max(1);
         let mut moments = Moments::new(channels);
         let fitted = (0..count).step_by(count.div_ceil(FITTED_GAUSSIANS).max(1));
         let fitted = joined(scales, dimensions, fitted);
@@ -85,11 +86,7 @@ impl FeatureColors {
 }
 
 /// The features of all scales of `rows` side by side.
-fn joined(
-    scales: &[Vec<f32>; SCALES],
-    dimensions: usize,
-    rows: impl Iterator<Item = usize>,
-) -> Vec<f32> {
+fn joined(scales: &[Vec<f32>], dimensions: usize, rows: impl Iterator<Item = usize>) -> Vec<f32> {
     let mut all = Vec::new();
     for row in rows {
         for scale in scales {
@@ -124,7 +121,7 @@ mod tests {
     fn the_main_component_is_red_and_outliers_are_clipped() {
         // The second channel of the third scale varies most, and one Gaussian is far off.
         let count = 101;
-        let mut scales = [(); SCALES].map(|()| vec![0.25; 2 * count]);
+        let mut scales = vec![vec![0.25; 2 * count]; 4];
         for i in 0..count {
             scales[2][2 * i + 1] = i as f32;
             scales[0][2 * i] = 0.1 * (i as f32 * 2.4).sin();
@@ -149,9 +146,9 @@ mod tests {
 
     #[test]
     fn unusable_features_are_refused_and_none_make_no_colours() {
-        let none = FeatureColors::of(&Default::default(), 2).expect("nothing");
+        let none = FeatureColors::of(&[], 2).expect("nothing");
         assert!(none.rgb.is_empty());
-        let mut scales = [(); SCALES].map(|()| vec![1.0; 8]);
+        let mut scales = vec![vec![1.0; 8]; 4];
         let plain = FeatureColors::of(&scales, 2).expect("finite");
         assert_eq!(plain.rgb, [[0.5; 3]; 4]);
         scales[3][5] = f32::NAN;

@@ -1,6 +1,6 @@
 //! From a scene to reduced feature maps.
 
-use super::{Extractor, FeatureMap, Moments, Pca, SCALES, cache, each_scale};
+use super::{Extractor, FeatureMap, Moments, Pca, SCALES, cache};
 use crate::config::{FeatureConfig, FeatureSource};
 use crate::data::{Scene, Split, View};
 use crate::error::{Result, bail, ensure};
@@ -26,17 +26,17 @@ pub struct ViewFeatures {
     /// Name of the view.
     pub view: String,
     /// Fine to coarse, `dimensions` channels each, every cell of unit length (or zero where nothing varies).
-    pub maps: [FeatureMap; SCALES],
+    pub maps: Vec<FeatureMap>,
 }
 
-/// The extractor of a scene's features and the fitted reductions. Each training view has four maps. A PCA per scale, fitted on all
-/// training views, reduces them; then each cell is L2-normalised. The unreduced maps need not fit in memory together.
-/// [Ranks](crate::ranks) divide the training views.
+/// The extractor of a scene's features and the fitted reductions. A PCA per scale, fitted on all training views, reduces their maps;
+/// then each cell is L2-normalised. The unreduced maps need not fit in memory together. [Ranks](crate::ranks) divide the training
+/// views.
 pub struct FeatureReduction<'a> {
     /// Where the features come from, see [`Extractor`].
     pub name: String,
     /// One a scale.
-    pub reductions: [Pca; SCALES],
+    pub reductions: Vec<Pca>,
     /// What the maps depend on besides the photos: arithmetic and weights, or a digest of the imported maps.
     pub content: String,
     extractor: Extractor,
@@ -44,7 +44,7 @@ pub struct FeatureReduction<'a> {
     /// The training views of this rank.
     train: Vec<&'a View>,
     /// Unreduced maps of those that were kept.
-    kept: Vec<Option<[FeatureMap; SCALES]>>,
+    kept: Vec<Option<Vec<FeatureMap>>>,
 }
 
 impl<'a> FeatureReduction<'a> {
@@ -80,7 +80,10 @@ impl<'a> FeatureReduction<'a> {
                 train.len()
             );
         }
-        let reductions = moments.map(|m| Pca::fit(&m, config.dimensions));
+        let reductions = moments
+            .iter()
+            .map(|m| Pca::fit(m, config.dimensions))
+            .collect();
         let content = match &extractor.cache_key {
             Some(key) => key.clone(),
             None => {
@@ -114,7 +117,7 @@ impl<'a> FeatureReduction<'a> {
     fn reduced(
         &self,
         views: &[&View],
-        kept: Vec<Option<[FeatureMap; SCALES]>>,
+        kept: Vec<Option<Vec<FeatureMap>>>,
     ) -> impl Iterator<Item = Result<ViewFeatures>> {
         let mut kept = kept.into_iter();
         views.chunks(BATCH).flat_map(move |batch| {
@@ -122,10 +125,11 @@ impl<'a> FeatureReduction<'a> {
             let reduced = batch.par_iter().zip(kept).map(|(view, kept)| {
                 let maps =
                     kept.map_or_else(|| cached_maps(&self.extractor, self.config, view), Ok)?;
-                let reduce = |n: usize| self.reductions[n].apply(&maps[n], &map_name(view, n));
+                let scales = self.reductions.iter().zip(&maps).enumerate();
+                let reduced = scales.map(|(n, (pca, map))| pca.apply(map, &map_name(view, n)));
                 Ok(ViewFeatures {
                     view: view.name.clone(),
-                    maps: each_scale(reduce)?,
+                    maps: reduced.collect::<Result<_>>()?,
                 })
             });
             reduced.collect::<Vec<_>>()
@@ -137,9 +141,9 @@ impl<'a> FeatureReduction<'a> {
 #[derive(Default)]
 struct FirstPass {
     /// Of the cells that were drawn; absent without views.
-    moments: Option<[Moments; SCALES]>,
+    moments: Option<Vec<Moments>>,
     /// Unreduced maps of each view, while they fit in memory.
-    kept: Vec<Option<[FeatureMap; SCALES]>>,
+    kept: Vec<Option<Vec<FeatureMap>>>,
     /// Of imported maps, which do not depend on photos: it identifies them.
     digests: Vec<String>,
 }
@@ -167,7 +171,7 @@ fn first_pass(
             seen.digests.extend(digest);
             let moments = seen
                 .moments
-                .get_or_insert_with(|| std::array::from_fn(|n| Moments::new(maps[n].channels)));
+                .get_or_insert_with(|| maps.iter().map(|map| Moments::new(map.channels)).collect());
             for (n, (map, moments)) in maps.iter().zip(moments).enumerate() {
                 let index = (number * SCALES + n) as u64;
                 let cells = subsample(map, quota, seed, index);
@@ -206,7 +210,7 @@ fn cached_maps(
     extractor: &Extractor,
     config: &FeatureConfig,
     view: &View,
-) -> Result<[FeatureMap; SCALES]> {
+) -> Result<Vec<FeatureMap>> {
     let (Some(dir), Some(key)) = (&config.cache_dir, &extractor.cache_key) else {
         return extractor.maps(view);
     };

@@ -1,7 +1,7 @@
 //! Feature maps from files: `STEM.1.npy` to `STEM.4.npy`, or `STEM.safetensors` with `scale1` to `scale4`. Their cells
-//! divide the image evenly.
+//! divide the image evenly. Files of fewer scales do where fewer are read.
 
-use super::{FeatureMap, SCALES, by_scale};
+use super::{FeatureMap, SCALES};
 use crate::error::{Result, ensure, invalid};
 use crate::files::{self, extension};
 use crate::weights::floats;
@@ -13,15 +13,15 @@ use std::path::{Path, PathBuf};
 /// What a map file must hold, for error messages.
 const WANTED: &str = "an [H, W, C] array of f32 or f16, none of them 0";
 
-/// Refuses a folder without the files of view `stem`.
+/// Refuses a folder without the files of view `stem` at the first `scales` scales.
 ///
 /// # Errors
 /// [`crate::Error::Input`].
-pub fn expect(dir: &Path, stem: &str) -> Result<()> {
+pub fn expect(dir: &Path, stem: &str, scales: usize) -> Result<()> {
     if dir.join(format!("{stem}.safetensors")).exists() {
         return Ok(());
     }
-    for n in 1..=SCALES {
+    for n in 1..=scales {
         ensure!(dir.join(format!("{stem}.{n}.npy")).exists(), dir, "view {stem}, scale {n}";
             found "neither {stem}.{n}.npy nor {stem}.safetensors";
             expected "one of them for every view";
@@ -30,18 +30,18 @@ pub fn expect(dir: &Path, stem: &str) -> Result<()> {
     Ok(())
 }
 
-/// The four maps of view `stem`.
+/// The maps of view `stem` at the first `scales` scales.
 ///
 /// # Errors
 /// [`crate::Error::Input`] when files are absent, truncated, of another type or shape; [`crate::Error::NonFinite`] on NaN or infinity.
-pub fn read(dir: &Path, stem: &str) -> Result<[FeatureMap; SCALES]> {
-    expect(dir, stem)?;
+pub fn read(dir: &Path, stem: &str, scales: usize) -> Result<Vec<FeatureMap>> {
+    expect(dir, stem, scales)?;
     let bundle = dir.join(format!("{stem}.safetensors"));
     if bundle.exists() {
-        return read_bundle(&bundle, SCALES).map(by_scale);
+        return read_bundle(&bundle, scales, scales);
     }
-    let maps = (1..=SCALES).map(|n| read_npy(&dir.join(format!("{stem}.{n}.npy"))));
-    maps.collect::<Result<_>>().map(by_scale)
+    let maps = (1..=scales).map(|n| read_npy(&dir.join(format!("{stem}.{n}.npy"))));
+    maps.collect()
 }
 
 /// The files of view `stem`: the bundle, or the maps of one to four scales. None if there are none.
@@ -60,8 +60,8 @@ pub fn found(dir: &Path, stem: &str) -> Vec<PathBuf> {
 /// As [`read`].
 pub fn read_found(dir: &Path, stem: &str) -> Result<Vec<FeatureMap>> {
     match &found(dir, stem)[..] {
-        [] => expect(dir, stem).map(|()| Vec::new()),
-        [bundle] if extension(bundle) == "safetensors" => read_bundle(bundle, 1),
+        [] => expect(dir, stem, 1).map(|()| Vec::new()),
+        [bundle] if extension(bundle) == "safetensors" => read_bundle(bundle, 1, SCALES),
         maps => maps.iter().map(|path| read_npy(path)).collect(),
     }
 }
@@ -105,15 +105,15 @@ fn read_npy(path: &Path) -> Result<FeatureMap> {
     checked(path, "data", [height, width, channels], data)
 }
 
-/// The maps of a safetensors file, of `least` scales or more.
-fn read_bundle(path: &Path, least: usize) -> Result<Vec<FeatureMap>> {
+/// The maps of a safetensors file, of `least` to `most` scales.
+fn read_bundle(path: &Path, least: usize, most: usize) -> Result<Vec<FeatureMap>> {
     let bytes = files::read(path)?;
     let tensors = SafeTensors::deserialize(&bytes).map_err(|e| {
         invalid!(path, "header"; found "{e}"; expected "a safetensors file with scale1 to scale4";
             help "write the file again")
     })?;
     let mut maps = Vec::new();
-    for n in 1..=SCALES {
+    for n in 1..=most {
         let name = format!("scale{n}");
         if n > least && !tensors.names().contains(&name.as_str()) {
             break;

@@ -1,7 +1,7 @@
 //! 2D image features: where they come from, reduction by PCA, and the on-disk cache; texts that they are compared with.
 //!
-//! For every view an [`Extractor`] gives four [`FeatureMap`]s, fine and local to coarse and global. [`FeatureReduction`] fits a PCA
-//! per scale on the training views, reduces every map to [`crate::config::FeatureConfig::dimensions`] channels and
+//! For every view an [`Extractor`] gives one to four [`FeatureMap`]s, fine and local to coarse and global. [`FeatureReduction`] fits
+//! a PCA per scale on the training views, reduces every map to [`crate::config::FeatureConfig::dimensions`] channels and
 //! L2-normalises each cell.
 
 mod cache;
@@ -26,6 +26,7 @@ pub use self::map::FeatureMap;
 pub use self::pca::{Moments, Pca};
 pub use self::segmenter::Tap;
 pub use self::transformer::Activation;
+pub use crate::config::SCALES;
 
 use crate::backend::device::upload;
 use crate::config::{FeatureConfig, FeatureSource};
@@ -37,9 +38,6 @@ use image::RgbImage;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Scales per view.
-pub const SCALES: usize = 4;
-
 /// Where feature maps come from.
 #[derive(Debug)]
 pub struct Extractor {
@@ -47,6 +45,8 @@ pub struct Extractor {
     pub name: String,
     /// What the maps of an image depend on besides its pixels; `None` when caching them gains nothing.
     cache_key: Option<String>,
+    /// Maps of an image.
+    scales: usize,
     source: Source,
 }
 
@@ -114,9 +114,11 @@ impl Extractor {
                 return Err(Error::io(dir, "open folder", error));
             }
         };
+        let scales = config.scale_count();
         Ok(Self {
             name,
-            cache_key,
+            cache_key: cache_key.map(|key| format!("{key} scales {scales}")),
+            scales,
             source,
         })
     }
@@ -127,20 +129,20 @@ impl Extractor {
     /// [`Error::Input`].
     pub(crate) fn expect(&self, view: &str) -> Result<()> {
         match &self.source {
-            Source::Import(dir) => import::expect(dir, view),
+            Source::Import(dir) => import::expect(dir, view, self.scales),
             _ => Ok(()),
         }
     }
 
-    /// The four maps of a view before reduction, fine to coarse.
+    /// The maps of a view before reduction, fine to coarse, [`FeatureConfig::scale_count`] of them.
     ///
-    /// Imported maps are `STEM.1.npy` to `STEM.4.npy` (`[H, W, C]`, f32 or f16) or the tensors `scale1` to `scale4` of
-    /// `STEM.safetensors`, STEM being the view's name.
+    /// Imported maps are `STEM.1.npy`, `STEM.2.npy` and so on (`[H, W, C]`, f32 or f16) or the tensors `scale1`, `scale2` and so on
+    /// of `STEM.safetensors`, STEM being the view's name.
     ///
     /// # Errors
     /// [`Error::Io`], [`Error::Input`] and [`Error::NonFinite`] for imported files that cannot be used; [`Error::NonFinite`]
     /// for weights under which an activation is not finite; those of [`crate::data::Photo::pixels`].
-    pub fn maps(&self, view: &View) -> Result<[FeatureMap; SCALES]> {
+    pub fn maps(&self, view: &View) -> Result<Vec<FeatureMap>> {
         self.maps_of(&view.name, || view.image.pixels())
     }
 
@@ -149,14 +151,17 @@ impl Extractor {
         &self,
         name: &str,
         pixels: impl FnOnce() -> Result<Arc<RgbImage>>,
-    ) -> Result<[FeatureMap; SCALES]> {
-        match &self.source {
-            Source::Descriptor => Ok(descriptor::describe(&*pixels()?)),
-            Source::MobileNetV2(net) => net.maps(&*pixels()?),
-            Source::Dino(net) => net.maps(&*pixels()?),
-            Source::Segmenter(tap) => tap.maps(&*pixels()?),
-            Source::Import(dir) => import::read(dir, name),
-        }
+    ) -> Result<Vec<FeatureMap>> {
+        let scales = self.scales;
+        let mut maps = match &self.source {
+            Source::Descriptor => descriptor::describe(&*pixels()?, scales),
+            Source::MobileNetV2(net) => net.maps(&*pixels()?)?,
+            Source::Dino(net) => net.maps(&*pixels()?)?,
+            Source::Segmenter(tap) => tap.maps(&*pixels()?, scales)?,
+            Source::Import(dir) => import::read(dir, name, scales)?,
+        };
+        maps.truncate(scales);
+        Ok(maps)
     }
 }
 
@@ -169,17 +174,6 @@ fn naming_source(mut error: Error, source: &FeatureSource) -> Error {
         );
     }
     error
-}
-
-/// What `map` gives for the scales in order, counted from 0, or its first error.
-fn each_scale(map: impl FnMut(usize) -> Result<FeatureMap>) -> Result<[FeatureMap; SCALES]> {
-    (0..SCALES).map(map).collect::<Result<_>>().map(by_scale)
-}
-
-/// The maps of the first scales, and empty ones of the others.
-fn by_scale(maps: Vec<FeatureMap>) -> [FeatureMap; SCALES] {
-    let mut maps = maps.into_iter();
-    std::array::from_fn(|_| maps.next().unwrap_or_default())
 }
 
 /// The image as `[1, 3, H, W]`, normalised as networks trained on ImageNet expect it.

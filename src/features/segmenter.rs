@@ -1,6 +1,6 @@
 //! Features from within a semantic segmenter in an ONNX file: one tensor of the network, and the same over larger areas.
 
-use super::{FeatureMap, SCALES};
+use super::FeatureMap;
 use crate::data::bilinear::{among, beside};
 use crate::error::Result;
 use crate::segmenter::contract::Alignment;
@@ -37,19 +37,18 @@ impl Tap {
         format!("{:x}", Sha256::digest(said))
     }
 
-    /// The maps of a photo, fine to coarse: the tensor, and its means over areas of 2, 4 and 8 cells a side.
+    /// The maps of a photo, fine to coarse, of `scales` scales: the tensor, and its means over areas of 2, 4 and 8 cells a side.
     ///
     /// # Errors
     /// As [`Tap::map`].
-    pub(super) fn maps(&self, photo: &RgbImage) -> Result<[FeatureMap; SCALES]> {
-        let mut map = self.map(photo)?;
-        let mut maps: [FeatureMap; SCALES] = Default::default();
-        for scale in &mut maps {
-            // An odd map shares its middle cells between two.
-            let coarser = map.resized(map.height.div_ceil(2), map.width.div_ceil(2));
-            *scale = std::mem::replace(&mut map, coarser);
-        }
-        Ok(maps)
+    pub(super) fn maps(&self, photo: &RgbImage, scales: usize) -> Result<Vec<FeatureMap>> {
+        let finest = self.map(photo)?;
+        // An odd map shares its middle cells between two.
+        let halved =
+            |map: &FeatureMap| Some(map.resized(map.height.div_ceil(2), map.width.div_ceil(2)));
+        Ok(std::iter::successors(Some(finest), halved)
+            .take(scales)
+            .collect())
     }
 
     /// The features of a photo, bilinear between the cells of the tensor. Cells beside the photo are left out: those of the map divide

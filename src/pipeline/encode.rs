@@ -12,9 +12,6 @@ use crate::segmentation::pyramid::{Pyramid, Standardisation, Switches};
 use crate::splat::camera::spread;
 use crate::splat::rows_where;
 
-/// Scale (zero-based) whose image features the single-scale variant reads.
-const SINGLE_SCALE: usize = 0;
-
 /// Spatial features of the Gaussians, from local to global.
 pub struct Encodings {
     /// Where the encoder's weights came from.
@@ -98,7 +95,7 @@ impl Encodings {
         let switches = Switches {
             image: variant != Variant::NoImageFeatures,
             spatial: variant != Variant::NoSpatial,
-            single_scale: (variant == Variant::SingleScale).then_some(SINGLE_SCALE),
+            scales: inputs.config.features.scale_count(),
         };
         let all: Vec<u32> = (0..inputs.gaussians.len() as u32).collect();
         let mut scene = join(&self.scene, all, switches, inputs)?;

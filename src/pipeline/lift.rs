@@ -4,7 +4,7 @@ use super::pictures::score_images;
 use crate::config::{Config, Resolution};
 use crate::data::{Scene, Split};
 use crate::error::Result;
-use crate::features::{FeatureColors, FeatureReduction, SCALES};
+use crate::features::{FeatureColors, FeatureReduction};
 use crate::metrics::ImageScores;
 use crate::progress::{Progress, Viewing, go_on};
 use crate::ranks;
@@ -22,7 +22,7 @@ pub struct LiftedFeatures {
     /// Indices of the Gaussians that attendance pruning keeps, ascending.
     pub kept: Vec<u32>,
     /// Lifted features of the kept Gaussians per scale, `[N, D]`.
-    pub lifted: [Vec<f32>; SCALES],
+    pub lifted: Vec<Vec<f32>>,
     /// D.
     pub dimensions: usize,
     /// Where the features came from.
@@ -76,7 +76,7 @@ impl LiftedFeatures {
             .iter_mut()
             .for_each(|rows| keep_rows(rows, &kept, dimensions));
         Ok(Self {
-            lifted: std::array::from_fn(|scale| std::mem::take(&mut scales[scale])),
+            lifted: scales,
             kept,
             dimensions,
             name,
@@ -230,13 +230,12 @@ pub(super) fn reads_features(config: &Config) -> bool {
 #[cfg(test)]
 mod tests {
     use super::{LiftedFeatures, keep_rows};
-    use crate::features::SCALES;
 
     #[test]
     fn rows_that_were_not_kept_are_zero() {
         let mut lifted = LiftedFeatures {
             kept: vec![1, 3],
-            lifted: [const { Vec::new() }; SCALES],
+            lifted: vec![Vec::new(); 4],
             dimensions: 2,
             name: String::new(),
             content: String::new(),

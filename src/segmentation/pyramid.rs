@@ -3,6 +3,7 @@
 use super::encoder::Encoding;
 use super::linear::fill_blocks;
 use crate::backend::device::upload;
+use crate::config::SCALES;
 use crate::error::{Result, ensure};
 use crate::ops::{SparseMatrix, selected};
 use burn::tensor::Tensor;
@@ -18,8 +19,9 @@ pub struct Switches {
     /// Spatial features f_s,n and f_e.
     #[default(true)]
     pub spatial: bool,
-    /// All scales, or level 1 alone with the image features of the scale given (0 is scale 1).
-    pub single_scale: Option<usize>,
+    /// Scales that are read, finest first. What lies below the last one is read where all are.
+    #[default(SCALES)]
+    pub scales: usize,
 }
 
 /// Frozen inputs of one scale n = 1..4 (Eq. 7), on `N_n` points, without autodiff.
@@ -37,7 +39,7 @@ pub struct Level {
 /// Levels from fine to coarse, and the encoder's last sampled set below them.
 #[derive(Clone, Debug)]
 pub struct Pyramid {
-    /// Scales 1 to 4, or scale 1 alone; level 1 holds every point of the set that was encoded.
+    /// Scale 1 and the next ones, up to four; level 1 holds every point of the set that was encoded.
     pub levels: Vec<Level>,
     /// f_e, features of the set below the last level; no channels where nothing is read from there.
     pub top: Tensor<2>,
@@ -57,15 +59,10 @@ impl Pyramid {
         ensure!(switches.image || switches.spatial, argument "decoder inputs"; found "none";
             expected "image features, spatial features or both"; help "leave image or spatial features on");
         let device = encoding.coarsest.features.device();
-        let count = if switches.single_scale.is_some() {
-            1
-        } else {
-            encoding.levels.len()
-        };
+        let count = switches.scales.clamp(1, encoding.levels.len());
         let mut levels = Vec::with_capacity(count);
         for (n, level) in encoding.levels.iter().take(count).enumerate() {
-            let scale = switches.single_scale.unwrap_or(n);
-            let lifted = switches.image.then(|| image(scale, &level.indices));
+            let lifted = switches.image.then(|| image(n, &level.indices));
             let spatial = switches.spatial.then(|| level.features.clone());
             let parts: Vec<_> = [lifted.transpose()?, spatial]
                 .into_iter()
@@ -82,7 +79,7 @@ impl Pyramid {
                 upsample: encoding.upsample[n].clone(),
             });
         }
-        let top = if switches.spatial && switches.single_scale.is_none() {
+        let top = if switches.spatial && count == encoding.levels.len() {
             encoding.coarsest.features.clone()
         } else {
             Tensor::zeros([encoding.upsample[count - 1].columns, 0], &device)

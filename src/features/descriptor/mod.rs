@@ -29,19 +29,19 @@ pub const VERSION: &str = "descriptor-1";
 /// Grid step over the finest grid and window sigma, both in cells of 4 pixels.
 const SCALES: [(usize, f64); 4] = [(1, 0.75), (1, 2.0), (2, 5.0), (4, 12.0)];
 
-/// The four maps of an image, fine to coarse, [`CHANNELS`] values per cell.
-pub fn describe(image: &image::RgbImage) -> [FeatureMap; 4] {
+/// The maps of an image at the first `scales` scales, fine to coarse, [`CHANNELS`] values per cell.
+pub fn describe(image: &image::RgbImage, scales: usize) -> Vec<FeatureMap> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     let (w, h) = (width.div_ceil(4).max(1), height.div_ceil(4).max(1));
     if width == 0 || height == 0 {
-        return std::array::from_fn(|_| FeatureMap::zeros(0, 0, CHANNELS));
+        return vec![FeatureMap::zeros(0, 0, CHANNELS); scales];
     }
     let colours = colour::responses(image);
     let luma = colour::luma(image);
     let colours = colours.resized(h, w);
     let textures = texture::responses(&luma, h, w);
     let cells = pooling::join(&colours, &textures);
-    SCALES.map(|(step, sigma)| {
+    let maps = SCALES.iter().take(scales).map(|&(step, sigma)| {
         let (h, w) = (h.div_ceil(step), w.div_ceil(step));
         let sampled = cells.resized(h, w);
         let sigma = sigma / step as f64;
@@ -49,7 +49,8 @@ pub fn describe(image: &image::RgbImage) -> [FeatureMap; 4] {
         let means = pooling::first_channels(&sampled, colour::MEANS);
         let surround = pooling::gaussian(&means, 2.5 * sigma);
         finish(&window, &surround)
-    })
+    });
+    maps.collect()
 }
 
 /// Pooled responses to descriptor values of about unit spread.

@@ -16,7 +16,7 @@ mod position;
 pub use super::transformer::HEAD;
 
 use super::transformer::{Block, Style};
-use super::{FeatureMap, SCALES, Steps, each_scale, normalized};
+use super::{FeatureMap, SCALES, Steps, normalized};
 use crate::error::Result;
 use burn::module::{Module, Param};
 use burn::nn::{LayerNorm, Linear};
@@ -102,14 +102,15 @@ impl Vit {
     /// # Errors
     /// [`crate::Error::Argument`] for an image without pixels; [`crate::Error::NonFinite`] when an activation is not finite;
     /// [`crate::Error::Device`] when the device fails.
-    pub fn maps(&self, image: &image::RgbImage) -> Result<[FeatureMap; SCALES]> {
+    pub fn maps(&self, image: &image::RgbImage) -> Result<Vec<FeatureMap>> {
         let tokens = self.forward(normalized(image, &self.class_token.device())?);
         let rows = (image.height() as usize).div_ceil(self.patch);
-        let taps = self.taps();
-        each_scale(|n| {
-            let tokens = self.normalized(tokens[taps[n]].clone());
-            self.map(tokens, rows, &format!("DINO block {}", taps[n]))
-        })
+        let taps = self.taps().into_iter();
+        let maps = taps.map(|block| {
+            let tokens = self.normalized(tokens[block].clone());
+            self.map(tokens, rows, &format!("DINO block {block}"))
+        });
+        maps.collect()
     }
 
     fn map(&self, tokens: Tensor<3>, rows: usize, name: &str) -> Result<FeatureMap> {

@@ -5,7 +5,7 @@
 
 mod load;
 
-use super::{FeatureMap, SCALES, Steps, each_scale, normalized};
+use super::{FeatureMap, SCALES, Steps, normalized};
 use crate::error::Result;
 use burn::module::{Module, Param};
 use burn::tensor::Tensor;
@@ -134,13 +134,14 @@ impl MobileNetV2 {
     /// # Errors
     /// [`crate::Error::Argument`] for an image without pixels; [`crate::Error::NonFinite`] when an activation is not finite;
     /// [`crate::Error::Device`] when the device fails.
-    pub fn maps(&self, image: &image::RgbImage) -> Result<[FeatureMap; SCALES]> {
-        let scales = self.forward(normalized(image, &self.stem.bias.device())?);
-        each_scale(|n| {
-            let name = format!("MobileNetV2 scale {}", n + 1);
-            let cells = scales[n].clone().permute([0, 2, 3, 1]);
-            FeatureMap::from_tensor(cells, Some(STEPS[n]), &name)
-        })
+    pub fn maps(&self, image: &image::RgbImage) -> Result<Vec<FeatureMap>> {
+        let outputs = self.forward(normalized(image, &self.stem.bias.device())?);
+        let outputs = outputs.into_iter().zip(STEPS);
+        let maps = (1..).zip(outputs).map(|(n, (cells, steps))| {
+            let cells = cells.permute([0, 2, 3, 1]);
+            FeatureMap::from_tensor(cells, Some(steps), &format!("MobileNetV2 scale {n}"))
+        });
+        maps.collect()
     }
 }
 

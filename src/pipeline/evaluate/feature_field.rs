@@ -7,7 +7,6 @@ use crate::backend::device::{read, upload};
 use crate::config::{Association, Blend};
 use crate::data::{Split, View};
 use crate::error::Result;
-use crate::features::SCALES;
 use crate::metrics::{calinski_harabasz, davies_bouldin};
 use crate::random::{Purpose, stream};
 use crate::segmentation::pixels::{FrozenGaussians, LabelledPixels, NO_CLASS};
@@ -41,7 +40,7 @@ impl FieldScores {
         let Some(lifted) = &inputs.lifted else {
             return Ok(None);
         };
-        let channels = SCALES * lifted.dimensions;
+        let channels = lifted.lifted.len() * lifted.dimensions;
         let scores = Self::of_field(inputs, channels, |visible, pixels| {
             blended(lifted, visible, pixels, inputs)
         })?;
@@ -136,6 +135,8 @@ fn blended(
         let size = [visible.len(), lifted.dimensions];
         pixels.blend(upload(lifted.rows(scale, visible), size, inputs.device))
     };
-    let scales: Vec<_> = (0..SCALES).map(of_scale).collect::<Result<_>>()?;
+    let scales: Vec<_> = (0..lifted.lifted.len())
+        .map(of_scale)
+        .collect::<Result<_>>()?;
     Ok(Tensor::cat(scales, 1))
 }

@@ -8,9 +8,10 @@ use super::super::train_decoder::{
 };
 use super::initial_parameters;
 use crate::backend::device::upload;
+use crate::config::Config;
 use crate::data::{Split, View};
 use crate::error::Result;
-use crate::features::{FeatureReduction, SCALES, ViewFeatures};
+use crate::features::{FeatureReduction, ViewFeatures};
 use crate::objects::Identities;
 use crate::ops::select;
 use crate::progress::{Event, Progress, go_on};
@@ -42,7 +43,7 @@ impl FeatureField {
     /// Random initial parameters, on an autodiff `device`.
     fn random(inputs: &SegmentationInputs, device: &Device) -> Self {
         let count = inputs.gaussians.len();
-        let channels = SCALES * inputs.config.features.dimensions;
+        let channels = map_channels(inputs.config);
         let mut rng = initial_parameters(inputs);
         let features = uniform(count * CHANNELS, INITIAL_RANGE, &mut rng);
         Self {
@@ -51,7 +52,7 @@ impl FeatureField {
         }
     }
 
-    /// Decoded features of `pixels`, which show the Gaussians `visible`: `[P, 4 dimensions]`.
+    /// Decoded features of `pixels`, which show the Gaussians `visible`: `[P, map channels]`.
     pub fn at(&self, visible: &[u32], pixels: &LabelledPixels) -> Result<Tensor<2>> {
         let features = select(&self.features.val(), visible);
         Ok(self.decoder.forward(pixels.blend(features)?))
@@ -78,7 +79,7 @@ impl Distilled {
     /// As [`FieldScores::of_field`].
     pub fn scores(&self, inputs: &SegmentationInputs) -> Result<FieldScores> {
         let field = self.field.valid();
-        let channels = SCALES * inputs.config.features.dimensions;
+        let channels = map_channels(inputs.config);
         let features = |visible: &[u32], pixels: &_| field.at(visible, pixels);
         Ok(FieldScores {
             seconds: self.seconds,
@@ -89,7 +90,7 @@ impl Distilled {
 }
 
 /// Trains a feature field on the 2D features of all training photos: the mean absolute difference of decoded blended features and
-/// the maps of all four scales, read bilinearly at the drawn pixels.
+/// the maps of all scales, read bilinearly at the drawn pixels.
 ///
 /// Differences from the original: its maps have one scale, and it renders whole images.
 ///
@@ -116,6 +117,11 @@ pub fn distil(
         field,
         seconds: clock.elapsed().as_secs_f64(),
     })
+}
+
+/// Channels of a photo's 2D features, all scales together.
+fn map_channels(config: &Config) -> usize {
+    config.features.scale_count() * config.features.dimensions
 }
 
 /// The training views with their 2D features.
@@ -176,17 +182,18 @@ fn train(
     Ok(field)
 }
 
-/// The maps of all scales at the pixels of `sample`, `[P, 4 dimensions]`.
+/// The maps of all scales at the pixels of `sample`, `[P, map channels]`.
 fn target_at(
     sample: &ViewSample,
     view: &View,
     maps: &ViewFeatures,
     inputs: &SegmentationInputs,
 ) -> Tensor<2> {
+    let channels = map_channels(inputs.config);
     let dimensions = inputs.config.features.dimensions;
     let [width, height] = [view.camera.width, view.camera.height];
-    let mut target = vec![0.0; sample.numbers.len() * SCALES * dimensions];
-    let rows = target.chunks_exact_mut(SCALES * dimensions);
+    let mut target = vec![0.0; sample.numbers.len() * channels];
+    let rows = target.chunks_exact_mut(channels);
     for (row, &pixel) in rows.zip(sample.numbers.iter()) {
         let (x, y) = (pixel as usize % width, pixel as usize / width);
         let [u, v] = [x as f64 + 0.5, y as f64 + 0.5];
@@ -194,7 +201,7 @@ fn target_at(
             map.sample(u, v, width, height, out);
         }
     }
-    let shape = [sample.numbers.len(), SCALES * dimensions];
+    let shape = [sample.numbers.len(), channels];
     upload(target, shape, inputs.device)
 }
 

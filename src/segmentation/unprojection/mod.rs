@@ -125,7 +125,7 @@ pub fn unproject<'a, F: Borrow<ViewFeatures>>(
             return Err(mismatch(view.name.clone(), name.clone()));
         }
         view.check_mask()?;
-        let channels = maps.each_ref().map(|m| m.channels);
+        let channels: Vec<usize> = maps.iter().map(|map| map.channels).collect();
         let mask = view.mask.as_ref();
         lifted
             .get_or_insert_with(|| LiftedViews::new(gaussians, &channels, device))

@@ -26,7 +26,7 @@ fn full_checkpoints_give_the_teacher() {
     let plain = dir.path().join("plain.safetensors");
     write(&plain, &teacher);
     let image = picture(9, 7, 0);
-    let maps = |path: &Path| -> [FeatureMap; 4] {
+    let maps = |path: &Path| -> Vec<FeatureMap> {
         Vit::load(path, &crate::support::device())
             .expect("weights")
             .maps(&image)

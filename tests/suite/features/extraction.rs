@@ -7,19 +7,64 @@ use coseg::config::{FeatureConfig, FeatureSource};
 use coseg::data::{Classes, LabelMap, LoadOptions, Scene, Split, View, load};
 use coseg::features::{FeatureMap, FeatureReduction, ViewFeatures, descriptor};
 use image::RgbImage;
+use std::path::Path;
 
 fn descriptor_config() -> FeatureConfig {
     FeatureConfig {
         source: FeatureSource::Descriptor,
+        scales: Some(4),
         ..FeatureConfig::default()
     }
+}
+
+#[test]
+fn fewer_scales_are_the_finest_of_all() {
+    let scene = pictures(4);
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let views = |scales, cache_dir: Option<&Path>| {
+        let config = FeatureConfig {
+            scales,
+            cache_dir: cache_dir.map(Path::to_owned),
+            ..descriptor_config()
+        };
+        extract(&scene, &config, 0, &crate::support::device())
+            .expect("descriptor")
+            .views
+    };
+    let all = views(Some(4), None);
+    for (scales, count) in [(None, 1), (Some(1), 1), (Some(3), 3), (Some(4), 4)] {
+        // Maps of other scales in the cache are not taken for these.
+        for (found, all) in views(scales, Some(dir.path())).iter().zip(&all) {
+            assert_eq!(found.maps, all.maps[..count], "{scales:?}");
+        }
+    }
+}
+
+#[test]
+fn the_source_decides_how_many_scales_there_are() {
+    let count = |source, weights: Option<&str>, scales| {
+        FeatureConfig {
+            source,
+            weights: weights.map(Into::into),
+            scales,
+            ..FeatureConfig::default()
+        }
+        .scale_count()
+    };
+    assert_eq!(count(FeatureSource::Auto, None, None), 1);
+    assert_eq!(count(FeatureSource::Auto, Some("net"), None), 4);
+    assert_eq!(count(FeatureSource::Dino, Some("net"), None), 4);
+    assert_eq!(count(FeatureSource::Dino, Some("net"), Some(2)), 2);
+    let tensor = FeatureSource::Segmenter("relu".to_owned());
+    assert_eq!(count(tensor, Some("net"), None), 1);
+    assert_eq!(count(FeatureSource::Descriptor, None, Some(4)), 4);
 }
 
 #[test]
 fn descriptor_covers_any_image_size_with_finite_values() {
     const { assert!(descriptor::CHANNELS >= 64) };
     for (w, h) in [(1, 1), (3, 2), (5, 17), (64, 48), (70, 54)] {
-        let maps = descriptor::describe(&picture(w, h, 1));
+        let maps = descriptor::describe(&picture(w, h, 1), 4);
         for (n, map) in maps.iter().enumerate() {
             map.check("descriptor").expect("finite");
             assert_eq!(map.channels, descriptor::CHANNELS);
@@ -31,7 +76,7 @@ fn descriptor_covers_any_image_size_with_finite_values() {
             );
         }
     }
-    let grey = descriptor::describe(&RgbImage::from_pixel(40, 40, image::Rgb([128; 3])));
+    let grey = descriptor::describe(&RgbImage::from_pixel(40, 40, image::Rgb([128; 3])), 4);
     for map in &grey {
         let first = map.cell(0, 0).to_vec();
         for cell in map.data.chunks_exact(map.channels) {
@@ -49,8 +94,8 @@ fn descriptor_knows_no_position() {
     let big = picture(256, 192, 3);
     let crop = |x: u32| image::imageops::crop_imm(&big, x, 0, 192, 192).to_image();
     let (a, b) = (
-        descriptor::describe(&crop(0)),
-        descriptor::describe(&crop(16)),
+        descriptor::describe(&crop(0), 1),
+        descriptor::describe(&crop(16), 1),
     );
     let (a, b) = (&a[0], &b[0]);
     for y in 16..32 {
@@ -284,12 +329,7 @@ fn rgb_maps(scene: &Scene, split: Split) -> Vec<ViewFeatures> {
         .split(split)
         .map(|v| ViewFeatures {
             view: v.name.clone(),
-            maps: [
-                map(v),
-                FeatureMap::default(),
-                FeatureMap::default(),
-                FeatureMap::default(),
-            ],
+            maps: vec![map(v)],
         })
         .collect()
 }

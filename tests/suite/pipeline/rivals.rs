@@ -59,7 +59,7 @@ fn rivals_store_finite_scores_and_count_what_they_learn() {
     let dimensions = outcome.config.features.dimensions;
     let floats = [
         16 * gaussians + 17 * classes,
-        64 * gaussians + 65 * 4 * dimensions + 65 * classes,
+        64 * gaussians + 65 * dimensions + 65 * classes,
         gaussians * classes,
     ];
     for (row, floats) in outcome.rows.iter().zip(floats) {

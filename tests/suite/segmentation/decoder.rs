@@ -150,7 +150,11 @@ fn a_restricted_input_decodes_to_the_same_rows() {
             ..Switches::default()
         },
         Switches {
-            single_scale: Some(3),
+            scales: 1,
+            ..Switches::default()
+        },
+        Switches {
+            scales: 3,
             ..Switches::default()
         },
     ] {
@@ -211,15 +215,17 @@ fn switches_leave_features_out() {
         }),
         want(8, &[0; 4], 0)
     );
-    let single = Switches {
-        single_scale: Some(3),
+    let finest = |scales| Switches {
+        scales,
         ..Switches::default()
     };
-    assert_eq!(count(single), (8 + spatial[0] + 1) * 64 + 65 * 6);
+    assert_eq!(count(finest(1)), (8 + spatial[0] + 1) * 64 + 65 * 6);
+    let two = (8 + spatial[0] + widths[1] + 1) * widths[0] + (8 + spatial[1] + 1) * widths[1];
+    assert_eq!(count(finest(2)), two + 65 * 6);
     let nothing = Switches {
         image: false,
         spatial: false,
-        single_scale: None,
+        ..Switches::default()
     };
     assert!(matches!(
         Pyramid::new(&encoding, nothing, |_, _| unreachable!(

@@ -220,7 +220,7 @@ impl ModuleVisitor for Lengths {
 #[test]
 fn parts_of_any_size_give_the_gradients_of_the_step_at_once() {
     let single = Switches {
-        single_scale: Some(1),
+        scales: 1,
         ..Switches::default()
     };
     let (js, gjs) = (LabelLoss::Js { pi_rl: 0.99 }, LabelLoss::Gjs);
@@ -251,13 +251,8 @@ fn parts_of_any_size_give_the_gradients_of_the_step_at_once() {
             gradients(model(&scene, &config, regularised, prior), &scene)
         };
         let (loss, whole) = of(0);
-        let layers = if switches.single_scale.is_some() {
-            1
-        } else {
-            4
-        };
         assert!(
-            whole.len() >= 2 * layers + 2,
+            whole.len() >= 2 * switches.scales + 2,
             "every parameter has a gradient: {}",
             whole.len()
         );

@@ -110,12 +110,12 @@ pub fn features(views: &[View], maps: impl Fn(usize) -> [FeatureMap; 4]) -> Feat
     let identity = || Pca::fit(&Moments::new(0), 1);
     let of = |(i, v): (usize, &View)| ViewFeatures {
         view: v.name.clone(),
-        maps: maps(i),
+        maps: maps(i).to_vec(),
     };
     let views = views.iter().enumerate().map(of).collect();
     FeatureSet {
         name: "test".into(),
-        reductions: std::array::from_fn(|_| identity()),
+        reductions: vec![identity(); 4],
         views,
     }
 }

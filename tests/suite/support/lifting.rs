@@ -4,7 +4,7 @@ use burn::tensor::Device;
 use coseg::config::{FeatureConfig, UnprojectionConfig};
 use coseg::data::{Scene, View};
 use coseg::error::Result;
-use coseg::features::{FeatureReduction, Pca, SCALES, ViewFeatures};
+use coseg::features::{FeatureReduction, Pca, ViewFeatures};
 use coseg::raster::Settings;
 use coseg::segmentation::unprojection::{self, Unprojected};
 use coseg::splat::Gaussians;
@@ -13,7 +13,7 @@ use coseg::splat::Gaussians;
 #[derive(Clone, Debug)]
 pub struct FeatureSet {
     pub name: String,
-    pub reductions: [Pca; SCALES],
+    pub reductions: Vec<Pca>,
     pub views: Vec<ViewFeatures>,
 }
 
