@@ -27,7 +27,7 @@ fn main() -> coseg::Result<()> {
             let net = Vit::load(Path::new(path), &device)?;
             Box::new(move |image| drop(net.maps(image).expect("finite activations")))
         }
-        _ => Box::new(|image| drop(descriptor::describe(image))),
+        _ => Box::new(|image| drop(descriptor::describe(image, 4))),
     };
     for (width, height) in [(480, 360), (960, 540)] {
         let photos: Vec<RgbImage> = (0..PHOTOS).map(|n| picture(width, height, n)).collect();

@@ -266,6 +266,7 @@ fn extraction_reduces_the_maps_and_names_the_file() {
         source: FeatureSource::Dino,
         weights: Some(path.clone()),
         dimensions: 16,
+        scales: None,
         cache_dir: cached.clone(),
     };
     let run = |config: &FeatureConfig| extract(&scene, config, 0, &crate::support::device());

@@ -124,7 +124,8 @@ fn cells_are_where_the_maps_say() {
     let Some(path) = weights() else { return };
     let net = MobileNetV2::load(&path, &crate::support::device()).expect("weights");
     let small = net.maps(&image::RgbImage::new(37, 51)).expect("maps");
-    assert_eq!(small.map(|map| map.steps), STEPS.map(Some));
+    let steps: Vec<_> = small.iter().map(|map| map.steps).collect();
+    assert_eq!(steps, STEPS.map(Some));
     // Where maps change when a small patch of a photo changes colour.
     let mut sums = [[0.0; 2]; 4];
     let mut patches = 0.0;

@@ -158,10 +158,8 @@ fn a_mask_of_another_size_is_refused() {
             crate::support::assert_names(&error, &["a mask of 71x97", &views[1].name, "97x71"]);
         }
     }
-    let mut sums = Sums::<f32>::new(
-        scene.len(),
-        &set.views[1].maps.each_ref().map(|map| map.channels),
-    );
+    let channels: Vec<usize> = set.views[1].maps.iter().map(|map| map.channels).collect();
+    let mut sums = Sums::<f32>::new(scene.len(), &channels);
     let camera = &views[1].camera;
     let mask = views[1].mask.as_ref();
     let maps = &set.views[1].maps;
