@@ -4,7 +4,7 @@ use crate::support::painted_plane::{config, scene};
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::Tensor;
 use coseg::checkpoint::Checkpoint;
-use coseg::config::{Budget, BuildingConfig, Config, LabelSource, Resolution, Variant};
+use coseg::config::{Budget, BuildingConfig, Config, LabelSource, Resolution, SCALES, Variant};
 use coseg::data::{LabelMap, Split};
 use coseg::objects::{Identities, LabelMaps, RenderOptions, Renderer, Votes, vote};
 use coseg::ops::{CustomOp, with_references};
@@ -174,6 +174,8 @@ fn a_step_of_stage_two_equals_that_of_the_references() {
     for resolution in [Resolution::Image, Resolution::Feature] {
         let mut config = Config::default();
         config.unprojection.resolution = resolution;
+        // All scales, for Eq. 9 reads the coarse ones.
+        config.features.scales = Some(SCALES);
         let got = stage_two(&config);
         let want = with_references(&CustomOp::ALL, || stage_two(&config));
         assert_eq!(got.lifted.kept, want.lifted.kept);

@@ -1,6 +1,8 @@
 //! Runs of both stages on the plates, stopped and whole, and their comparison.
 
-use coseg::config::{Budget, BuildingConfig, Config, LabelLoss, SegmentationConfig, Variant};
+use coseg::config::{
+    Budget, BuildingConfig, Config, LabelLoss, SCALES, SegmentationConfig, Variant,
+};
 use coseg::pipeline::{Outcome, run};
 use coseg::progress::{CurvePoint, Event, Progress, Silent};
 use std::path::Path;
@@ -30,6 +32,8 @@ pub fn config(data: &Path) -> Config {
     let rows = [Variant::Vote, Variant::PerGaussian, Variant::Ours];
     let mut config = short(data, 30, &rows);
     config.seed = 5;
+    // All of them, for Eq. 9 draws points of the coarse ones.
+    config.features.scales = Some(SCALES);
     config.segmentation = SegmentationConfig {
         pixel_share: Some(0.5),
         eval_every: 10,
