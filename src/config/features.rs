@@ -54,7 +54,7 @@ pub struct FeatureConfig {
 
 impl FeatureConfig {
     /// The number of scales. Unless `scales` says it, one for the descriptor and for a tensor of a segmenter, whose coarser maps add
-    /// nothing to the finest, and four for networks whose scales come from different depths, and for imported maps.
+    /// next to nothing, and four for networks whose scales come from different depths, and for imported maps.
     pub fn scale_count(&self) -> usize {
         let of_source = match self.source {
             FeatureSource::Descriptor | FeatureSource::Segmenter(_) => 1,

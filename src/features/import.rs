@@ -1,5 +1,5 @@
 //! Feature maps from files: `STEM.1.npy` to `STEM.4.npy`, or `STEM.safetensors` with `scale1` to `scale4`. Their cells
-//! divide the image evenly. Files of fewer scales do where fewer are read.
+//! divide the image evenly. Where fewer scales are read, the files of these are enough.
 
 use super::{FeatureMap, SCALES};
 use crate::error::{Result, ensure, invalid};
