@@ -110,7 +110,12 @@ pub fn pooled_vote(
     let graph = SurfaceGraph::new(gaussians, NEIGHBOURS)?;
     let errors = errors_inside(votes, &graph);
     let pooling = exponent.map_or_else(|| errors.pooling(), |_| 1.0);
-    let exponent = exponent.unwrap_or_else(|| errors.exponent());
+    let exponent = match exponent {
+        Some(exponent) => exponent,
+        // Labels that nothing contradicts are not corrected, on surfaces that no label shows either.
+        None if pooling == 0.0 => 0.0,
+        None => errors.exponent(),
+    };
     let superpoints = SCALES.map(|scale| graph.superpoints(scale, MIN_GAUSSIANS));
     let pooled = superpoints.each_ref().map(|s| PooledVotes::new(refined, s));
     let calibration = Calibration::fit(&pooled[FITTED], exponent);
@@ -138,7 +143,6 @@ pub fn pooled_vote(
         }
     });
     let identities = Identities { scores, classes };
-    let exponent = if pooling > 0.0 { exponent } else { 0.0 };
     Ok(PooledVote {
         identities,
         exponent,
@@ -233,6 +237,36 @@ mod tests {
             let class = usize::from(i % 40 >= 20);
             assert!(row[class] > row[1 - class] && row[2] == 0.0, "{i}: {row:?}");
             assert!((row.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{i}: {row:?}");
+        }
+    }
+
+    #[test]
+    fn labels_that_nothing_contradicts_are_not_corrected() {
+        let gaussians = squares();
+        // One in 32 votes on red is for grey, and each fifth Gaussian sees nothing.
+        let row = |i: usize| match (i.is_multiple_of(5), i % 40 >= 20) {
+            (true, _) => [0.0, 0.0],
+            (_, true) => [1.0 / 32.0, 31.0 / 32.0],
+            (_, false) => [1.0, 0.0],
+        };
+        let table = (0..gaussians.means.len()).flat_map(row).collect();
+        let votes = Votes { table, classes: 2 };
+        let graph = SurfaceGraph::new(&gaussians, NEIGHBOURS).unwrap();
+        let errors = errors_inside(&votes, &graph);
+        assert!(errors.pooling() == 0.0 && errors.exponent() > 0.0);
+
+        let plain = pooled_vote(&gaussians, &votes, &votes, None).unwrap();
+        assert_eq!(plain.exponent, 0.0);
+        let pooled = pooled_vote(&gaussians, &votes, &votes, Some(0.0)).unwrap();
+        let rows = plain.identities.scores.chunks_exact(2);
+        let rows = rows.zip(pooled.identities.scores.chunks_exact(2));
+        for (i, (plain, pooled)) in rows.enumerate() {
+            let expected = if i.is_multiple_of(5) {
+                pooled
+            } else {
+                &row(i)[..]
+            };
+            assert_eq!(plain, expected, "{i}");
         }
     }
 

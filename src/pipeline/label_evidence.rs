@@ -7,9 +7,13 @@ use crate::error::Result;
 use crate::objects::{PooledVote, Votes, pooled_vote, refined_vote, vote};
 use std::cell::OnceCell;
 
-/// Share added to every class of the votes that a decoder starts from. A larger one makes confident votes uncertain, and the decoder
+/// Share added to every class of the pooled votes that a decoder starts from. A larger one makes confident votes uncertain, and the decoder
 /// learns to be certain again at the expense of rare classes.
 pub(super) const VOTE_FLOOR: f32 = 0.002;
+
+/// Pixels that each Gaussian is taken to show of every class, before any are counted (Laplace's rule of succession). Without them a
+/// hundredth of a pixel outweighs all that the decoder learns from other Gaussians. Chosen on house_living with six labelled photos.
+const PSEUDO_VOTES: f32 = 0.3;
 
 /// The votes of a scene, counted when they are first asked for.
 pub(super) struct LabelEvidence<'a> {
@@ -55,7 +59,7 @@ impl<'a> LabelEvidence<'a> {
     pub fn prior(&self) -> Result<Option<Vec<f32>>> {
         match self.prior_kind() {
             Prior::None => Ok(None),
-            Prior::Votes => Ok(Some(self.votes()?.log_shares(VOTE_FLOOR))),
+            Prior::Votes => Ok(Some(self.votes()?.logits(PSEUDO_VOTES))),
             Prior::Pooled => {
                 let probabilities = self.pooled()?.identities.scores.iter();
                 Ok(Some(probabilities.map(|p| (p + VOTE_FLOOR).ln()).collect()))

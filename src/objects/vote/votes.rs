@@ -65,10 +65,10 @@ impl Votes {
         }
     }
 
-    /// Logarithms of the shares of each Gaussian's votes, `[N, C]`, every share raised by `floor`: the votes as logits of a
-    /// softmax. Equal in all classes where nothing was voted.
-    pub fn log_shares(&self, floor: f32) -> Vec<f32> {
-        let shares = self.shares().table.into_iter();
-        shares.map(|share| (share + floor).ln()).collect()
+    /// Logarithms of the votes, `[N, C]`, each raised by `pseudo_votes`: logits of a softmax that are the surer, the more votes there
+    /// are. Equal in all classes where nothing was voted.
+    pub fn logits(&self, pseudo_votes: f32) -> Vec<f32> {
+        let votes = self.table.iter();
+        votes.map(|vote| (vote + pseudo_votes).ln()).collect()
     }
 }

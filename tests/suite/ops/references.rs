@@ -131,7 +131,7 @@ fn stage_two(config: &Config) -> StageTwo {
         &device,
     );
     let votes = votes.expect("votes");
-    let prior = Some(votes.log_shares(0.02));
+    let prior = Some(votes.logits(0.3));
     let mut views = inputs.training_views();
     let mut training = decoder_training(Variant::Ours, &plan, &input, prior, &inputs);
     let loss = training.step(&mut views, &plan).expect("a step");
