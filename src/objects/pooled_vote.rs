@@ -243,11 +243,13 @@ mod tests {
     #[test]
     fn labels_that_nothing_contradicts_are_not_corrected() {
         let gaussians = squares();
-        // One in 32 votes on red is for grey, and each fifth Gaussian sees nothing.
-        let row = |i: usize| match (i.is_multiple_of(5), i % 40 >= 20) {
-            (true, _) => [0.0, 0.0],
-            (_, true) => [1.0 / 32.0, 31.0 / 32.0],
-            (_, false) => [1.0, 0.0],
+        // One in 32 votes on red is for grey. Half of red, and a fifth of grey, have no votes.
+        let is_red = |i: usize| i % 40 >= 20;
+        let is_voted = |i: usize| i / 40 >= if is_red(i) { 10 } else { 4 };
+        let row = |i: usize| match (is_voted(i), is_red(i)) {
+            (false, _) => [0.0, 0.0],
+            (true, false) => [1.0, 0.0],
+            (true, true) => [1.0 / 32.0, 31.0 / 32.0],
         };
         let table = (0..gaussians.means.len()).flat_map(row).collect();
         let votes = Votes { table, classes: 2 };
@@ -261,11 +263,8 @@ mod tests {
         let rows = plain.identities.scores.chunks_exact(2);
         let rows = rows.zip(pooled.identities.scores.chunks_exact(2));
         for (i, (plain, pooled)) in rows.enumerate() {
-            let expected = if i.is_multiple_of(5) {
-                pooled
-            } else {
-                &row(i)[..]
-            };
+            let votes = row(i);
+            let expected = if is_voted(i) { &votes } else { pooled };
             assert_eq!(plain, expected, "{i}");
         }
     }
