@@ -117,7 +117,7 @@ pub enum LabelSource {
 pub enum Prior {
     /// Nothing (the paper): the classes come from the features alone.
     None,
-    /// The votes of each Gaussian's raw labels as log-shares: the decoder learns a correction.
+    /// The votes of each Gaussian's raw labels, the surer the more pixels vote: the decoder learns a correction.
     Votes,
     /// The votes, refined, pooled over superpoints and calibrated. The decoder learns from what they say about the labelled pixels,
     /// instead of from the raw labels. Objects that association found take [`Prior::Votes`] instead.

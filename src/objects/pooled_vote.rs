@@ -112,7 +112,7 @@ pub fn pooled_vote(
     let pooling = exponent.map_or_else(|| errors.pooling(), |_| 1.0);
     let exponent = match exponent {
         Some(exponent) => exponent,
-        // Labels that nothing contradicts are not corrected, on surfaces that no label shows either.
+        // Hardly any errors, so nothing is divided out of what Gaussians without votes take from their superpoints either.
         None if pooling == 0.0 => 0.0,
         None => errors.exponent(),
     };
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_that_nothing_contradicts_are_not_corrected() {
+    fn class_frequencies_are_not_divided_out_where_labels_have_few_errors() {
         let gaussians = squares();
         // One in 32 votes on red is for grey. Half of red, and a fifth of grey, have no votes.
         let is_red = |i: usize| i % 40 >= 20;

@@ -7,12 +7,12 @@ use crate::error::Result;
 use crate::objects::{PooledVote, Votes, pooled_vote, refined_vote, vote};
 use std::cell::OnceCell;
 
-/// Share added to every class of the pooled votes that a decoder starts from. A larger one makes confident votes uncertain, and the decoder
-/// learns to be certain again at the expense of rare classes.
+/// Share added to every class of the pooled votes that a decoder starts from, and of what fine-tuning starts from. A larger one makes
+/// confident votes uncertain, and the decoder learns to be certain again at the expense of rare classes.
 pub(super) const VOTE_FLOOR: f32 = 0.002;
 
-/// Pixels that each Gaussian is taken to show of every class, before any are counted (Laplace's rule of succession). Without them a
-/// hundredth of a pixel outweighs all that the decoder learns from other Gaussians. Chosen on house_living with six labelled photos.
+/// Pixels that are taken to vote for every class of a Gaussian, before any do (additive smoothing). With shares instead of pixels, a
+/// hundredth of a pixel would make a Gaussian as sure as a hundred pixels do. Chosen on house_living with six labelled photos.
 const PSEUDO_VOTES: f32 = 0.3;
 
 /// The votes of a scene, counted when they are first asked for.
