@@ -16,6 +16,7 @@ mod renderer;
 mod select;
 mod semantics;
 mod separate;
+mod smoothing;
 mod superpoints;
 mod vote;
 
@@ -39,5 +40,6 @@ pub use self::renderer::{Frame, RenderOptions, Renderer};
 pub use self::select::{Growth, seed};
 pub use self::semantics::{Semantics, has_truth};
 pub use self::separate::{Separated, Separation};
+pub use self::smoothing::smoothed;
 pub use self::superpoints::{Superpoints, SurfaceGraph};
 pub use self::vote::{Votes, refined_vote, vote, weighted_vote};

@@ -19,7 +19,7 @@ const OWN: f64 = 3.0;
 /// Index of the scale in the middle.
 const FITTED: usize = 1;
 /// Least number of Gaussians of a superpoint.
-const MIN_GAUSSIANS: usize = 5;
+pub(super) const MIN_GAUSSIANS: usize = 5;
 
 /// Votes of superpoints.
 #[derive(Clone, Debug, PartialEq)]

@@ -45,12 +45,21 @@ impl<'a> LabelEvidence<'a> {
         })
     }
 
+    /// Whether Gaussians that few labelled pixels show take the scores of their superpoint after training. Pooled votes have that in
+    /// them, and two objects of association may share a superpoint.
+    pub fn wants_smoothing(&self) -> bool {
+        self.prior_kind() == Prior::Votes && !self.has_objects()
+    }
+
+    /// Whether raw labels are objects of association.
+    fn has_objects(&self) -> bool {
+        self.inputs.config.data.association == Association::Gaussians
+    }
+
     /// What decoders start from. Votes for objects of association are not pooled: two of them may share a superpoint.
     pub fn prior_kind(&self) -> Prior {
-        let config = self.inputs.config;
-        let objects = config.data.association == Association::Gaussians;
-        match config.segmentation.prior {
-            Prior::Pooled if objects => Prior::Votes,
+        match self.inputs.config.segmentation.prior {
+            Prior::Pooled if self.has_objects() => Prior::Votes,
             prior => prior,
         }
     }

@@ -14,7 +14,7 @@ use super::variant_outcome::VariantOutcome;
 use super::variant_training::{average_from, decoder_training, plan, schedule};
 use crate::config::{Blend, Prior, SpatialConfig, Variant};
 use crate::error::Result;
-use crate::objects::Identities;
+use crate::objects::{Identities, smoothed};
 use crate::progress::{Event, Progress, go_on};
 use burn::tensor::Device;
 use std::cell::OnceCell;
@@ -206,7 +206,7 @@ impl<'a> StageTwo<'a> {
         if variant.reads_lifted_features() {
             outcome.field = self.lifted()?;
         }
-        self.fine_tuned(outcome, &plan, progress)
+        self.finished(outcome, &plan, progress)
     }
 
     /// Scores of each Gaussian that start at the prior, and learn as a decoder does.
@@ -225,7 +225,7 @@ impl<'a> StageTwo<'a> {
         let training = Training::new(PerGaussian(config.blend), logits, adam, classes);
         let schedule = schedule(variant, inputs, self.checkpoints)?;
         let outcome = self.trained(variant, training, &plan, &schedule, progress)?;
-        self.fine_tuned(outcome, &plan, progress)
+        self.finished(outcome, &plan, progress)
     }
 
     /// Has the next variant learn what the prior says of the labelled pixels, or raw labels where the prior is not pooled.
@@ -248,15 +248,45 @@ impl<'a> StageTwo<'a> {
         once(&self.lifted, || FieldScores::of_lifted(self.inputs)).copied()
     }
 
-    /// `outcome` of a decoder trained by `plan`, after the fine-tuning that the settings ask for.
+    /// `outcome` of a decoder trained by `plan`, fine-tuned or smoothed where its labels ask for it.
+    fn finished(
+        &mut self,
+        outcome: VariantOutcome,
+        plan: &TrainingPlan,
+        progress: &mut dyn Progress,
+    ) -> Result<VariantOutcome> {
+        if self.evidence.wants_fine_tuning()? {
+            self.fine_tuned(outcome, plan, progress)
+        } else if self.evidence.wants_smoothing() {
+            self.smoothed(outcome)
+        } else {
+            Ok(outcome)
+        }
+    }
+
+    /// `outcome` after smoothing over superpoints.
+    fn smoothed(&self, outcome: VariantOutcome) -> Result<VariantOutcome> {
+        let Some(decoded) = &outcome.identities else {
+            return Ok(outcome);
+        };
+        let votes = self.evidence.votes()?;
+        let smoothed = smoothed(self.inputs.gaussians, decoded, votes)?;
+        let scored = self.of_identities(outcome.variant, smoothed)?;
+        Ok(VariantOutcome {
+            identities: scored.identities,
+            scores: scored.scores,
+            ..outcome
+        })
+    }
+
+    /// `outcome` of a decoder trained by `plan`, after each Gaussian corrected its scores by the raw labels in its pixels.
     fn fine_tuned(
         &mut self,
         mut outcome: VariantOutcome,
         plan: &TrainingPlan,
         progress: &mut dyn Progress,
     ) -> Result<VariantOutcome> {
-        let is_wanted = self.evidence.wants_fine_tuning()?;
-        let Some(decoded) = outcome.identities.take_if(|_| is_wanted) else {
+        let Some(decoded) = outcome.identities.take() else {
             return Ok(outcome);
         };
         self.views.use_raw_labels();
