@@ -106,36 +106,66 @@ fn hard_cases_agree() {
     let forward = camera.rotation.transpose() * glam::DVec3::Z;
     let at = |depth: f64| (camera.center + forward * depth).to_array();
     let turn = [0.9, 0.1, -0.3, 0.2];
-    // One at a time, so that nothing hides behind something else.
+    let beside = (camera.center + camera.ray(-60.0, 12.0) * 3.0).to_array();
+    let right = (camera.center + camera.ray(30.0, 8.0) * 2.0).to_array();
+    let size = [0.1, 0.2, 0.3];
+    let huge = [1e4, 2e4, 1.5e4];
     let cases = [
-        (at(0.010_01), [0.1, 0.2, 0.3], turn, 0.0),
-        (at(2.0), [1e-8, 2e-8, 3e-8], turn, 2.0),
-        (at(2.0), [1e4, 2e4, 1.5e4], turn, 0.0),
-        (at(2.0), [1.0, 1e-6, 1e-6], turn, 1.0),
-        (at(2.0), [0.1, 0.2, 0.3], [0.0; 4], 1.0),
-        (at(2.0), [0.1, 0.2, 0.3], [1e30, -1e30, 1e29, 3e30], 1.0),
-        (at(2.0), [0.5, 0.3, 0.4], turn, 50.0),
+        ("just past the near plane", at(0.010_01), size, turn, 0.0),
+        ("scales of 1e-8", at(2.0), [1e-8, 2e-8, 3e-8], turn, 2.0),
+        ("scales of 1e4", at(2.0), huge, turn, 0.0),
+        ("a needle, 1 to 1e-6", at(2.0), [1.0, 1e-6, 1e-6], turn, 1.0),
+        ("a zero quaternion", at(2.0), size, [0.0; 4], 1.0),
         (
-            (camera.center + camera.ray(-60.0, 12.0) * 3.0).to_array(),
+            "a quaternion of 1e30",
+            at(2.0),
+            size,
+            [1e30, -1e30, 1e29, 3e30],
+            1.0,
+        ),
+        (
+            "an opacity logit of 50",
+            at(2.0),
+            [0.5, 0.3, 0.4],
+            turn,
+            50.0,
+        ),
+        (
+            "an opacity logit of -5.3",
+            at(2.0),
+            [0.3, 0.2, 0.1],
+            turn,
+            -5.3,
+        ),
+        (
+            "a centre beside the image",
+            beside,
             [2.0, 1.5, 1.0],
             turn,
             1.0,
         ),
-        (at(0.010_01), [1e4, 2e4, 1.5e4], turn, 0.0),
-        (at(1e6), [1e4, 2e4, 1.5e4], turn, 2.0),
         (
-            (camera.center + camera.ray(30.0, 8.0) * 2.0).to_array(),
+            "scales of 1e4 past the near plane",
+            at(0.010_01),
+            huge,
+            turn,
+            0.0,
+        ),
+        ("scales of 1e4 at 1e6", at(1e6), huge, turn, 2.0),
+        (
+            "a needle, 1e6 to 1, off the axis",
+            right,
             [3.0, 3e-6, 3e-6],
             turn,
             3.0,
         ),
-        (at(2.0), [0.3, 0.2, 0.1], turn, -5.3),
     ];
-    for (i, (mean, scale, rotation, logit)) in cases.into_iter().enumerate() {
+    // One at a time, so that nothing hides behind something else.
+    for (what, mean, scale, rotation, logit) in cases {
         let mut scene = Cloud::default();
         scene.push(mean, scale, rotation, logit);
         compare(
-            &format!("case {i}"),
+            what,
             &scene.rounded(),
             plain(3),
             &camera,

@@ -176,8 +176,9 @@ const ALPHA_PER_POSITION: f64 = 6.0;
 /// Relative rounding of a radius before it is rounded up.
 const RADIUS_ROUNDING: f64 = 1e-5;
 
-/// Values further from `want` than the contract allows in an image whose positions have this rounding.
-fn outside(part: usize, got: &[f64], want: &[f64], rounding: f64) -> usize {
+/// The largest difference between `got` and `want`: in a picture relative to its largest value, in a gradient relative to the value
+/// or to the root mean square of all, whichever is larger.
+fn relative_error(part: usize, got: &[f64], want: &[f64]) -> f64 {
     assert_eq!(got.len(), want.len(), "{}", NAMES[part]);
     assert!(
         got.iter().all(|v| v.is_finite()),
@@ -186,19 +187,30 @@ fn outside(part: usize, got: &[f64], want: &[f64], rounding: f64) -> usize {
     );
     let largest = want.iter().fold(0.0_f64, |a, v| a.max(v.abs()));
     let rms = (want.iter().map(|v| v * v).sum::<f64>() / want.len().max(1) as f64).sqrt();
-    let off = |g: f64, w: f64| {
-        (g - w).abs()
-            > if part < 2 {
-                PICTURE.max(rounding) * largest
-            } else {
-                GRADIENT.max(ALPHA_PER_POSITION * rounding) * w.abs().max(rms)
-            }
-    };
-    got.iter().zip(want).filter(|&(&g, &w)| off(g, w)).count()
+    let errors = got.iter().zip(want).map(|(g, w)| {
+        let size = if part < 2 { largest } else { w.abs().max(rms) };
+        let difference = (g - w).abs();
+        if difference == 0.0 {
+            0.0
+        } else {
+            difference / size
+        }
+    });
+    errors.fold(0.0, f64::max)
+}
+
+/// How much of [`relative_error`] the contract allows in an image whose positions have this rounding.
+fn bound(part: usize, rounding: f64) -> f64 {
+    if part < 2 {
+        PICTURE.max(rounding)
+    } else {
+        GRADIENT.max(ALPHA_PER_POSITION * rounding)
+    }
 }
 
 /// Checks f32 on every backend of this build against f64. Pixels in doubt take no part, neither in the pictures nor in the loss;
-/// no more than the share `doubtful` of all may be. All others have to agree, without exception.
+/// no more than the share `doubtful` of all may be. All others have to agree, without exception. Prints a row of a table for each
+/// backend: its name, pixels in doubt, and the relative errors in the order of [`NAMES`].
 pub fn compare(
     what: &str,
     cloud: &Cloud,
@@ -234,14 +246,17 @@ pub fn compare(
         let is_gpu = !coseg::backend::device::in_host_memory(&device);
         let (got, got_radii) =
             on_device(is_gpu.then_some(&device), || scene.run(&device, DType::F32));
-        for (part, (got, want)) in got.iter().zip(&want).enumerate() {
-            let off = outside(part, got, want, rounding);
-            let differences = got.iter().zip(want).map(|(g, w)| (g - w).abs());
-            let worst = differences.fold(0.0, f64::max);
+        let parts = got.iter().zip(&want).enumerate();
+        let errors: Vec<f64> = parts
+            .map(|(part, (got, want))| relative_error(part, got, want))
+            .collect();
+        let cells: Vec<String> = errors.iter().map(|error| format!("{error:.1e}")).collect();
+        println!("| {what} | {name} | {in_doubt} | {} |", cells.join(" | "));
+        for (part, &error) in errors.iter().enumerate() {
+            let bound = bound(part, rounding);
             assert!(
-                off == 0,
-                "{what}, {channels:?} on {name}: {off} of {} values of {} are off, the worst by {worst:e}",
-                want.len(),
+                error <= bound,
+                "{what}, {channels:?} on {name}: {} is off by {error:e}, where {bound:e} is allowed",
                 NAMES[part]
             );
         }
