@@ -105,12 +105,7 @@ mod tests {
         let smoothed = smoothed(&gaussians, &identities, &votes).unwrap();
         let row = |i: usize| &smoothed.scores[2 * i..2 * i + 2];
         let expected = |own: f32, part: f32| own + part * (0.25 - own);
-        for (i, own, part) in [
-            (0, 1.0, 0.5),
-            (1, 0.0, 0.25),
-            (4, 1.0, 0.25),
-            (63, 0.0, 0.05),
-        ] {
+        for (i, own, part) in [(0, 1.0, 1.0), (1, 0.0, 0.5), (4, 1.0, 0.5), (63, 0.0, 0.1)] {
             let second = expected(own, part);
             assert!((row(i)[1] - second).abs() < 1e-6, "{i}: {:?}", row(i));
             assert!((row(i).iter().sum::<f32>() - 1.0).abs() < 1e-6);
