@@ -19,7 +19,7 @@ const OWN: f64 = 3.0;
 /// Index of the scale in the middle.
 const FITTED: usize = 1;
 /// Least number of Gaussians of a superpoint.
-pub(super) const MIN_GAUSSIANS: usize = 5;
+const MIN_GAUSSIANS: usize = 5;
 
 /// Votes of superpoints.
 #[derive(Clone, Debug, PartialEq)]
@@ -71,7 +71,7 @@ impl PooledVotes {
     }
 
     /// Shares of superpoint `index`.
-    fn row(&self, index: u32) -> &[f64] {
+    pub(super) fn row(&self, index: u32) -> &[f64] {
         &self.shares[index as usize * self.classes..][..self.classes]
     }
 }
@@ -79,6 +79,11 @@ impl PooledVotes {
 /// The superpoints of `graph` at the smallest scale of the pooled vote.
 pub(super) fn finest(graph: &SurfaceGraph) -> Superpoints {
     graph.superpoints(SCALES[0], MIN_GAUSSIANS)
+}
+
+/// The superpoints of `graph` at the scale in the middle.
+pub(super) fn middle(graph: &SurfaceGraph) -> Superpoints {
+    graph.superpoints(SCALES[FITTED], MIN_GAUSSIANS)
 }
 
 /// The pooled vote of a scene.

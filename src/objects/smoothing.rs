@@ -1,16 +1,13 @@
 //! Smoothing over surfaces: a Gaussian that hardly any labelled pixel shows takes the scores of its superpoint.
 
-use super::pooled_vote::{MIN_GAUSSIANS, NEIGHBOURS};
-use super::superpoints::{Superpoints, SurfaceGraph};
+use super::pooled_vote::{NEIGHBOURS, PooledVotes, middle};
+use super::superpoints::SurfaceGraph;
 use super::{Identities, Votes};
 use crate::error::Result;
 use crate::splat::Gaussians;
 
-/// Scale of the superpoints, the middle one of the pooled vote.
-const SCALE: f64 = 0.3;
-
-/// Identities `s_i + m_i (mean_j s_j - s_i)` of `identities` s, where the mean is over all Gaussians j in the superpoint of
-/// Gaussian i, and `m_i = 1 / (1 + v_i)` for the v_i pixels that `votes` has of it.
+/// Identities `s_i + m_i (mean_j s_j - s_i)` of `identities` s, class probabilities. The mean is over all Gaussians j in the
+/// superpoint of Gaussian i, and `m_i = 1 / (1 + v_i)` for the v_i pixels that `votes` has of it.
 ///
 /// # Errors
 /// [`crate::Error::NonFinite`] when a centre is not finite.
@@ -19,7 +16,7 @@ const SCALE: f64 = 0.3;
 /// If `identities` or `votes` are of another number of Gaussians, or differ in their classes.
 pub fn smoothed(
     gaussians: &Gaussians,
-    identities: &Identities,
+    mut identities: Identities,
     votes: &Votes,
 ) -> Result<Identities> {
     let size = [gaussians.len() * votes.classes, votes.classes];
@@ -28,39 +25,20 @@ pub fn smoothed(
         size,
         "one score for each Gaussian and class"
     );
-    let graph = SurfaceGraph::new(gaussians, NEIGHBOURS)?;
-    let superpoints = graph.superpoints(SCALE, MIN_GAUSSIANS);
-    let means = means(identities, &superpoints);
-    let classes = identities.classes.max(1);
-    let mut smoothed = identities.clone();
-    let rows = smoothed.scores.chunks_exact_mut(classes).zip(votes.rows());
-    for ((scores, votes), &superpoint) in rows.zip(&superpoints.of) {
+    let superpoints = middle(&SurfaceGraph::new(gaussians, NEIGHBOURS)?);
+    let probabilities = Votes {
+        table: identities.scores.clone(),
+        classes: identities.classes,
+    };
+    let pooled = PooledVotes::new(&probabilities, &superpoints);
+    let rows = identities.scores.chunks_exact_mut(votes.classes.max(1));
+    for ((scores, votes), &superpoint) in rows.zip(votes.rows()).zip(&superpoints.of) {
         let part = (1.0 + votes.iter().sum::<f32>()).recip();
-        let mean = &means[superpoint as usize * classes..][..classes];
-        for (score, mean) in scores.iter_mut().zip(mean) {
-            *score += part * (mean - *score);
+        for (score, &mean) in scores.iter_mut().zip(pooled.row(superpoint)) {
+            *score += part * (mean as f32 - *score);
         }
     }
-    Ok(smoothed)
-}
-
-/// Mean scores of each superpoint, `[S, C]`.
-fn means(identities: &Identities, superpoints: &Superpoints) -> Vec<f32> {
-    let classes = identities.classes.max(1);
-    let mut sums = vec![0.0_f64; superpoints.count * classes];
-    let mut sizes = vec![0.0_f64; superpoints.count];
-    let rows = identities.scores.chunks_exact(classes);
-    for (row, &superpoint) in rows.zip(&superpoints.of) {
-        let superpoint = superpoint as usize;
-        sizes[superpoint] += 1.0;
-        let sums = &mut sums[superpoint * classes..][..classes];
-        sums.iter_mut()
-            .zip(row)
-            .for_each(|(sum, &score)| *sum += f64::from(score));
-    }
-    let rows = sums.chunks_exact(classes).zip(sizes);
-    rows.flat_map(|(row, size)| row.iter().map(move |sum| (sum / size) as f32))
-        .collect()
+    Ok(identities)
 }
 
 #[cfg(test)]
@@ -102,7 +80,7 @@ mod tests {
             table: (0..n).flat_map(|i| [count(i), 0.0]).collect(),
             classes: 2,
         };
-        let smoothed = smoothed(&gaussians, &identities, &votes).unwrap();
+        let smoothed = smoothed(&gaussians, identities, &votes).unwrap();
         let row = |i: usize| &smoothed.scores[2 * i..2 * i + 2];
         let expected = |own: f32, part: f32| own + part * (0.25 - own);
         for (i, own, part) in [(0, 1.0, 1.0), (1, 0.0, 0.5), (4, 1.0, 0.5), (63, 0.0, 0.1)] {
@@ -122,7 +100,7 @@ mod tests {
             table: Vec::new(),
             classes: 3,
         };
-        let smoothed = smoothed(&Gaussians::default(), &nothing, &votes).unwrap();
+        let smoothed = smoothed(&Gaussians::default(), nothing.clone(), &votes).unwrap();
         assert_eq!(smoothed, nothing);
     }
 }

@@ -265,8 +265,8 @@ impl<'a> StageTwo<'a> {
     }
 
     /// `outcome` after smoothing over superpoints.
-    fn smoothed(&self, outcome: VariantOutcome) -> Result<VariantOutcome> {
-        let Some(decoded) = &outcome.identities else {
+    fn smoothed(&self, mut outcome: VariantOutcome) -> Result<VariantOutcome> {
+        let Some(decoded) = outcome.identities.take() else {
             return Ok(outcome);
         };
         let votes = self.evidence.votes()?;

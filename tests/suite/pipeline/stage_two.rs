@@ -43,7 +43,7 @@ fn a_decoder_that_has_learned_nothing_stores_what_the_votes_say() {
         scores: shares.collect(),
         classes,
     };
-    let expected = smoothed(&outcome.gaussians, &expected, &votes).expect("finite centres");
+    let expected = smoothed(&outcome.gaussians, expected, &votes).expect("finite centres");
     let identities = outcome.rows[0].identities.as_ref().expect("identities");
     let stored = identities.scores.chunks_exact(classes);
     for (stored, expected) in stored.zip(expected.scores.chunks_exact(classes)) {
