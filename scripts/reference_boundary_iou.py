@@ -72,8 +72,13 @@ def boundary_iou(views, leave_out):
     return sum(found) / len(found)
 
 
-VIEWS = [maps(45, 37, 1), maps(100, 75, 2), maps(160, 120, 3)]
-for name, views in [("each view", None), ("all views", VIEWS)]:
-    for chosen in [views] if views else [[view] for view in VIEWS]:
-        scores = [boundary_iou(chosen, leave_out) for leave_out in (False, True)]
-        print(f"{name}: void wrong {scores[0]:.12f}, left out {scores[1]:.12f}")
+def main():
+    all_views = [maps(45, 37, 1), maps(100, 75, 2), maps(160, 120, 3)]
+    for name, chosen in [("each view", [[view] for view in all_views]), ("all views", [all_views])]:
+        for views in chosen:
+            scores = [boundary_iou(views, leave_out) for leave_out in (False, True)]
+            print(f"{name}: void wrong {scores[0]:.12f}, left out {scores[1]:.12f}")
+
+
+if __name__ == "__main__":
+    main()

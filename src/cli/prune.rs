@@ -30,7 +30,7 @@ pub struct PruneArgs {
     #[arg(long, value_name = "SHARE", group = "how many")]
     keep: Option<f64>,
     /// Keep as few Gaussians as lower the mean PSNR of the training views by no more than this, dB
-    #[arg(long, value_name = "DB", group = "how many")]
+    #[arg(long, value_name = "DB", group = "how many", value_parser = decibels)]
     within: Option<f64>,
 }
 
@@ -87,4 +87,9 @@ impl PruneArgs {
             expected "a number of 0 or more"; help "0.1 allows a tenth of a decibel");
         Ok(Keep::Within(loss))
     }
+}
+
+/// A number that may end with its unit.
+fn decibels(text: &str) -> std::result::Result<f64, std::num::ParseFloatError> {
+    text.strip_suffix("dB").unwrap_or(text).trim_end().parse()
 }

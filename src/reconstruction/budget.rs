@@ -98,7 +98,7 @@ impl<'a> Trainer<'a> {
 
 impl Review {
     /// Whether the views that are trained on are reproduced much better than those held back.
-    fn learns_photos(&self) -> bool {
+    pub(crate) fn learns_photos(&self) -> bool {
         self.psnr_trained > self.psnr_before + MAX_GAP
     }
 }

@@ -117,8 +117,18 @@ pub(super) fn reviews(report: &Report<'_>) -> Markup {
         @if !reviews.is_empty() {
             p {
                 "Some training views were held back from training for a time. Each review removed the Gaussians that hardly change "
-                "the pictures of these views. Training added Gaussians again until the views trained on were more than " (MAX_GAP)
-                " dB better than those held back, or densification ended."
+                "the pictures of these views. Between reviews, training added Gaussians. "
+                @match reviews.iter().find(|review| review.learns_photos()) {
+                    Some(review) => {
+                        "Growth ended after step " (thousands(review.iteration as u64)) ": the views trained on were "
+                        (format!("{:.1}", review.psnr_trained - review.psnr_before)) " dB better than those held back, and the limit is "
+                        (MAX_GAP) " dB. More Gaussians would have learned single photos."
+                    }
+                    None => {
+                        "Growth ended with densification: the views trained on were never more than " (MAX_GAP)
+                        " dB better than those held back."
+                    }
+                }
             }
             (table(&head, body))
         }

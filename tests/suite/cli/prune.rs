@@ -55,7 +55,7 @@ fn what_no_photo_shows_goes_and_the_rest_keeps_its_labels() {
         (plates.len() - 1..=plates.len() + 5).contains(&left),
         "{left}"
     );
-    let (said, few) = prune(&["--within", "6"], "few");
+    let (said, few) = prune(&["--within", "6dB"], "few");
     assert!(few.gaussians.len() < left, "{said}");
     assert!(said.contains("held-out views: PSNR"), "{said}");
 }

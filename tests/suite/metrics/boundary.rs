@@ -1,5 +1,6 @@
 //! Boundary IoU against the values that scripts/reference_boundary_iou.py prints, and by hand.
 
+use crate::support::generator::Generator;
 use coseg::data::{Classes, LabelMap};
 use coseg::metrics::{Void, boundary_iou};
 
@@ -9,19 +10,9 @@ fn classes() -> Classes {
     Classes::from_names(0, [(1, "a"), (2, "b"), (3, "c"), (4, "d"), (5, "e")])
 }
 
-/// A linear congruential generator, the same as in the script.
-struct Numbers(u32);
-
-impl Numbers {
-    fn below(&mut self, n: u32) -> u32 {
-        self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (self.0 >> 16) % n
-    }
-}
-
 /// The script's maps: square cells, and the same moved by two pixels, with noise.
 fn maps([width, height]: [usize; 2], seed: u32) -> (LabelMap, LabelMap) {
-    let mut numbers = Numbers(seed);
+    let mut numbers = Generator(seed);
     let columns = width / CELL + 2;
     let cells: Vec<u32> = (0..columns * (height / CELL + 2))
         .map(|_| numbers.below(6))

@@ -1,5 +1,6 @@
-//! Scores of instance maps against values worked out by hand.
+//! Scores of instance maps against values worked out by hand, and against panopticapi.
 
+use crate::support::generator::Generator;
 use coseg::metrics::{PanopticQuality, Quality, instance_scores};
 
 fn runs(of: &[(u16, usize)]) -> Vec<u16> {
@@ -69,6 +70,51 @@ fn panoptic_quality_is_a_mean_over_classes() {
     both.add(&truth, &found, [&one, &one]);
     both.add(&runs(&[(3, 6)]), &runs(&[(9, 6)]), [&one, &one]);
     near(both.quality(), [1.8 / 3.0, 0.9, 2.0 / 3.0]);
+}
+
+/// The maps of `scripts/reference_panoptic.py`: segments of square cells, and a prediction that is moved and joins some of them.
+fn segments([width, height]: [usize; 2], seed: u32) -> [Vec<u16>; 2] {
+    const CELL: usize = 9;
+    const SEGMENTS: u32 = 12;
+    let mut numbers = Generator(seed);
+    let columns = width / CELL + 2;
+    let count = columns * (height / CELL + 2);
+    let cells: Vec<u32> = (0..count).map(|_| numbers.below(SEGMENTS + 1)).collect();
+    let mut join = |i: u32| match numbers.below(4) {
+        0 => numbers.below(SEGMENTS + 1),
+        _ => i,
+    };
+    let joined: Vec<u32> = (0..=SEGMENTS).map(&mut join).collect();
+    let cell = |x: usize, y: usize| cells[y / CELL * columns + x / CELL];
+    let pixels = || (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+    let mut noisy = |(x, y): (usize, usize)| match numbers.below(40) {
+        0 => numbers.below(SEGMENTS + 1) as u16,
+        _ => joined[cell(x + 2, y + 1) as usize] as u16,
+    };
+    let truth = pixels().map(|(x, y)| cell(x, y) as u16).collect();
+    [truth, pixels().map(&mut noisy).collect()]
+}
+
+#[test]
+fn panoptic_quality_is_that_of_panopticapi() {
+    let class = |id: u16| id % 3;
+    let views = [([45, 37], 1), ([100, 75], 2), ([160, 120], 3)];
+    let want = [
+        [0.045_272_435_897, 0.181_089_743_590, 0.083_333_333_333],
+        [0.406_847_456_860, 0.542_463_275_814, 0.75],
+        [0.273_710_658_123, 0.547_421_316_246, 0.5],
+    ];
+    let mut all = PanopticQuality::default();
+    for ((size, seed), want) in views.into_iter().zip(want) {
+        let [truth, found] = segments(size, seed);
+        let mut one = PanopticQuality::default();
+        for quality in [&mut one, &mut all] {
+            quality.add(&truth, &found, [&class, &class]);
+        }
+        near(one.quality(), want);
+    }
+    let want = [0.248_570_219_222, 0.544_852_694_726, 0.456_521_739_130];
+    near(all.quality(), want);
 }
 
 #[test]

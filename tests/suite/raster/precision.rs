@@ -43,7 +43,7 @@ fn any_number_of_channels() {
     });
     for channels in channels.into_iter().chain(mixed) {
         compare(
-            "channels",
+            &format!("{} channels", channels.count()),
             &scene,
             channels,
             &camera,
@@ -60,10 +60,11 @@ fn images_of_any_size() {
         (16, 16, 40, 0.2, 2),
         (33, 70, 500, 0.004, 4),
         (97, 61, 2_000, 0.01, 5),
+        (3, 10_000, 400, 0.02, 6),
     ] {
         let camera = camera(width, height);
         compare(
-            "size",
+            &format!("{width}x{height} pixels"),
             &cloud(n, scale, &camera, seed).rounded(),
             RGB,
             &camera,
@@ -137,6 +138,8 @@ fn hard_cases_agree() {
             turn,
             -5.3,
         ),
+        ("an opacity logit of -50", at(2.0), size, turn, -50.0),
+        ("behind the camera", at(-3.0), size, turn, 1.0),
         (
             "a centre beside the image",
             beside,

@@ -1,10 +1,11 @@
 //! The building stage on a tiny scene: it learns, resumes exactly, and refuses what it cannot train on.
 
+use crate::support::capture::Capture;
 use crate::support::painted_plane::{
     HEIGHT, WIDTH, advance, assert_bits_follow_the_seed, config, scene, untimed,
 };
 use coseg::config::{BuildingConfig, Config};
-use coseg::data::{Scene, Split};
+use coseg::data::{LoadOptions, Scene, Split, load};
 use coseg::progress::{Event, Progress, Silent};
 use coseg::raster::{Settings, render};
 use coseg::reconstruction::{Trainer, TrainerState, schedule};
@@ -118,6 +119,32 @@ fn training_learns_the_scene() {
     assert_eq!(count(|e| matches!(e, Event::Step { .. })), 400);
     assert_eq!(count(|e| matches!(e, Event::Evaluated(_))), 10);
     assert_eq!(recorder.0.last(), Some(&Event::Finished));
+}
+
+#[test]
+fn a_scene_a_million_units_from_the_origin_trains_as_well() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let capture = Capture::room(folder.path(), 12);
+    let device = device();
+    let trained = |offset: f64| {
+        capture.moved(folder.path(), DVec3::new(offset, -offset, offset));
+        let scene = load(folder.path(), &LoadOptions::default()).expect("a scene");
+        let building = BuildingConfig {
+            iterations: 200,
+            ..BuildingConfig::default()
+        };
+        let config = Config {
+            building,
+            ..config()
+        };
+        let mut stage = Trainer::new(&scene, &config, &device).expect("a stage");
+        stage.run(&mut Silent).expect("a run");
+        let last = stage.evaluate().expect("scores");
+        last.held_out.psnr.expect("test views")
+    };
+    let (near, far) = (trained(0.0), trained(1e6));
+    println!("held-out PSNR {near:.3} dB, a million units away {far:.3} dB");
+    assert!(near > 15.0 && (near - far).abs() < 0.05, "{near} {far}");
 }
 
 #[test]

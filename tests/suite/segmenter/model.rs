@@ -34,6 +34,22 @@ fn the_network_says_what_its_weights_say() {
 }
 
 #[test]
+fn numbers_that_are_not_finite_are_an_error() {
+    for value in [f32::NAN, f32::INFINITY] {
+        let onnx = Onnx {
+            bias: [0.0, 0.0, value, 0.0, 0.0],
+            ..Onnx::new(SIZE.0, SIZE.1)
+        };
+        let network = load(&onnx.bytes(), &Onnx::contract(SIZE.0, SIZE.1)).expect("a network");
+        let error = network.run(&image::RgbImage::new(16, 12)).err();
+        assert_names(
+            &error.expect("refused"),
+            &["logits of", "net.onnx", "non-finite"],
+        );
+    }
+}
+
+#[test]
 fn tensors_that_do_not_fit_are_named_with_their_shapes() {
     let contract = Onnx::contract(SIZE.0, SIZE.1);
     let sound = || Onnx::new(SIZE.0, SIZE.1);

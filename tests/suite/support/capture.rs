@@ -83,6 +83,22 @@ impl Capture {
         Self { shots, cloud }
     }
 
+    /// Writes `transforms.json` with all cameras moved by `offset`, and without the cloud. Every seventh photo is held out.
+    pub fn moved(&self, dir: &Path, offset: DVec3) {
+        let frame = |(i, (path, c)): (usize, &(PathBuf, Camera))| {
+            json!({
+                "file_path": path, "transform_matrix": rows(c.moved(offset).to_opengl()), "w": c.width, "h": c.height,
+                "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "split": if i % 7 == 6 { "test" } else { "train" },
+            })
+        };
+        let frames: Vec<_> = self.shots.iter().enumerate().map(frame).collect();
+        fs::write(
+            dir.join("transforms.json"),
+            json!({ "frames": frames }).to_string(),
+        )
+        .unwrap();
+    }
+
     /// Writes `transforms.json` in a convention that may not be its own. Every `stride`-th photo.
     pub fn transforms(&self, dir: &Path, convention: Convention, stride: usize) {
         let frame = |(path, c): &(PathBuf, Camera)| {

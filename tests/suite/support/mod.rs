@@ -21,6 +21,7 @@ pub mod edited_plates;
 pub mod exif_photo;
 pub mod feature_maps;
 pub mod finite_differences;
+pub mod generator;
 pub mod glb;
 pub mod hall;
 pub mod hard_labels;

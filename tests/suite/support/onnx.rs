@@ -20,6 +20,8 @@ pub struct Onnx {
     /// Bytes that the weights lack.
     pub missing: usize,
     pub external: bool,
+    /// One number for each class.
+    pub bias: [f32; 5],
 }
 
 impl Onnx {
@@ -35,6 +37,7 @@ impl Onnx {
             weights_shape: vec![NAMES.len() as u64, 3, side, side],
             missing: 0,
             external: false,
+            bias: [24.0, 0.0, 0.0, 0.0, 18.0],
         }
     }
 
@@ -65,7 +68,6 @@ impl Onnx {
             [-20.0, -20.0, 40.0],
             [0.0, 0.0, 0.0],
         ];
-        let bias: [f32; 5] = [24.0, 0.0, 0.0, 0.0, 18.0];
         let cell = STRIDE * STRIDE;
         let weights = matrix
             .iter()
@@ -88,13 +90,14 @@ impl Onnx {
             bytes(&mut weights, 9, &raw);
         }
         let mut biases = vec![];
-        number(&mut biases, 1, bias.len() as u64);
+        number(&mut biases, 1, self.bias.len() as u64);
         number(&mut biases, 2, 1);
         text(&mut biases, 8, "bias");
         bytes(
             &mut biases,
             9,
-            &bias
+            &self
+                .bias
                 .iter()
                 .flat_map(|v| v.to_le_bytes())
                 .collect::<Vec<_>>(),
