@@ -33,6 +33,10 @@ pub struct DataConfig {
     /// `transforms_test.json` (else `transforms_val.json`) are read together.
     #[default("transforms.json".into())]
     pub transforms: String,
+    /// nerfstudio's `dataparser_transforms.json` of a run: the poses are moved to where nerfstudio had them, so that they fit the
+    /// Gaussians that it exported. Absent: the poses stay.
+    #[serde(deserialize_with = "super::optional_path")]
+    pub dataparser_transforms: Option<PathBuf>,
     /// Folder of photos within `dir`, of layout `colmap`. Its photos may be smaller than the model says, in the same
     /// proportion: cameras are scaled to them.
     #[default("images".into())]

@@ -118,6 +118,7 @@ impl Config {
         };
         [
             self.data.dir.as_mut(),
+            self.data.dataparser_transforms.as_mut(),
             self.building.gaussians.as_mut(),
             self.features.weights.as_mut(),
             self.features.cache_dir.as_mut(),

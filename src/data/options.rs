@@ -2,6 +2,7 @@
 
 use super::Split;
 use crate::config::{Association, Config, DataConfig, Layout, RawFormat, ScannetClasses};
+use std::path::PathBuf;
 
 /// How [`super::load`] reads a folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -10,6 +11,8 @@ pub struct LoadOptions {
     pub layout: Layout,
     /// File within the folder that lists the frames, of layout `transforms`.
     pub transforms: String,
+    /// nerfstudio's `dataparser_transforms.json`, whose world the poses are moved to.
+    pub dataparser_transforms: Option<PathBuf>,
     /// Folder of photos within the folder, of layout `colmap`.
     pub images: String,
     /// Folder of raw labels within the scene folder, instead of the one that the frames or the layout name.
@@ -46,6 +49,7 @@ impl From<&DataConfig> for LoadOptions {
         Self {
             layout: config.layout,
             transforms: config.transforms.clone(),
+            dataparser_transforms: config.dataparser_transforms.clone(),
             images: config.images.clone(),
             raw_labels: (!config.raw_labels.is_empty()).then(|| config.raw_labels.clone()),
             masks: (!config.masks.is_empty()).then(|| config.masks.clone()),

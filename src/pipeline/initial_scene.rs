@@ -68,8 +68,8 @@ pub fn compare_with_photos(
     if let Some(psnr) = scores.psnr.filter(|psnr| *psnr < MIN_PSNR) {
         tracing::warn!(
             "the Gaussians of {} show the training photos at {psnr:.1} dB: they look misplaced. Their positions have to be in the \
-             units and axes of the cameras of this scene; nerfstudio keeps these with `nerfstudio-data --orientation-method none \
-             --center-method none --auto-scale-poses False`",
+             units and axes of the cameras of this scene. nerfstudio changes these: name the dataparser_transforms.json of its run \
+             with --set data.dataparser_transforms=FILE",
             path.display()
         );
     }

@@ -102,12 +102,16 @@ impl Listing {
 
     /// The cloud, relative to `origin`, without its strays.
     pub fn points(&self, origin: DVec3) -> Result<Points> {
+        let before = self.moved.map_or(origin, |world| world.undo(origin));
         let mut points = match &self.cloud {
             Cloud::None => Points::default(),
-            Cloud::Ply(path) => Points::read(path, origin)?,
-            Cloud::Colmap(path) => colmap::read_points(path, origin)?,
+            Cloud::Ply(path) => Points::read(path, before)?,
+            Cloud::Colmap(path) => colmap::read_points(path, before)?,
             Cloud::Depth(depth) => depth.points(&self.frames, &self.file, origin)?,
         };
+        if let (Some(world), Cloud::Ply(_) | Cloud::Colmap(_)) = (self.moved, &self.cloud) {
+            world.turn_points(&mut points);
+        }
         let left_out = points.remove_strays();
         if left_out > 0 {
             tracing::warn!(

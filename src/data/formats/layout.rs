@@ -1,6 +1,7 @@
 //! Which layout a scene folder has.
 
 use super::block::{BLOCK, Block};
+use super::dataparser::Similarity;
 use super::folder::{Folder, Problems};
 use super::listing::Listing;
 use super::{colmap, replica, scannet, transforms};
@@ -241,6 +242,12 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         Layout::Replica => replica::list(folder, problems),
         Layout::Scannet => scannet::list(folder, problems),
     }?;
+    let world = options.dataparser_transforms.as_ref();
+    let world = world.and_then(|file| problems.ok(Similarity::read(file)));
+    let listing = match world {
+        Some(world) => listing.moved(world),
+        None => listing,
+    };
     let mut listing = if reads_raw_labels {
         listing.with_raw_labels(dir, options, problems)
     } else {

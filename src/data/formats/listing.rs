@@ -1,6 +1,7 @@
 //! The contents of a scene folder of any layout, before anything is decoded.
 
 use super::block::{AGAIN, Block, Region};
+use super::dataparser::Similarity;
 use super::depth::Depth;
 use super::folder::{Folder, Problems};
 use super::frame::Frame;
@@ -38,8 +39,12 @@ pub(crate) struct Listing {
     pub geometries: MapGeometries,
     /// Label maps of a different size than their photos are resampled.
     pub resample_labels: bool,
-    /// The initial cloud.
+    /// The initial cloud, in the world of the files.
     pub cloud: Cloud,
+    /// How another program had moved the poses before it wrote them.
+    pub applied: Similarity,
+    /// How the poses were moved from the world of the files, where they were.
+    pub moved: Option<Similarity>,
     /// The region of a block, where the folder is one: the cloud is thinned out outside it.
     pub region: Option<Region>,
     /// The extent of the cameras of the whole scene, where the folder is a block.
@@ -120,6 +125,20 @@ impl Listing {
         self
     }
 
+    /// The listing in the world of nerfstudio's file.
+    pub fn moved(mut self, world: Similarity) -> Self {
+        let world = world.after(&self.applied);
+        for frame in self.frames.iter_mut().filter(|frame| frame.posed) {
+            frame.camera = world.camera(&frame.camera);
+        }
+        if let Cloud::Depth(depth) = &mut self.cloud {
+            depth.scale /= world.scale;
+        }
+        self.z_up = false;
+        self.moved = Some(world);
+        self
+    }
+
     /// The same frames without raw labels.
     pub fn without_raw_labels(mut self) -> Self {
         self.frames.iter_mut().for_each(|frame| frame.raw = None);
@@ -190,7 +209,7 @@ impl Listing {
 
     /// The assumed size of a world unit.
     pub fn unit(&self) -> WorldUnit {
-        if self.layout != Layout::Colmap {
+        if self.layout != Layout::Colmap && self.moved.is_none() {
             return WorldUnit::Metre;
         }
         WorldUnit::Arbitrary {

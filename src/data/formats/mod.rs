@@ -8,6 +8,7 @@ pub(crate) mod block;
 pub(crate) mod camera_checks;
 pub(crate) mod camera_file;
 pub(crate) mod colmap;
+pub(crate) mod dataparser;
 pub(crate) mod decode;
 pub(crate) mod depth;
 pub(crate) mod folder;

@@ -16,6 +16,7 @@ pub mod colmap_models;
 pub mod color_maps;
 pub mod cvat;
 pub mod data_check;
+pub mod dataparser;
 pub mod hostile;
 pub mod labelme;
 pub mod lens;

@@ -76,7 +76,12 @@ pub(crate) fn list(folder: Folder<'_>, problems: &mut Problems) -> Result<Listin
             "{cloud} is not read: {file} does not name it; add \"ply_file_path\": \"{cloud}\" if it is the initial cloud"
         ));
     }
+    let applied = match options.dataparser_transforms {
+        Some(_) => problems.ok(files[0].transforms.applied()),
+        None => None,
+    };
     Ok(Listing {
+        applied: applied.unwrap_or_default(),
         z_up: transforms.all(Transforms::z_up),
         cloud: named_cloud.map_or(Cloud::None, |file| Cloud::Ply(dir.join(file))),
         notices,

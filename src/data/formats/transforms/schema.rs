@@ -2,6 +2,7 @@
 
 use super::not_finite::quoted;
 use crate::data::formats::camera_checks::{check_center, check_focal, posed, side};
+use crate::data::formats::dataparser::Similarity;
 use crate::data::photos::lens::Lens;
 use crate::error::{Result, bail, ensure, invalid};
 use crate::files;
@@ -19,6 +20,9 @@ pub(super) struct Transforms {
     #[serde(flatten)]
     lens: LensFields,
     convention: Option<String>,
+    /// How nerfstudio moved the poses of the COLMAP model.
+    applied_transform: Option<Value>,
+    applied_scale: Option<f64>,
     pub ply_file_path: Option<String>,
     pub frames: Vec<Frame>,
     /// Files of each split, as nerfstudio may list them.
@@ -119,6 +123,15 @@ impl Transforms {
     /// Whether the file says that the world's z axis points up.
     pub fn z_up(&self) -> bool {
         self.convention().contains("world z up")
+    }
+
+    /// How nerfstudio moved the poses of the COLMAP model before it wrote them here.
+    pub fn applied(&self) -> Result<Similarity> {
+        let Some(rows) = &self.applied_transform else {
+            return Ok(Similarity::default());
+        };
+        let fields = ["applied_transform", "applied_scale"];
+        Similarity::new(&self.path, fields, rows, self.applied_scale.unwrap_or(1.0))
     }
 
     /// `frames[I] (FILE)`, for messages.
