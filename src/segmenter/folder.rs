@@ -3,12 +3,15 @@
 use super::index::{self, Index};
 use super::mapping::{ClassFile, Mapping};
 use super::model::Network;
+use super::run::Logits;
+use super::turned::upright;
 use crate::config::Association;
 use crate::data::formats::folder::Problems;
 use crate::data::formats::frame::Frame;
 use crate::data::formats::layout;
 use crate::data::formats::listing::Listing;
 use crate::data::labels::scores;
+use crate::data::photos::image_file::ImageFile;
 use crate::data::{LoadOptions, MapGeometry, check_outputs};
 use crate::error::Result;
 use crate::progress::{Progress, Viewing};
@@ -22,7 +25,7 @@ const MAX_PHOTO_BYTES: usize = 700 << 20;
 /// Bytes for each pixel of a photo: decoded, its label map, and both while they are encoded.
 const PIXEL_BYTES: usize = 12;
 /// Changes with the arithmetic: labels of another version are made again.
-const VERSION: &str = "coseg label 1";
+const VERSION: &str = "coseg label 2";
 
 /// What to label, with what, and where to.
 #[derive(Debug)]
@@ -176,7 +179,7 @@ impl Work<'_> {
             }
             names.iter().try_for_each(|name| index.check_own(name))?;
         }
-        let logits = self.job.network.run(&file.decode_rgb()?)?;
+        let logits = self.logits(file)?;
         let (map, scores) = logits.labels(self.mapping, self.job.best);
         let path = Path::new(&names[1]);
         let files = [
@@ -186,6 +189,18 @@ impl Work<'_> {
         let ids: BTreeSet<u16> = map.ids.iter().copied().collect();
         self.index().add(&frame.name, key, ids, &files)?;
         Ok(false)
+    }
+
+    /// What the network says about a photo, which it sees upright.
+    fn logits(&self, photo: ImageFile) -> Result<Logits> {
+        let network = self.job.network;
+        match photo.orientation() {
+            Some(orientation) => {
+                let upright = upright(photo.decode_rgb()?, orientation);
+                Ok(network.run(&upright)?.as_stored(orientation))
+            }
+            None => network.run(&photo.decode_rgb()?),
+        }
     }
 
     fn index(&self) -> MutexGuard<'_, Index> {

@@ -11,6 +11,7 @@ mod index;
 mod mapping;
 mod model;
 mod run;
+mod turned;
 
 pub use self::contract::Contract;
 pub use self::folder::{Job, Labelled, label_scene};

@@ -108,11 +108,16 @@ impl ImageFile {
         proportional(self.size, (height, width)) && !proportional(self.size, (width, height))
     }
 
-    /// The EXIF orientation, 2 to 8, by which programs should turn or mirror it; `None` where it is stored upright.
-    pub fn exif_orientation(&self) -> Option<u8> {
+    /// The EXIF orientation, by which programs should turn or mirror it; `None` where it is stored upright.
+    pub fn orientation(&self) -> Option<Orientation> {
         let decoder = reader(&self.bytes, self.format, 0).into_decoder();
-        let orientation = decoder.ok()?.orientation().ok().map(Orientation::to_exif);
-        orientation.filter(|exif| *exif != Orientation::NoTransforms.to_exif())
+        let orientation = decoder.ok()?.orientation().ok();
+        orientation.filter(|orientation| *orientation != Orientation::NoTransforms)
+    }
+
+    /// The number of [`ImageFile::orientation`], 2 to 8.
+    pub fn exif_orientation(&self) -> Option<u8> {
+        self.orientation().map(Orientation::to_exif)
     }
 
     /// Whether its EXIF orientation turns or mirrors it while its size stays the same.

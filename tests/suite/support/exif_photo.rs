@@ -19,3 +19,19 @@ pub fn photo(path: &Path, (width, height): (usize, usize), orientation: u8) {
     drop(bytes.splice(2..2, segment));
     fs::write(path, bytes).expect("photo");
 }
+
+/// A PNG of these pixels with an orientation.
+pub fn with_orientation(path: &Path, pixels: &image::RgbImage, orientation: u8) {
+    use image::ImageEncoder;
+    let mut exif = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".to_vec();
+    exif.extend([orientation, 0, 0, 0, 0, 0, 0, 0]);
+    let mut bytes = Vec::new();
+    let mut encoder = image::codecs::png::PngEncoder::new(&mut bytes);
+    encoder.set_exif_metadata(exif).expect("EXIF");
+    let (width, height) = pixels.dimensions();
+    let color = image::ExtendedColorType::Rgb8;
+    encoder
+        .write_image(pixels, width, height, color)
+        .expect("photo");
+    fs::write(path, bytes).expect("photo");
+}
