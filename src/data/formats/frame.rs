@@ -71,7 +71,9 @@ impl Frame {
         let image = ImageFile::open(&self.image)?;
         let size = (self.camera.width, self.camera.height);
         if !(self.resizable && proportional(image.size, size)) {
-            image.expect_size(size, &format!("{} says", file.display()))?;
+            let help =
+                "scale the photo to that size, or correct the size with focal length and centre";
+            image.expect_size(size, &format!("{} says", file.display()), help)?;
         }
         let geometry = self.geometry(image.size)?;
         Ok((image, geometry))

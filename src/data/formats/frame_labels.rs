@@ -122,6 +122,8 @@ impl<'a> FrameLabels<'a> {
         let whose = exif.map_or("its photo".to_owned(), |exif| {
             format!("its photo as it is stored, whose EXIF orientation is {exif}")
         });
-        file.expect_size(size, &whose)
+        let help = "where maps were made from smaller copies of the photos, put a file geometry.json with {\"maps\": \"photos\"} beside \
+            them; else scale the map, without blending ids";
+        file.expect_size(size, &whose, help)
     }
 }

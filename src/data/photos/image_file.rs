@@ -21,8 +21,6 @@ const MAX_PROPORTION_ERROR: f64 = 0.02;
 pub(crate) const TURNED_HELP: &str = "it is turned by 90 degrees: some programs turn photos by their EXIF orientation and others \
     do not; apply it to the photos or strip it (docs/from-photos.md, 1), before COLMAP and the segmenter see them";
 /// Help for a picture of another size.
-const SIZE_HELP: &str = "scale the photo to that size, or correct the size with focal length and centre; label maps of smaller photos \
-    need a geometry.json beside them (docs/data.md)";
 /// Bytes of a pixel while a file is decoded, at most: 16 bits of four channels, and a copy.
 const PIXEL_BYTES: u64 = 16;
 /// Quality of photos that are rewritten.
@@ -89,8 +87,8 @@ impl ImageFile {
         Sha256::digest(&self.bytes).into()
     }
 
-    /// Refuses a photo or label map of a different size than `whose` expects.
-    pub fn expect_size(&self, size: (usize, usize), whose: &str) -> Result<()> {
+    /// Refuses a photo or label map of a different size than `whose`. `help` is for those that are not turned.
+    pub fn expect_size(&self, size: (usize, usize), whose: &str, help: &str) -> Result<()> {
         if self.size == size {
             return Ok(());
         }
@@ -100,7 +98,7 @@ impl ImageFile {
             format!(", of EXIF orientation {exif}")
         });
         bail!(&self.path, "size"; found "{}x{} pixels{exif}", self.size.0, self.size.1;
-            expected "{}x{}, as {whose}", size.0, size.1; help "{}", if across { TURNED_HELP } else { SIZE_HELP });
+            expected "{}x{}, as {whose}", size.0, size.1; help "{}", if across { TURNED_HELP } else { help });
     }
 
     /// Whether it has the proportions of `width` and `height` swapped, and not those themselves.

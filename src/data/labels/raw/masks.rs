@@ -58,7 +58,8 @@ pub(super) fn read(
     for (path, id) in files.values().zip(1..) {
         let file = ImageFile::open(path)?;
         check_size(&file)?;
-        file.expect_size(size, "the first mask of the photo")?;
+        let help = "all masks of a photo have its size: make them again, or scale them";
+        file.expect_size(size, "the first mask of the photo", help)?;
         let mask = covered(path, &file)?;
         let area = mask.iter().filter(|covered| **covered).count() as u32;
         for (i, _) in mask.iter().enumerate().filter(|(_, covered)| **covered) {
