@@ -3,13 +3,13 @@
 use super::terminal;
 use coseg::Error;
 use std::mem::{Discriminant, discriminant};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Faults of one kind that are printed by default.
 const MAX_SHOWN: usize = 3;
 
 /// Faults of the same kind differ only in their frame, file or pixel.
-type FaultKind = (Discriminant<Error>, PathBuf, String, String);
+type FaultKind = (Discriminant<Error>, String, String, String);
 
 /// Prints the first few faults of each kind and how many more there are, or all of them.
 pub fn print(faults: &[Error], all: bool) {
@@ -50,18 +50,19 @@ fn kind(fault: &Error) -> FaultKind {
         Error::Config { key, help, .. }
         | Error::Argument {
             name: key, help, ..
-        } => (PathBuf::new(), key.as_str(), help.as_str()),
+        } => (String::new(), key.as_str(), help.as_str()),
         other => {
-            let none = PathBuf::new();
             let text = other.to_string();
-            return (discriminant(other), none, text, String::new());
+            return (discriminant(other), String::new(), text, String::new());
         }
     };
-    (discriminant(fault), path, plain(field), plain(help))
+    (discriminant(fault), plain(&path), plain(field), plain(help))
 }
 
-fn folder(path: &Path) -> PathBuf {
-    path.parent().map_or_else(PathBuf::new, Path::to_owned)
+/// Its folder. Masks have a folder for each photo, which are usually numbered.
+fn folder(path: &Path) -> String {
+    let folder = path.parent().unwrap_or(path);
+    folder.display().to_string()
 }
 
 /// `text` without numbers and names in brackets: `frames[3] (images/a.png).file_path` is the field of many frames.

@@ -70,7 +70,7 @@ fn label_maps_of_turned_photos_are_told_from_maps_of_another_size() {
     .expect("map");
     let message = fault(dir).to_string();
     assert!(
-        message.contains("scale the photo") && !message.contains("EXIF"),
+        message.contains("scale the map") && !message.contains("EXIF"),
         "{message}"
     );
 }
