@@ -48,7 +48,10 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// The text of a file.
+/// The mark that programs of Windows write in front of a text in UTF-8.
+const BYTE_ORDER_MARK: char = '\u{FEFF}';
+
+/// The text of a file, without a byte order mark.
 pub(crate) fn text(path: &Path) -> Result<String> {
     let file = open(path)?;
     let size = file.metadata().map_or(0, |there| there.len());
@@ -56,7 +59,13 @@ pub(crate) fn text(path: &Path) -> Result<String> {
     let mut text = String::new();
     let read = file.take(MAX_TEXT_BYTES).read_to_string(&mut text);
     read.map_err(|e| Error::io(path, "read", e))?;
+    text.drain(..text.len() - without_mark(&text).len());
     Ok(text)
+}
+
+/// `text` without a byte order mark.
+pub(crate) fn without_mark(text: &str) -> &str {
+    text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(text)
 }
 
 /// The path from the root of the file system, whether or not something is there.

@@ -7,6 +7,7 @@ pub mod broken_colmap;
 pub mod broken_masks;
 pub mod broken_transforms;
 pub mod builtin;
+pub mod byte_order_marks;
 pub mod camera_files;
 pub mod classes;
 pub mod coco_instances;

@@ -53,7 +53,7 @@ pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera
     }
     let text = std::str::from_utf8(&bytes).map_err(|_| unusable("first bytes", "no text"))?;
     // Python writes NaN into JSON.
-    let (text, tokens) = quoted(text);
+    let (text, tokens) = quoted(files::without_mark(text));
     let value: Value = serde_json::from_str(&text)
         .map_err(|e| files::json_error(path, &e, "JSON with cameras"))?;
     let cameras = if value.is_array() {
