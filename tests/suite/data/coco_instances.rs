@@ -67,7 +67,8 @@ fn coco_instances_lie_over_larger_ones() {
     for part in [
         "2 of the 3 classes",
         "lamp",
-        "1 labelled images",
+        "1 labelled images of",
+        "are not photos of the scene: other.png",
         "2 of 4 training frames",
     ] {
         assert!(
@@ -91,6 +92,28 @@ fn coco_instances_are_found_in_an_export_beside_copies_of_the_photos() {
     assert_eq!(labelled(&loaded), ["v1", "v3"]);
     let places = [(5, 5), (15, 15), (32, 32), (3, 62)];
     assert_eq!(at(&raw(&loaded, 1), &places), [2, 1, 0, 1]);
+}
+
+#[test]
+fn photos_are_found_by_the_names_of_label_studio_and_roboflow() {
+    let folder = folder();
+    let dir = folder.path();
+    write(dir, "coco.json", &coco());
+    let expected = load(dir, &options("coco.json")).expect("scene");
+    for [before, after] in [
+        ["..\\..\\media\\upload\\1\\0123abcd-", ".png"],
+        ["images/0123abcd-", ".png"],
+        ["train/", "_png.rf.0123456789abcdef0123456789abcdef.jpg"],
+    ] {
+        let mut value = coco();
+        for (i, photo) in ["v1", "v3", "v4"].iter().enumerate() {
+            value["images"][i]["file_name"] = json!(format!("{before}{photo}{after}"));
+        }
+        write(dir, "coco.json", &value);
+        let loaded = load(dir, &options("coco.json")).expect("scene");
+        assert_eq!(labelled(&loaded), ["v1", "v3"]);
+        assert_eq!(loaded.views[1].raw, expected.views[1].raw);
+    }
 }
 
 #[test]
@@ -283,7 +306,22 @@ fn broken_coco_instances_are_refused() {
                 .iter_mut()
                 .for_each(|i| i["file_name"] = json!("x.png"))
         },
-        &["annotations", "none of which is a photo", "v0"],
+        &[
+            "annotations",
+            "none of which is a photo of the scene: x.png",
+            "v0",
+        ],
+    );
+    broken(
+        &|v| {
+            v["images"][0]["file_name"] = json!("0123abcd-v1.png");
+            v["images"][3]["file_name"] = json!("4567abcd-v1.png");
+        },
+        &[
+            "images",
+            "4567abcd-v1.png and another image of this photo",
+            "augmentation",
+        ],
     );
     broken(
         &|v| *v = json!({ "images": [] }),

@@ -3,7 +3,8 @@
 use super::drawing::{self, Drawing};
 use super::{RawFile, Vocabulary};
 use crate::config::RawFormat;
-use crate::data::{Classes, LoadOptions, MapGeometry};
+use crate::data::photos::EXTENSIONS;
+use crate::data::{Classes, LoadOptions, MapGeometry, first_names};
 use crate::error::{Result, ensure};
 use crate::files::{extension, names};
 use serde::Deserialize;
@@ -114,23 +115,25 @@ pub(super) fn drawings<'a>(
 ) -> Result<HashMap<String, Drawing>> {
     let photos = Photos::new(frames);
     let mut drawings = HashMap::new();
-    let mut others = 0;
+    let mut others = Vec::new();
     for (image, drawing) in drawn {
         let Some(frame) = photos.frame(image) else {
-            others += 1;
+            others.push(image);
             continue;
         };
         ensure!(drawings.insert(frame.name.to_owned(), drawing).is_none(),
             path, "images"; found "{image} and another image of this photo";
-            expected "one for each photo"; help "export the shapes again");
+            expected "one for each photo"; help "export each image once, without augmentation");
     }
+    let (count, first) = (others.len(), first_names(&others));
     ensure!(!drawings.is_empty(),
-        path, "annotations"; found "{others} images with regions, none of which is a photo of the scene";
+        path, "annotations"; found "{count} images with regions, none of which is a photo of the scene: {first}";
         expected "regions on photos such as {}", frames.first().map_or("", |frame| frame.name);
         help "give images the file names of the photos");
-    if others > 0 {
+    if count > 0 {
         let file = path.display();
-        let other = format!("{others} labelled images of {file} are not photos of the scene");
+        let other =
+            format!("{count} labelled images of {file} are not photos of the scene: {first}");
         let notice = vocabulary.notice.take();
         vocabulary.notice =
             Some(notice.map_or(other.clone(), |notice| format!("{notice}; {other}")));
@@ -138,42 +141,92 @@ pub(super) fn drawings<'a>(
     Ok(drawings)
 }
 
+/// Frames by the paths of their photos without extension, and by the ends of these; `None` for an end that several have.
+type Endings<'a> = HashMap<PathBuf, Option<&'a RawFile<'a>>>;
+
 /// Finds frames by the file names of images.
 struct Photos<'a> {
-    /// By their paths without extension and by the ends of these; `None` for an end that several have.
-    by_ending: HashMap<PathBuf, Option<&'a RawFile<'a>>>,
+    by_ending: Endings<'a>,
+    /// The same in lower case.
+    by_lower_case: Endings<'a>,
     is_one_folder: bool,
 }
 
 impl<'a> Photos<'a> {
     fn new(frames: &'a [RawFile<'a>]) -> Self {
         let folder = frames.first().and_then(|frame| frame.photo.parent());
-        let mut by_ending = HashMap::new();
+        let mut by_ending = Endings::new();
+        let mut by_lower_case = Endings::new();
         for frame in frames {
             let path = frame.photo.with_extension("");
             let parts: Vec<_> = path.components().collect();
             for start in 0..parts.len() {
-                let entry = by_ending.entry(parts[start..].iter().collect());
-                entry.and_modify(|of| *of = None).or_insert(Some(frame));
+                let ending: PathBuf = parts[start..].iter().collect();
+                for (all, key) in [
+                    (&mut by_lower_case, lower_case(&ending)),
+                    (&mut by_ending, ending),
+                ] {
+                    let entry = all.entry(key);
+                    entry.and_modify(|of| *of = None).or_insert(Some(frame));
+                }
             }
         }
         Self {
             by_ending,
+            by_lower_case,
             is_one_folder: frames.iter().all(|frame| frame.photo.parent() == folder),
         }
     }
 
-    /// The frame of an image: the one whose photo has this path. Photos that lie in one folder are found by their names alone.
+    /// The frame of an image: the one whose photo has this path. Photos that lie in one folder are found by their names alone. Where no
+    /// photo has exactly this path, it is the only one that has it in other capitals, or one of the [`original_names`].
     fn frame(&self, file_name: &str) -> Option<&'a RawFile<'a>> {
         // Windows' tools write its separators.
         let path = PathBuf::from(file_name.replace('\\', "/")).with_extension("");
-        let wanted = if self.is_one_folder {
-            Path::new(path.file_name()?)
-        } else {
-            path.as_path()
-        };
-        self.by_ending.get(wanted).copied().flatten()
+        let name = Path::new(path.file_name()?);
+        let wanted = if self.is_one_folder { name } else { &path };
+        if let Some(exact) = self.by_ending.get(wanted) {
+            return *exact;
+        }
+        let name = lower_case(name);
+        let originals = original_names(name.to_str()?);
+        let names = originals.into_iter().map(PathBuf::from);
+        let mut found = names
+            .chain([lower_case(wanted)])
+            .filter_map(|name| self.by_lower_case.get(&name));
+        let first = (*found.next()?)?;
+        let is_first = |other: &Option<&RawFile>| other.is_some_and(|o| o.name == first.name);
+        found.all(is_first).then_some(first)
     }
+}
+
+fn lower_case(path: &Path) -> PathBuf {
+    path.to_string_lossy().to_lowercase().into()
+}
+
+/// What an image in lower case and without extension may have been called before a tool took it: `a` for Label Studio's
+/// `0123abcd-a`, for Roboflow's `a_jpg.rf.` with 32 hexadecimal digits, and for its `a_jpeg_jpg.rf.`. Both leave folders out.
+fn original_names(name: &str) -> Vec<&str> {
+    let is_hex = |text: &str, digits: usize| {
+        text.len() == digits && text.bytes().all(|byte| byte.is_ascii_hexdigit())
+    };
+    let mut originals = Vec::new();
+    if let Some((upload, original)) = name.split_once('-')
+        && is_hex(upload, 8)
+    {
+        originals.push(original);
+    }
+    if let Some((mut original, version)) = name.rsplit_once(".rf.")
+        && is_hex(version, 32)
+    {
+        while let Some((stem, extension)) = original.rsplit_once('_')
+            && EXTENSIONS.contains(&extension)
+        {
+            originals.push(stem);
+            original = stem;
+        }
+    }
+    originals
 }
 
 #[cfg(test)]
@@ -217,6 +270,54 @@ mod tests {
         }
         let same = ["/room/images/a.jpg", "/room/images/a.png"];
         assert_eq!(found(&same, "a.jpg"), None);
+    }
+
+    #[test]
+    fn photos_are_found_by_the_names_that_tools_give_them() {
+        let hash = "0123456789abcdef0123456789ABCDEF";
+        let one = ["/room/images/train_000.jpg", "/room/images/B-1.JPG"];
+        let roboflow = |name: &str| format!("train/{name}.rf.{hash}.jpg");
+        for name in [
+            "ab12cd34-train_000.jpg",
+            "images/ab12cd34-train_000.jpg",
+            "..\\..\\media\\upload\\1\\ab12cd34-train_000.jpg",
+            "TRAIN_000.PNG",
+            &roboflow("train_000_jpg"),
+            &roboflow("train_000_jpeg_jpg"),
+        ] {
+            assert_eq!(found(&one, name), Some(one[0]), "{name}");
+        }
+        for name in ["b-1.jpg", "0000ffff-B-1.jpg", &roboflow("B-1_JPG_jpg")] {
+            assert_eq!(found(&one, name), Some(one[1]), "{name}");
+        }
+        for name in [
+            "ab12cd3-train_000.jpg",
+            "ab12cd3x-train_000.jpg",
+            "ab12cd34-.jpg",
+            "ab12cd34-ab12cd34-train_000.jpg",
+            "train_000_jpg.rf.0123.jpg",
+            &roboflow("train_000"),
+            &roboflow("train_000_gif"),
+            &roboflow("_jpg"),
+        ] {
+            assert_eq!(found(&one, name), None, "{name}");
+        }
+        // The exact name comes first, and no photo is guessed.
+        let both = ["/room/images/ab12cd34-a.jpg", "/room/images/a.jpg"];
+        assert_eq!(found(&both, "ab12cd34-a.jpg"), Some(both[0]));
+        assert_eq!(found(&both, "AB12CD34-A.jpg"), None);
+        let capitals = ["/room/images/A.jpg", "/room/images/a.jpg"];
+        assert_eq!(found(&capitals, "a.jpg"), Some(capitals[1]));
+        assert_eq!(found(&capitals, "ab12cd34-a.jpg"), None);
+        let two = [
+            "/room/images/left/a.jpg",
+            "/room/images/right/a.jpg",
+            "/room/images/left/b.jpg",
+        ];
+        assert_eq!(found(&two, "images/ab12cd34-b.jpg"), Some(two[2]));
+        assert_eq!(found(&two, "images/ab12cd34-a.jpg"), None);
+        assert_eq!(found(&two, "Left/A.jpg"), Some(two[0]));
+        assert_eq!(found(&two, "train/left/b.jpg"), None);
     }
 
     #[test]
