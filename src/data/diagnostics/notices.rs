@@ -37,6 +37,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         assumed_undistorted(&listing, options),
         without_mask(&listing, masks),
         without_raw(&listing),
+        unread_maps(&listing),
         held_out_drawn_labels(&listing),
     ];
     listing.notices.extend(cameras);
@@ -170,6 +171,16 @@ fn without_raw(listing: &Listing) -> Option<String> {
             "{count} of {all} training frames have no raw labels: {names}; {labelled} have some"
         )
     })
+}
+
+/// Label maps where files of LabelMe come first.
+fn unread_maps(listing: &Listing) -> Option<String> {
+    let has_unread = |frame: &&Frame| frame.has_unread_map;
+    let (count, names) = listed(listing.frames.iter().filter(has_unread))?;
+    Some(format!(
+        "{count} label maps are not read: {names}; where files of LabelMe are used, label maps are not; data.raw_format names \
+         the format that is read, such as grey"
+    ))
 }
 
 /// Held-out photos with labels drawn by hand: no training view learns from them.

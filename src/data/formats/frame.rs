@@ -33,6 +33,8 @@ pub(crate) struct Frame {
     pub raw: Option<PathBuf>,
     /// A JSON file where the raw labels are looked for, named as the photo: LabelMe's, perhaps.
     pub drawn: Option<PathBuf>,
+    /// It has a label map that is not read, as files of LabelMe come first.
+    pub has_unread_map: bool,
     /// True instance ids.
     pub instances: Option<PathBuf>,
 }
@@ -61,6 +63,7 @@ impl Frame {
             truth: None,
             raw: None,
             drawn: None,
+            has_unread_map: false,
             instances: None,
         }
     }

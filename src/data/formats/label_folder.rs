@@ -2,8 +2,10 @@
 
 use super::frame::{Frame, joined_name};
 use crate::config::RawFormat;
-use crate::data::LoadOptions;
-use crate::data::labels::raw::{ShapeFile, labelme};
+use crate::data::labels::raw::{LABELS_RAW, ShapeFile, labelme};
+use crate::data::{LoadOptions, first_names};
+use crate::files::{self, extension};
+use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
 /// Where the file of a photo may lie in a folder: its path with `.png` instead of its extension or after it, the name of its
@@ -50,9 +52,12 @@ pub(super) fn choose_raw_files(dir: &Path, options: &LoadOptions, frames: &mut [
     // JSON files are LabelMe's where there are no other labels, or where the first one has shapes.
     let is_labelme = |first: &PathBuf| !has_maps || labelme::has_shapes(first);
     if labelme_fits && first_drawn.is_some_and(is_labelme) {
-        frames
-            .iter_mut()
-            .for_each(|frame| frame.raw = frame.drawn.clone());
+        for frame in frames.iter_mut() {
+            let map = std::mem::replace(&mut frame.raw, frame.drawn.clone());
+            frame.has_unread_map = map.is_some_and(|map| {
+                map.exists() && frame.raw.as_ref() != Some(&map) && !is_copy(&map, &frame.image)
+            });
+        }
         return;
     }
     frames.iter_mut().for_each(|frame| frame.drawn = None);
@@ -71,6 +76,46 @@ pub(super) fn choose_raw_files(dir: &Path, options: &LoadOptions, frames: &mut [
         let without = frames.iter_mut().filter(|frame| !exists(frame));
         without.for_each(|frame| frame.raw = None);
     }
+}
+
+/// Whether a file in the folder of raw labels is the photo itself, or a copy of it, by its size.
+fn is_copy(map: &Path, photo: &Path) -> bool {
+    let bytes = |path: &Path| path.metadata().ok().map(|there| there.len());
+    bytes(map) == bytes(photo)
+}
+
+/// A notice on files of LabelMe that lie beside those of `frames`, or in the folder of raw labels, and belong to no photo. Where only
+/// some photos are read, there is none.
+pub(super) fn stray_drawings(
+    dir: &Path,
+    options: &LoadOptions,
+    frames: &[Frame],
+) -> Option<String> {
+    let labelme_fits = matches!(options.raw_format, RawFormat::Auto | RawFormat::Labelme);
+    if !labelme_fits || options.stride > 1 || options.max_frames > 0 {
+        return None;
+    }
+    let drawn = || frames.iter().filter_map(|frame| frame.drawn.as_deref());
+    let raw = || frames.iter().filter_map(|frame| frame.raw.as_deref());
+    let used: HashSet<&Path> = drawn().chain(raw()).collect();
+    let parents = drawn().filter_map(|file| Some(file.parent()?.to_owned()));
+    let usual = || raw().next().is_none().then_some(LABELS_RAW);
+    let folder = options.raw_labels.as_deref().or_else(usual);
+    let folders: BTreeSet<PathBuf> = parents.chain(folder.map(|name| dir.join(name))).collect();
+    let is_stray = |_: &str, path: &Path| {
+        extension(path) == "json" && !used.contains(path) && labelme::has_shapes(path)
+    };
+    let strays = folders
+        .iter()
+        .flat_map(|folder| files::names(folder, is_stray));
+    let strays: Vec<String> = strays.collect();
+    (!strays.is_empty()).then(|| {
+        format!(
+            "{} files of LabelMe belong to no photo of the scene: {}; a file has the name of its photo",
+            strays.len(),
+            first_names(&strays)
+        )
+    })
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use super::block::{BLOCK, Block};
 use super::dataparser::Similarity;
 use super::folder::{Folder, Problems};
+use super::label_folder::stray_drawings;
 use super::listing::Listing;
 use super::{colmap, replica, scannet, transforms};
 use crate::config::Layout;
@@ -260,5 +261,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
     listing.geometries = MapGeometries::read(maps.flatten(), |fault| problems.push(fault));
     let unread = unread_transforms(dir, options, listing.layout);
     listing.notices.extend(unread);
+    let strays = stray_drawings(dir, options, &listing.frames);
+    listing.notices.extend(strays);
     Ok(listing)
 }
