@@ -41,7 +41,11 @@ pub(crate) struct ImageFile {
 impl ImageFile {
     /// Reads `path` and checks that it is a complete PNG or JPEG of an acceptable size.
     pub fn open(path: &Path) -> Result<Self> {
-        let bytes = crate::files::read(path)?;
+        Self::from_bytes(path, crate::files::read(path)?)
+    }
+
+    /// As [`Self::open`], of the `bytes` of an image that the file at `path` holds.
+    pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self> {
         let format = match image::guess_format(&bytes) {
             Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,
             _ if bytes.get(4..8) == Some(b"ftyp") => {

@@ -73,7 +73,7 @@ pub(super) fn read(
 }
 
 /// The pixels of a mask: those that are not black.
-fn covered(path: &Path, file: &ImageFile) -> Result<Vec<bool>> {
+pub(super) fn covered(path: &Path, file: &ImageFile) -> Result<Vec<bool>> {
     if let Some((_, 0)) = file.png_color() {
         let values = file.decode()?.into_luma16().into_raw();
         return Ok(values.into_iter().map(|value| value > 0).collect());

@@ -43,6 +43,24 @@ impl Runs {
         runs.fit().then_some(runs)
     }
 
+    /// The runs along the rows of a box that is `inside` pixel by pixel, and `None` as for [`Self::of_rows`].
+    pub fn of_pixels(
+        picture: (usize, usize),
+        corner: (usize, usize),
+        size: (usize, usize),
+        inside: &[bool],
+    ) -> Option<Self> {
+        // The first run is one outside, perhaps of no pixel.
+        let before = (inside.first() == Some(&true)).then_some(0);
+        let lengths = inside.chunk_by(|a, b| a == b).map(|run| run.len() as u64);
+        Self::of_rows(
+            picture,
+            corner,
+            size,
+            before.into_iter().chain(lengths).collect(),
+        )
+    }
+
     fn fit(&self) -> bool {
         let within = |start: usize, length: usize, whole: usize| {
             length > 0 && start.checked_add(length).is_some_and(|end| end <= whole)
@@ -52,6 +70,11 @@ impl Runs {
         within(self.corner.0, self.size.0, self.picture.0)
             && within(self.corner.1, self.size.1, self.picture.1)
             && counts.try_fold(0_u64, |sum, count| sum.checked_add(*count)) == pixels
+    }
+
+    /// Number of runs.
+    pub fn count(&self) -> usize {
+        self.counts.len()
     }
 
     /// Pixels inside.
