@@ -26,16 +26,17 @@ const MAX_CENTER_OFFSET: f64 = 0.5;
 pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
     let mut listing = layout::list(dir, options, problems)?;
     let layout = listing.layout;
-    let masks = mask_file::folder_name(Folder {
+    let folder = Folder {
         dir,
         options,
         layout,
-    });
+    };
     let cameras = cameras(&listing);
     let others = [
         large_photos(&listing, options.max_side),
         assumed_undistorted(&listing, options),
-        without_mask(&listing, masks),
+        without_mask(&listing, mask_file::folder_name(folder)),
+        mask_file::unused_folder(folder, &listing.frames),
         without_raw(&listing),
         unread_maps(&listing),
         held_out_drawn_labels(&listing),

@@ -42,6 +42,25 @@ pub(crate) fn folder_name<'a>(folder: Folder<'a>) -> Option<&'a str> {
     name.filter(|name| dir.join(name).is_dir())
 }
 
+/// A notice on the usual folder of masks of COLMAP where another layout has it, and nothing in it is used by `frames`.
+pub(crate) fn unused_folder(folder: Folder<'_>, frames: &[Frame]) -> Option<String> {
+    let Folder { dir, options, .. } = folder;
+    let masks = dir.join(COLMAP_MASKS);
+    let raw = options.raw_labels.as_deref();
+    let is_used = folder.layout == Layout::Colmap
+        || options.masks.is_some()
+        || raw.is_some_and(|raw| is_folder(dir, raw, COLMAP_MASKS))
+        || frames
+            .iter()
+            .any(|frame| frame.maps().any(|map| map.starts_with(&masks)));
+    (!is_used && masks.is_dir()).then(|| {
+        format!(
+            "{COLMAP_MASKS}/ is there and not used: --set data.masks={COLMAP_MASKS} uses it, data.masks={NO_MASKS} says that it \
+             is not needed"
+        )
+    })
+}
+
 /// Whether two names lead to one folder within `dir`, links followed.
 fn is_folder(dir: &Path, a: &str, b: &str) -> bool {
     let real = |name: &str| dir.join(name).canonicalize();

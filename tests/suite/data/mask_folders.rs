@@ -133,6 +133,29 @@ fn masks_are_turned_off() {
 }
 
 #[test]
+fn a_folder_of_masks_that_is_not_used_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    plates::scene(dir);
+    write(&dir.join("masks/v1.png"), (WIDTH as u32, HEIGHT as u32), 3);
+    let told = |options: &LoadOptions| {
+        let notices = check(dir, options).notices;
+        let told = |notice: &String| notice.contains("masks/ is there and not used");
+        notices.iter().any(told)
+    };
+    assert!(told(&LoadOptions::default()));
+    assert!(!told(&named("none")));
+    assert!(!told(&named("masks")));
+    let raw = LoadOptions {
+        raw_labels: Some(utf8(&dir.join("masks")).to_owned()),
+        ..LoadOptions::default()
+    };
+    assert!(!told(&raw));
+    edit(dir, |v| v["frames"][1]["mask_path"] = json!("masks/v1.png"));
+    assert!(!told(&LoadOptions::default()));
+}
+
+#[test]
 fn points_of_depth_images_are_not_of_what_is_left_out() {
     let folder = scannet::scene();
     let whole = load(folder.path(), &LoadOptions::default()).unwrap().points;
