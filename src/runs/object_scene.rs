@@ -3,7 +3,7 @@
 use super::scene_file::{
     CLASSES, FEATURE_COLORS, SCENE, classes_beside, copy_beside, copy_cameras,
 };
-use crate::data::{Classes, LoadOptions, check_output_file, locate};
+use crate::data::{Classes, check_outputs};
 use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files::{atomic, extension, own, sha256};
 use crate::objects::{Edited, Editing, Edits, Object, color_apart, inventory};
@@ -56,7 +56,8 @@ pub fn scene_output(
 }
 
 /// Refuses to write a scene with labels of `classes` to `out`, made from the scene at `path` and the class table in the file
-/// `table`, if one was given. Without `force` it must overwrite neither an input nor a file that this command did not write.
+/// `table`, if one was given. The folder must hold no files of a scene of photos. Without `force` it must overwrite neither an input
+/// nor a file that this command did not write.
 ///
 /// # Errors
 /// [`Error::Argument`] or [`Error::Input`] naming what is in the way; [`Error::Io`].
@@ -73,18 +74,14 @@ pub fn check_output(
     }
     ensure!(force || !atomic::same_file(path, out), argument "--out"; found "{}", out.display();
         expected "a file other than the scene"; help "name a new file, or write over the scene with --force");
-    let folder = out.parent().unwrap_or_else(|| Path::new(""));
-    check_output_file("--out", out, (folder, &LoadOptions::default()))?;
+    check_outputs("--out", &[own::folder(out)], None)?;
     if force {
         own::allow(out);
-        // The class table of a folder with photos is the truth of that scene.
-        if locate(folder, &LoadOptions::default()).is_err() {
-            own::allow(&names);
-        }
+        own::allow(&names);
     }
     ensure!(has_table(&names, classes)? || own::check(&names).is_ok(),
         &names, "classes"; found "another class table"; expected "that of the scene's labels, or no file";
-        help "write into another folder, or add --force if there are no photos beside it");
+        help "write into another folder, or add --force");
     ensure!(own::check(out).is_ok(), argument "--out"; found "{}, which this command did not write", out.display();
         expected "a new file, or one that this command wrote"; help "name another file, or write over it with --force");
     Ok(())

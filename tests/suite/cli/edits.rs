@@ -141,7 +141,7 @@ fn a_command_writes_over_its_own_output_and_over_others_by_force() {
     run(&separate(&path, "0.5", &["--force"]));
     assert!(Classes::read(&names).unwrap().entries.len() > 2);
 
-    // The scene itself, and never the classes of a folder with photos.
+    // The scene itself, and never into a folder with photos.
     let message = refused(&separate(&out, "0.9", &[]));
     assert!(
         message.contains("a file other than the scene") && message.contains("--force"),
@@ -160,7 +160,7 @@ fn a_command_writes_over_its_own_output_and_over_others_by_force() {
         "--force",
     ];
     let message = fails(&edit, 1);
-    assert!(message.contains("no photos beside it"), "{message}");
+    assert!(message.contains("holds files of a scene"), "{message}");
 }
 
 #[test]

@@ -170,7 +170,7 @@ fn files_that_are_something_else_are_named() {
     );
     let other = run.join("other.ply");
     for name in ["x.obj", "x.ply.gz"] {
-        let target = folder.path().join(name);
+        let target = out.join(name);
         let message = fails(
             &[
                 "edit",
@@ -189,7 +189,7 @@ fn files_that_are_something_else_are_named() {
         );
         assert!(!target.exists());
     }
-    let target = folder.path().join("x.PLY");
+    let target = out.join("x.PLY");
     succeeds(&[
         "edit",
         "--scene",

@@ -305,6 +305,27 @@ fn no_command_writes_into_a_scene() {
             assert!(snapshot(&dir) == before, "{line:?}");
         }
     }
+    // Nor a new file beside photos, with classes and cameras of its own.
+    let file = utf8(&dir.join("new.ply")).to_owned();
+    let [frame, pixel] = [["--frame", "v3"], ["--pixel", "40,30"]];
+    let select = [
+        &["--cameras", &data][..],
+        &frame,
+        &pixel,
+        &["--name", "lamp"],
+    ]
+    .concat();
+    for (command, more) in [
+        ("edit", &["--paint"][..]),
+        ("separate", &[]),
+        ("select", &select),
+        ("export", &[]),
+    ] {
+        let line = [command, "--scene", &ply, "--out", &file, "--force"];
+        let message = fails(&[&line[..], more].concat(), 1);
+        assert!(message.contains("holds files of a scene"), "{message}");
+        assert!(snapshot(&dir) == before, "{command}");
+    }
     std::fs::create_dir(dir.join("depth")).expect("folder");
     std::fs::write(dir.join("depth/v0.png"), "not read").expect("write");
     let before = snapshot(&dir);
