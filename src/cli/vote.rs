@@ -3,6 +3,7 @@
 use super::labelled::LabelledArgs;
 use super::{held_out, terminal};
 use clap::Args;
+use coseg::data::formats::transforms;
 use coseg::error::Result;
 use coseg::pipeline::{HeldOut, SegmentationInputs};
 use coseg::runs::{check_vote, vote};
@@ -10,8 +11,8 @@ use coseg::splat::ply;
 
 const HELP: &str = "\
 Each Gaussian takes the class of most of its pixels: the one with the largest sum of blending weights (alpha' T) over the raw
-labels of the training views. Writes scene.ply with a label column, and classes.json. Where test views have true labels,
-prints the scores. Ids must mean the same in every view; if they do not, as in instance masks, use `coseg associate`.
+labels of the training views. Writes scene.ply with a label column, classes.json and cameras.json. Where test views have true
+labels, prints the scores. Ids must mean the same in every view; if they do not, as in instance masks, use `coseg associate`.
 
 Example:
   coseg vote --scene scene.ply --data scenes/living --out runs/voted --set data.raw_labels=labels_raw";
@@ -39,6 +40,7 @@ impl VoteArgs {
         let path = self.input.out.join("scene.ply");
         ply::write(&path, &ply.gaussians, ply.origin, Some(&ids))?;
         scene.classes.write(&self.input.out.join("classes.json"))?;
+        transforms::write_cameras(&self.input.out.join("cameras.json"), &scene.cameras())?;
         let unseen = ids.iter().filter(|&&id| id == scene.classes.ignore).count();
         terminal::say(&format!(
             "{}: {} Gaussians labelled, {unseen} without a vote",

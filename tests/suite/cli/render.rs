@@ -154,6 +154,9 @@ fn vote_outvotes_wrong_views() {
         assert_eq!(labels[middle], truth[middle]);
     }
     assert_eq!(Classes::read(&out.join("classes.json")).unwrap().len(), 4);
+    let again = folder.path().join("again");
+    succeeds(&["render", "--scene", utf8(&out), "--out", utf8(&again)]);
+    assert!((0..6).all(|i| again.join(format!("v{i}.rgb.png")).is_file()));
 }
 
 #[test]
