@@ -7,7 +7,7 @@ use super::{BackendArgs, Settings, interrupt, or_usage_error, terminal};
 use clap::Args;
 use coseg::config::Config;
 use coseg::data::LoadOptions;
-use coseg::error::{Error, Result, bail};
+use coseg::error::{Error, Result, bail, ensure};
 use coseg::files::own;
 use coseg::pipeline::{Outcome, VariantOutcome};
 use coseg::progress::{Event, Progress};
@@ -215,7 +215,12 @@ impl TrainArgs {
             sets: self.settings.sets.clone(),
             seed: self.seed,
         };
-        let opened = options.open();
+        let opened = options.open().and_then(|(run, config)| {
+            let labels = &config.data.raw_labels;
+            ensure!(self.segmenter.is_none() || labels.is_empty(), setting "data.raw_labels"; found "{labels:?}";
+                expected "none beside --segmenter, which makes the raw labels"; help "give one of the two");
+            Ok((run, config))
+        });
         // Without --set, the settings of a resumed run come from its folder, not from options.
         if self.resume.is_some() && self.settings.sets.is_empty() {
             opened

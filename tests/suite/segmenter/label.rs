@@ -238,6 +238,17 @@ fn train_labels_the_photos_first_and_a_resumed_run_refuses_other_scores() {
     let run = folder.path().join("run");
     let ply = dir.join("plates.ply");
     let before = snapshot(&dir);
+    let both = ["train", "--data", utf8(&dir), "--segmenter", utf8(&model)];
+    let both = [
+        &both[..],
+        &["--set", "data.raw_labels=raw", "--out", utf8(&run)],
+    ]
+    .concat();
+    let message = fails(&both, 2);
+    for part in ["data.raw_labels", "--segmenter", "give one of the two"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    assert!(!run.exists());
     succeeds(&[
         "train",
         "--data",
@@ -266,6 +277,7 @@ fn train_labels_the_photos_first_and_a_resumed_run_refuses_other_scores() {
         config.contains(utf8(&labels.canonicalize().expect("labels"))),
         "{config}"
     );
+    succeeds(&["train", "--resume", utf8(&run)]);
     let metrics = std::fs::read_to_string(run.join("metrics.json")).expect("metrics");
     assert!(metrics.contains("\"ours\""), "{metrics}");
 
