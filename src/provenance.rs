@@ -210,7 +210,13 @@ impl Provenance {
             check_settings(&now.settings, &then.settings)?;
         }
         let [name, original] = data.words();
-        let resume = format!("resume with {original}, or train into another folder");
+        let labels_alone = match data {
+            Data::Labels => {
+                "; `coseg train --data DIR --scene RUN --out NEW` keeps the Gaussians and trains the labels alone"
+            }
+            _ => "",
+        };
+        let resume = format!("resume with {original}, or train into another folder{labels_alone}");
         bail!(file, "{name}"; found "those of other data"; expected "those of this run";
             help "{}", help.unwrap_or(&resume))
     }
@@ -221,12 +227,12 @@ impl Provenance {
     }
 }
 
-/// The first key with different values. The scene folder comes last: its name differs for a scene that was moved as well.
+/// The first key with different values. The scene folder does not count: a scene that was moved may have another name.
 fn first_difference<'a>(now: &'a Values, then: &'a Values) -> Option<&'a String> {
     now.keys()
         .chain(then.keys())
-        .filter(|key| now.get(*key) != then.get(*key))
-        .min_by_key(|key| key.as_str() == "data.dir")
+        .filter(|key| *key != "data.dir" && now.get(*key) != then.get(*key))
+        .min()
 }
 
 /// The settings of some sections, without those that do not affect results. Paths count by their file names, as files may move.

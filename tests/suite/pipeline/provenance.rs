@@ -264,6 +264,33 @@ fn other_data_is_told_by_the_setting_that_made_it_so() {
 }
 
 #[test]
+fn a_scene_that_moved_is_refused_by_what_is_other_in_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [own, moved, out] = ["own", "moved", "run"].map(|name| folder.path().join(name));
+    let mut config = rows(&with_unseen(&own), &[Variant::PerGaussian]);
+    let done = whole(&config, &out);
+    fs::rename(&own, &moved).expect("moved");
+    config.data.dir = Some(moved.clone());
+    config.building.gaussians = Some(moved.join("given.ply"));
+    same(&done, &whole(&config, &out));
+    let copy = |folder| {
+        let [from, to] = ["v1.png", "v0.png"].map(|name| moved.join(folder).join(name));
+        fs::copy(from, to).expect("copied");
+    };
+    copy("raw");
+    let other = "those of other data";
+    let alone = "`coseg train --data DIR --scene RUN --out NEW`";
+    crate::support::assert_names(
+        &refusal(&config, &out),
+        &["per_gaussian.safetensors", "raw labels", other, alone],
+    );
+    copy("images");
+    let error = refusal(&config, &out);
+    crate::support::assert_names(&error, &["initial.safetensors", "photos", other]);
+    assert!(!error.to_string().contains(alone), "{error}");
+}
+
+#[test]
 fn other_objects_are_told_by_the_setting_of_association() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut config = rows(&with_unseen(folder.path()), &[Variant::PerGaussian]);
