@@ -27,7 +27,12 @@ pub struct PruneArgs {
     #[command(flatten)]
     input: LabelledArgs,
     /// Keep this share of the Gaussians, above 0, at most 1
-    #[arg(long, value_name = "SHARE", group = "how many")]
+    #[arg(
+        long,
+        value_name = "SHARE",
+        group = "how many",
+        allow_negative_numbers = true
+    )]
     keep: Option<f64>,
     /// Keep as few Gaussians as lower the mean PSNR of the training views by no more than this, dB
     #[arg(long, value_name = "DB", group = "how many", value_parser = decibels)]

@@ -124,10 +124,10 @@ pub struct RenderArgs {
     #[arg(long, value_enum, value_name = "KIND")]
     features: Option<FeatureKind>,
     /// Colour behind the scene, each 0 to 1 [default: the run's, or 0,0,0]
-    #[arg(long, value_name = "R,G,B", value_parser = parse_color)]
+    #[arg(long, value_name = "R,G,B", value_parser = parse_color, allow_hyphen_values = true)]
     background: Option<[f32; 3]>,
     /// Cap of a splat's opacity at a pixel, in (0, 1]; graphdeco has 0.99 [default: the run's, or 0.999]
-    #[arg(long, value_name = "X", value_parser = alpha_max)]
+    #[arg(long, value_name = "X", value_parser = alpha_max, allow_negative_numbers = true)]
     alpha_max: Option<f64>,
     #[command(flatten)]
     backend: BackendArgs,

@@ -36,7 +36,7 @@ pub struct PathArgs {
     #[arg(long, requires = "path")]
     pub film: bool,
     /// Radius of the orbit, world units [default: from the cameras, or from the object's size]
-    #[arg(long, value_name = "X", requires = "path", value_parser = parse_radius)]
+    #[arg(long, value_name = "X", requires = "path", value_parser = parse_radius, allow_negative_numbers = true)]
     radius: Option<f64>,
 }
 

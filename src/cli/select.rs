@@ -43,7 +43,7 @@ pub struct SelectArgs {
     #[arg(long, value_name = "NAME", value_parser = values::name)]
     name: String,
     /// How far the selection grows, 0 or more [default: proposed, and printed]
-    #[arg(long, value_name = "T", value_parser = parse_threshold)]
+    #[arg(long, value_name = "T", value_parser = parse_threshold, allow_negative_numbers = true)]
     threshold: Option<f32>,
 }
 

@@ -27,13 +27,13 @@ pub struct SeparateArgs {
     #[arg(long, value_name = "OBJECT,...", value_delimiter = ',')]
     only: Vec<String>,
     /// Pieces with less than this share of the area of their label's largest are strays [default: 0.01]
-    #[arg(long, value_name = "SHARE")]
+    #[arg(long, value_name = "SHARE", allow_negative_numbers = true)]
     smallest: Option<f64>,
     /// Pieces of fewer Gaussians than this are strays too [default: 10]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     fewest: Option<usize>,
     /// Opacity at which a Gaussian ends; a higher one separates more [default: 0.1]
-    #[arg(long, value_name = "X")]
+    #[arg(long, value_name = "X", allow_negative_numbers = true)]
     level: Option<f64>,
 }
 

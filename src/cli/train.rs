@@ -103,7 +103,7 @@ pub struct TrainArgs {
     )]
     listen: IpAddr,
     /// Seed of every random choice [default: 0]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     seed: Option<u64>,
     #[command(flatten)]
     backend: BackendArgs,

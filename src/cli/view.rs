@@ -74,7 +74,7 @@ pub struct ViewArgs {
     )]
     listen: IpAddr,
     /// Cap of a splat's opacity at a pixel, in (0, 1]; graphdeco has 0.99 [default: the run's, or 0.999]
-    #[arg(long, value_name = "X", value_parser = alpha_max)]
+    #[arg(long, value_name = "X", value_parser = alpha_max, allow_negative_numbers = true)]
     alpha_max: Option<f64>,
 }
 

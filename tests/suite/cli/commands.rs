@@ -87,9 +87,23 @@ fn mistakes_on_the_command_line_exit_with_2() {
         "z",
         "--background",
     ];
-    for color in ["1,2,3", "0,0", "0,0,0,0", "a,b,c", "nan,0,0"] {
+    for color in ["1,2,3", "-1,0,0", "0,0", "0,0,0,0", "a,b,c", "nan,0,0"] {
         let message = fails(&[&render[..], &[color]].concat(), 2);
         assert!(message.contains("three numbers from 0 to 1"), "{message}");
+    }
+    // A negative number is a value, not an option.
+    let numbers = [
+        &["train", "--seed"][..],
+        &["render", "--path", "orbit", "--radius"],
+        &["render", "--alpha-max"],
+        &["view", "--alpha-max"],
+        &["query", "--threshold"],
+        &["select", "--threshold"],
+        &["separate", "--fewest"],
+    ];
+    for option in numbers {
+        let message = fails(&[option, &["-1"]].concat(), 2);
+        assert!(message.contains("invalid value '-1'"), "{message}");
     }
 }
 

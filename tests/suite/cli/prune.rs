@@ -79,6 +79,7 @@ fn numbers_out_of_range_are_refused() {
     ];
     for (option, value) in [
         ("--keep", "0"),
+        ("--keep", "-1"),
         ("--keep", "1.5"),
         ("--keep", "NaN"),
         ("--within", "inf"),
