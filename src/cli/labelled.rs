@@ -6,7 +6,7 @@ use clap::Args;
 use coseg::config::Config;
 use coseg::data::{self, LoadOptions, Scene};
 use coseg::error::{Result, ensure};
-use coseg::files::{atomic, own};
+use coseg::files::{atomic, extension, own};
 use coseg::runs::{CAMERAS, CLASSES, SCENE, load_both, scene_path};
 use coseg::splat::ply::PlyScene;
 use std::path::PathBuf;
@@ -43,6 +43,8 @@ impl LabelledArgs {
         device: &Device,
         folders: &[&str],
     ) -> Result<(Scene, PlyScene)> {
+        ensure!(extension(&self.out) != "ply", argument "--out"; found "{}", self.out.display();
+            expected "a folder, into which {SCENE} is written"; help "leave out the ending .ply");
         let options = LoadOptions::from(config);
         data::locate(&self.data, &options)?;
         let outputs = [self.out.as_path(), &self.out.join("labels")];

@@ -1,7 +1,7 @@
 //! `coseg prune` on plates with Gaussians that no photo shows.
 
 use crate::support::plates::{plates, scene};
-use crate::support::program::{fails, succeeds, utf8};
+use crate::support::program::{fails, listed, succeeds, utf8};
 use coseg::splat::{Gaussians, ply};
 use glam::DVec3;
 use std::path::Path;
@@ -95,5 +95,12 @@ fn numbers_out_of_range_are_refused() {
         &[&start[..], &["--keep", "0.5", "--within", "1"]].concat(),
         2,
     );
-    assert!(!out.exists(), "nothing is written");
+    let out = folder.path().join("small.ply");
+    let message = fails(&[&start[..6], &[utf8(&out), "--keep", "0.5"]].concat(), 1);
+    assert!(message.contains("expected a folder"), "{message}");
+    assert_eq!(
+        listed(folder.path()),
+        ["data", "scene.ply"],
+        "nothing is written"
+    );
 }
