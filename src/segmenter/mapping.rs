@@ -151,9 +151,10 @@ fn network_class(contract: &Contract, user: &ClassFile, name: &str, member: &str
     let names = &contract.classes.names;
     let index = names.iter().position(|other| plain(other) == plain(member));
     index.ok_or_else(|| {
-        let nearest = nearest_first(member, names.iter().map(String::as_str));
-        let first = nearest.first().copied().unwrap_or_default();
-        invalid!(&user.file, "classes.{name}"; found "{member:?}"; expected "a class of the network, perhaps {first:?}";
-            help "correct the name; the network has: {}", nearest.join("; "))
+        let mut names = nearest_first(member, names.iter().map(String::as_str));
+        let nearest = names.first().copied().unwrap_or_default();
+        names.sort_unstable();
+        invalid!(&user.file, "classes.{name}"; found "{member:?}"; expected "a class of the network, perhaps {nearest:?}";
+            help "correct the name; the network has: {}", names.join("; "))
     })
 }

@@ -94,9 +94,7 @@ fn unknown_class_names_list_the_valid_ones() {
             "classes.plate",
             "\"crimsom\"",
             "perhaps \"crimson\"",
-            "the network has: crimson;",
-            "plaster",
-            "navy",
+            "the network has: crimson; lime; navy; nothing; plaster",
         ],
     );
     let error = of("[classes]\nwalls = [\"plaster\"]", &scene).expect_err("scene class");
