@@ -1,7 +1,7 @@
 //! `report.html`: one page that needs nothing else.
 
 use super::units::{duration, percent, signed, thousands};
-use super::{Report, curves, tables, views};
+use super::{Report, VariantScores, curves, tables, views};
 use crate::config::Variant;
 use crate::error::Result;
 use indicatif::DecimalBytes;
@@ -113,11 +113,18 @@ fn tiles(report: &Report<'_>) -> Markup {
 }
 
 fn labels(report: &Report<'_>) -> Markup {
+    let is_scored = |scores: &VariantScores| {
+        scores.pixels.miou.is_some() || scores.instances.is_some() || scores.semantic.is_some()
+    };
     html! {
         h2 { "Labels" }
         p.quiet {
-            "Scores on held-out views against the true labels, without pixels whose truth is unlabelled. Every row but the raw \
-             labels is rendered from the Gaussian scene. The best of each column is bold."
+            @if report.metrics.test.labels.values().any(is_scored) {
+                "Scores on held-out views against the true labels, without pixels whose truth is unlabelled. Every row but the raw \
+                 labels is rendered from the Gaussian scene. The best of each column is bold."
+            } @else {
+                "Not scored: no held-out view has true labels."
+            }
         }
         @if let Some(origin) = report.config.data.raw_labels_origin() { p.quiet { (origin) } }
         (tables::scores(report))

@@ -14,7 +14,10 @@ pub(super) fn percent(share: Option<f64>) -> String {
 
 /// A change with its sign, to a tenth.
 pub(super) fn signed(value: f64) -> String {
-    format!("{value:+.1}").replace('-', "−")
+    match format!("{value:+.1}").as_str() {
+        "+0.0" | "-0.0" => "0.0".to_owned(),
+        text => text.replace('-', "−"),
+    }
 }
 
 /// Seconds as `41 s`, `3 min 20 s` or `2 h 5 min`.

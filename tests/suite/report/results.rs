@@ -4,7 +4,7 @@ use crate::support::made_up_report::{
     HEIGHT, WIDTH, classes, folder, labels, metrics, with_report,
 };
 use crate::support::program::read_json;
-use coseg::config::Config;
+use coseg::config::{Config, Variant};
 use coseg::data::{Classes, LabelMap};
 use coseg::metrics::PixelScores;
 use coseg::report::{Metrics, Report, VariantScores, peak_memory_bytes, pictures};
@@ -218,6 +218,35 @@ fn a_scene_without_labels_and_views_has_a_page_too() {
     assert!(page.contains("no held-out views"));
     let json = serde_json::to_value(&report.metrics).unwrap();
     assert!(json["test"]["psnr"].is_null() && json["peak_memory_bytes"].is_null());
+}
+
+#[test]
+fn labels_without_truth_are_said_to_have_no_scores() {
+    with_report(|report| {
+        let mut report = report.clone();
+        let page = |report: &Report| report.html(Path::new("report.html")).unwrap();
+        let [none, best] = ["no held-out view has true labels", "best of each column"];
+        let scored = page(&report);
+        assert!(scored.contains(best) && !scored.contains(none));
+        for scores in report.metrics.test.labels.values_mut() {
+            scores.pixels = PixelScores::default();
+        }
+        let bare = page(&report);
+        assert!(bare.contains(none) && !bare.contains(best));
+    });
+}
+
+#[test]
+fn a_difference_of_nothing_has_no_sign() {
+    with_report(|report| {
+        let mut report = report.clone();
+        let labels = &mut report.metrics.test.labels;
+        for (variant, miou) in [(Variant::Raw, 0.8344), (Variant::Vote, 0.8336)] {
+            labels.get_mut(&variant).unwrap().pixels.miou = Some(miou);
+        }
+        let page = report.html(Path::new("report.html")).unwrap();
+        assert_eq!(page.matches("<b>0.0 <small>points").count(), 2);
+    });
 }
 
 #[test]
