@@ -197,7 +197,7 @@ impl Work<'_> {
         match photo.orientation() {
             Some(orientation) => {
                 let upright = upright(photo.decode_rgb()?, orientation);
-                Ok(network.run(&upright)?.as_stored(orientation))
+                Ok(network.run(&upright)?.turned_back(orientation))
             }
             None => network.run(&photo.decode_rgb()?),
         }

@@ -28,7 +28,7 @@ const fn back(orientation: Orientation) -> ([bool; 2], bool) {
 
 impl Logits {
     /// What these say, for the upright photo, about the photo as it is stored.
-    pub(super) fn as_stored(mut self, orientation: Orientation) -> Self {
+    pub(super) fn turned_back(mut self, orientation: Orientation) -> Self {
         let (mirrored, swapped) = back(orientation);
         let cells = [self.width, self.height];
         let grid = &mut self.grid;
@@ -104,7 +104,7 @@ mod tests {
                 values: (0..width * height).flat_map(place).collect(),
                 kind: Values::Logits,
             };
-            let found = logits.as_stored(orientation);
+            let found = logits.turned_back(orientation);
             assert_eq!(found.grid.photo, SIZE.map(|side| side as usize), "{exif}");
             for (x, y, _) in stored.enumerate_pixels() {
                 let cell = |a: usize, v: u32| {
@@ -134,7 +134,7 @@ mod tests {
         // The pixel in the left upper corner of the upright photo is in the left lower corner of one that is stored a quarter turn
         // to the left.
         let cells = [0.25 * 0.5 - 0.5, 0.5 * 0.5 - 0.2];
-        let stored = logits.as_stored(Orientation::Rotate90).grid;
+        let stored = logits.turned_back(Orientation::Rotate90).grid;
         let [column, row] =
             [(0, 0.5), (1, 9.5)].map(|(a, pixel)| stored.scale[a] * pixel + stored.offset[a]);
         assert!((column - cells[1]).abs() < 1e-12, "{column}");
