@@ -4,13 +4,14 @@ use super::labelled::LabelledArgs;
 use super::terminal;
 use clap::{ArgGroup, Args};
 use coseg::data::Classes;
+use coseg::data::formats::transforms;
 use coseg::error::{Result, ensure};
 use coseg::pipeline::{Keep, prune, score_images};
-use coseg::runs::{SCENE, classes_beside, scene_path, write_scene};
+use coseg::runs::{CAMERAS, SCENE, classes_beside, scene_path, write_scene};
 
 const HELP: &str = "\
 Measures what each Gaussian adds to the pictures of the training views, and leaves out those that add least. Works on scenes of
-other trainers too. Writes scene.ply, with labels where the scene has some, and classes.json. Prints the PSNR of some training
+other trainers too. Writes scene.ply, with labels where the scene has some, classes.json and cameras.json. Prints the PSNR of some training
 views, and of the held-out views if there are some. The Gaussians that stay are not trained again. A thousand steps of
 training win back most of what was lost, even where half of the Gaussians or more are left out:
   coseg train --data DIR --set building.gaussians=OUT/scene.ply --set building.iterations=1000 --set building.max_gaussians=N
@@ -35,7 +36,7 @@ pub struct PruneArgs {
     )]
     keep: Option<f64>,
     /// Keep as few Gaussians as lower the mean PSNR of the training views by no more than this, dB
-    #[arg(long, value_name = "DB", group = "how many", value_parser = decibels)]
+    #[arg(long, value_name = "DB", group = "how many", value_parser = decibels, allow_negative_numbers = true)]
     within: Option<f64>,
 }
 
@@ -62,6 +63,7 @@ impl PruneArgs {
         let path = self.input.out.join(SCENE);
         let scene_of = (&gaussians, ply.origin);
         write_scene(&path, &from, scene_of, labels.as_deref(), &classes)?;
+        transforms::write_cameras(&self.input.out.join(CAMERAS), &scene.cameras())?;
         terminal::say(&format!(
             "{}: {} of {} Gaussians, PSNR of training views {:.2} dB, {:.2} dB before",
             path.display(),

@@ -49,6 +49,7 @@ fn what_no_photo_shows_goes_and_the_rest_keeps_its_labels() {
     assert!(said.contains("111 of 166 Gaussians"), "{said}");
     assert_eq!(kept.gaussians.len(), plates.len());
     assert_eq!(kept.labels.unwrap(), crate::support::plates::plates().1);
+    assert!(path("shown/cameras.json").is_file());
     let (_, exact) = prune(&["--within", "0"], "exact");
     let left = exact.gaussians.len();
     assert!(
