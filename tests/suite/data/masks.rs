@@ -326,7 +326,7 @@ fn info_counts_masks_and_draws_them() {
         (&json!(1), &json!(320.0 / 30_720.0))
     );
     edit(dir, without);
-    assert!(!info().contains("masks") && fs::read(dir.join("sheet.png")).unwrap() != sheet);
+    assert!(!info().contains("masks  ") && fs::read(dir.join("sheet.png")).unwrap() != sheet);
     let json: Value =
         serde_json::from_str(&succeeds(&["data", "info", utf8(dir), "--json"])).unwrap();
     assert_eq!(
