@@ -11,9 +11,9 @@ use coseg::runs::{CAMERAS, SCENE, classes_beside, scene_path, write_scene};
 
 const HELP: &str = "\
 Measures what each Gaussian adds to the pictures of the training views, and leaves out those that add least. Works on scenes of
-other trainers too. Writes scene.ply, with labels where the scene has some, classes.json and cameras.json. Prints the PSNR of some training
-views, and of the held-out views if there are some. The Gaussians that stay are not trained again. A thousand steps of
-training win back most of what was lost, even where half of the Gaussians or more are left out:
+other trainers too. Writes scene.ply, with labels where the scene has some, classes.json and cameras.json. Prints the PSNR of
+some training views, and of the held-out views if there are some. The Gaussians that stay are not trained again. A thousand
+steps of training win back most of what was lost, even where half of the Gaussians or more are left out:
   coseg train --data DIR --set building.gaussians=OUT/scene.ply --set building.iterations=1000 --set building.max_gaussians=N
 N is the number of Gaussians that stay.
 
