@@ -186,12 +186,11 @@ fn unread_maps(listing: &Listing) -> Option<String> {
 
 /// Held-out photos with labels drawn by hand: no training view learns from them.
 fn held_out_drawn_labels(listing: &Listing) -> Option<String> {
-    let is_drawn = |frame: &&Frame| frame.split == Split::Test && frame.raw.is_some();
-    listing.raw.drawings()?;
+    let is_drawn = |frame: &&Frame| listing.scores_against_drawing(frame);
     let (count, names) = listed(listing.frames.iter().filter(is_drawn))?;
     Some(format!(
-        "{count} photos with drawn labels are held out, and nothing learns from them: {names}; `coseg data suggest` names photos \
-         that are trained on"
+        "{count} photos with drawn labels are held out: scores are measured against these, and nothing learns from them: {names}; \
+         `coseg data suggest` names photos that are trained on"
     ))
 }
 

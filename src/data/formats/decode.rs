@@ -66,6 +66,10 @@ impl Listing {
         let raw = labels.raw()?;
         let scores = labels.scores();
         let (raw, segments) = raw.map_or((None, Vec::new()), |r| (Some(r.map.into()), r.segments));
+        let (truth, raw) = match truth {
+            None if self.scores_against_drawing(frame) => (raw, None),
+            _ => (truth, raw),
+        };
         let instances = labels.instances()?.map(LabelRuns::from);
         let camera = labels.geometry.view_camera().moved(-origin);
         let view = View {

@@ -188,6 +188,12 @@ impl Listing {
         Ok(())
     }
 
+    /// Whether a person drew the labels of a held-out photo: it is scored against them, as nothing learns from it.
+    pub fn scores_against_drawing(&self, frame: &Frame) -> bool {
+        let is_drawn = self.raw.drawings().is_some() && frame.raw.is_some();
+        is_drawn && !self.raw.are_segments && frame.split == Split::Test
+    }
+
     /// The id of pixels without a raw label.
     pub fn unlabelled(&self) -> u16 {
         if self.raw.are_segments {

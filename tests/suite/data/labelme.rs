@@ -288,8 +288,14 @@ fn labelme_is_found_in_a_colmap_scene() {
     write(dir, "labels_raw/v0.json", &labelme(&shapes));
     write(dir, "labels_raw/v3.png.json", &labelme(&shapes));
     let loaded = load(dir, &LoadOptions::default()).expect("scene");
-    assert_eq!(labelled(&loaded), ["v0", "v3"]);
-    // v0 is held out.
+    assert_eq!(labelled(&loaded), ["v3"]);
+    // v0 is held out: it is scored against what was drawn.
+    let drawn = |name: &str| {
+        let view = loaded.views.iter().find(|view| view.name == name);
+        let view = view.expect("a view");
+        (view.truth.is_some(), view.raw.is_some())
+    };
+    assert_eq!([drawn("v0"), drawn("v3")], [(true, false), (false, true)]);
     let notices = check(dir, &LoadOptions::default()).notices;
     let told = |notice: &String| {
         notice.contains("1 photos with drawn labels are held out") && notice.contains("v0")
@@ -476,7 +482,7 @@ fn broken_masks_of_labelme_are_refused() {
     let dir = folder.path();
     let good = mask("red", rectangle(50.0, 50.0, 52.0, 51.0), (3, 2), &[1; 6]);
     let broken = |change: &dyn Fn(&mut Value), parts: &[&str]| {
-        let mut value = labelme(&[good.clone()]);
+        let mut value = labelme(std::slice::from_ref(&good));
         change(&mut value);
         write(dir, "drawn/v0.json", &value);
         refused(dir, &options("drawn"), &[&["v0.json"], parts].concat());
