@@ -284,6 +284,7 @@ fn labelme_is_found_in_a_colmap_scene() {
     let folder = folder();
     let dir = folder.path();
     colmap(dir);
+    fs::remove_dir_all(dir.join("labels")).expect("true labels");
     let shapes = [shape("red", "polygon", triangle())];
     write(dir, "labels_raw/v0.json", &labelme(&shapes));
     write(dir, "labels_raw/v3.png.json", &labelme(&shapes));
