@@ -59,6 +59,7 @@ Examples:
   coseg train --data scenes/fox --segmenter net.onnx --classes mine.toml      photos alone: labels them first
   coseg train --data scenes/fox --scene other/point_cloud.ply          stage two alone, on Gaussians of another trainer
   coseg train --data scenes/fox --scene other/point_cloud.ply --set building.iterations=2000      trained further first
+  coseg train --data scenes/fox --scene splat.ply --set data.dataparser_transforms=FILE           nerfstudio's, in its world
   coseg train --data scenes/fox --view                                 shows the scene as it grows (feature `serve`)
   mpirun -n 4 coseg train --data scenes/fox                            on four processes (feature `mpi`, docs/scale.md)
   coseg train --resume runs/fox
