@@ -10,7 +10,7 @@ use std::fs;
 #[test]
 fn broken_manifests_are_refused_by_name() {
     type Change = fn(&mut Value);
-    let cases: [(Change, &[&str]); 26] = [
+    let cases: [(Change, &[&str]); 28] = [
         (
             |v| v["frames"][1]["file_path"] = json!("images/none.png"),
             &["frames[1]", "none.png", "file_path"],
@@ -49,6 +49,11 @@ fn broken_manifests_are_refused_by_name() {
         (
             |v| v["w"] = json!(0),
             &["frames[0]", ".w", "0", "at least 1"],
+        ),
+        (|v| v["w"] = json!("16"), &["w", "\"16\"", "a number"]),
+        (
+            |v| v["frames"][1]["fl_x"] = json!([1.0]),
+            &["frames[1].fl_x", "[1.0]", "a number"],
         ),
         (|v| v["h"] = json!(12.5), &["frames[0]", ".h", "12.5"]),
         (|v| v["w"] = json!(1e300), &["frames[0]", ".w"]),

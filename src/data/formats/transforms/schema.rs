@@ -4,7 +4,7 @@ use super::not_finite::quoted;
 use crate::data::formats::camera_checks::{check_center, check_focal, posed, side};
 use crate::data::formats::dataparser::Similarity;
 use crate::data::photos::lens::Lens;
-use crate::error::{Result, bail, ensure, invalid};
+use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files;
 use crate::splat::camera::Camera;
 use glam::DMat4;
@@ -85,6 +85,46 @@ impl LensFields {
 const PINHOLE_MODELS: &str =
     "PINHOLE SIMPLE_PINHOLE OPENCV OPENCV_PINHOLE FULL_OPENCV SIMPLE_RADIAL RADIAL";
 
+/// Names of the numbers among the intrinsics.
+const NUMBERS: [&str; 16] = [
+    "camera_angle_x",
+    "camera_angle_y",
+    "fl_x",
+    "fl_y",
+    "cx",
+    "cy",
+    "w",
+    "h",
+    "k1",
+    "k2",
+    "k3",
+    "k4",
+    "k5",
+    "k6",
+    "p1",
+    "p2",
+];
+
+/// The error for a number of the file, or of a frame, that is something else: serde tells neither its key nor its line.
+fn no_number(path: &Path, text: &str) -> Option<Error> {
+    let file: Value = serde_json::from_str(text).ok()?;
+    let frames = file["frames"].as_array().into_iter().flatten();
+    let frames = frames
+        .enumerate()
+        .map(|(i, frame)| (format!("frames[{i}]."), frame));
+    [(String::new(), &file)]
+        .into_iter()
+        .chain(frames)
+        .find_map(|(of, fields)| {
+            let is_wrong = |name: &&str| !matches!(fields[*name], Value::Null | Value::Number(_));
+            let name = NUMBERS.into_iter().find(|name| is_wrong(name))?;
+            Some(
+                invalid!(path, "{of}{name}"; found "{}", fields[name]; expected "a number";
+            help "write it without quotation marks, or export the file again"),
+            )
+        })
+}
+
 const UNDISTORT: &str = "undistort the images (colmap image_undistorter) and export again";
 
 impl Transforms {
@@ -96,7 +136,7 @@ impl Transforms {
         let expected = "transforms.json as nerfstudio and instant-ngp have it";
         let mut file: Self = serde_json::from_str(&text).map_err(|e| {
             let Some(token) = tokens.first() else {
-                return files::json_error(path, &e, expected);
+                return no_number(path, &text).unwrap_or_else(|| files::json_error(path, &e, expected));
             };
             let line = original.lines().nth(token.line - 1).unwrap_or_default();
             invalid!(path, "line {}", token.line; found "{}", line.trim(); expected "finite numbers";
