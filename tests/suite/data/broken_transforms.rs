@@ -188,7 +188,7 @@ fn json_errors_name_the_line() {
     );
     let broken = pretty.replacen("21.0", "\"wide\"", 1);
     fs::write(&path, &broken).expect("write");
-    expect_error(dir.path(), &options, &["line ", "wide"]);
+    expect_error(dir.path(), &options, &["fl_y", "wide", "a number"]);
     fs::write(&path, [0xFF, 0xFE, b'{']).expect("write");
     expect_error(dir.path(), &options, &["transforms.json", "read failed"]);
     fs::remove_file(&path).expect("remove");
