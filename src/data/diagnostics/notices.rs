@@ -189,8 +189,8 @@ fn held_out_drawn_labels(listing: &Listing) -> Option<String> {
     let is_drawn = |frame: &&Frame| listing.scores_against_drawing(frame);
     let (count, names) = listed(listing.frames.iter().filter(is_drawn))?;
     Some(format!(
-        "{count} photos with drawn labels are held out: scores are measured against these, and nothing learns from them: {names}; \
-         `coseg data suggest` names photos that are trained on"
+        "{count} photos with drawn labels are held out ({names}): nothing learns from these labels, and scores are measured against \
+         them; `coseg data suggest` names photos that are trained on"
     ))
 }
 

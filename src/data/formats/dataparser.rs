@@ -3,7 +3,7 @@
 use crate::data::Points;
 use crate::error::{Result, ensure, invalid};
 use crate::files;
-use crate::splat::camera::Camera;
+use crate::splat::camera::{Camera, is_rotation};
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde_json::Value;
@@ -60,10 +60,8 @@ impl Similarity {
         let [x, y, z] = rows.first_chunk().ok_or_else(unusable)?;
         let turn =
             DMat3::from_cols_array_2d(&[x, y, z].map(|row| [row[0], row[1], row[2]])).transpose();
-        let off = (turn.transpose() * turn - DMat3::IDENTITY).to_cols_array();
-        let is_rotation = off.iter().all(|v| v.abs() < 1e-3) && turn.determinant() > 0.0;
         let shift = DVec3::new(x[3], y[3], z[3]);
-        if !is_rotation || !shift.is_finite() {
+        if !is_rotation(&turn) || !shift.is_finite() {
             return Err(unusable());
         }
         ensure!(scale > 0.0 && scale.is_finite(), path, "{factor}"; found "{scale}"; expected "a number above 0"; help "{HELP}");

@@ -39,6 +39,12 @@ pub(crate) fn spread(centers: impl Iterator<Item = DVec3> + Clone) -> (DVec3, f6
     (mean, distances.fold(0.0, f64::max))
 }
 
+/// Whether `m` is a rotation without a mirror, within 1e-3.
+pub(crate) fn is_rotation(m: &DMat3) -> bool {
+    let off = (m.transpose() * *m - DMat3::IDENTITY).to_cols_array();
+    off.iter().all(|v| v.abs() < 1e-3) && m.determinant() > 0.0
+}
+
 impl Camera {
     /// A camera at the origin that looks along +z, with focal lengths along x and y and an image size, in pixels. The principal
     /// point is in the middle.
@@ -71,10 +77,8 @@ impl Camera {
     pub fn with_opencv_pose(self, c2w: &DMat4) -> Option<Self> {
         let m = DMat3::from_mat4(*c2w);
         let center = c2w.w_axis.truncate();
-        let off = (m.transpose() * m - DMat3::IDENTITY).to_cols_array();
-        let is_rotation = off.iter().all(|v| v.abs() < 1e-3) && m.determinant() > 0.0;
         let rotation = m.transpose();
-        (is_rotation && center.is_finite()).then_some(Self {
+        (is_rotation(&m) && center.is_finite()).then_some(Self {
             rotation,
             center,
             ..self

@@ -1,37 +1,13 @@
 //! Labels drawn in LabelMe: whole, then broken.
 
+use crate::support::labelme_files::{colmap, labelme, rectangle, shape, triangle};
 use crate::support::plates::{HEIGHT, WIDTH};
 use crate::support::program::{fails, read_json, succeeds, utf8};
 use crate::support::raw_labels::{at, folder, labelled, options, raw, refused, write};
-use base64::Engine;
-use base64::engine::general_purpose::STANDARD;
-use coseg::config::{Association, RawFormat};
+use coseg::config::Association;
 use coseg::data::{LoadOptions, Segment, check, info, load};
-use image::{DynamicImage, GrayImage, ImageFormat, RgbImage};
 use serde_json::{Value, json};
 use std::fs;
-use std::io::Cursor;
-use std::path::Path;
-
-fn shape(label: &str, kind: &str, points: Value) -> Value {
-    json!({ "label": label, "points": points, "shape_type": kind, "group_id": null, "flags": {} })
-}
-
-/// As LabelMe 5 writes it.
-fn labelme(shapes: &[Value]) -> Value {
-    json!({
-        "version": "5.5.0", "flags": {}, "shapes": shapes, "imagePath": "v0.png", "imageData": "aGVsbG8=",
-        "imageHeight": HEIGHT, "imageWidth": WIDTH,
-    })
-}
-
-fn rectangle(x: f64, y: f64, right: f64, bottom: f64) -> Value {
-    json!([[x, y], [right, bottom]])
-}
-
-fn triangle() -> Value {
-    json!([[40.0, 0.0], [80.0, 0.0], [80.0, 40.0]])
-}
 
 #[test]
 fn shapes_of_labelme_are_painted_in_their_order() {
@@ -199,86 +175,6 @@ fn a_named_folder_may_lack_maps_but_not_all_of_them() {
     assert!(!loaded.drawn);
 }
 
-/// Whether a notice of the scene, which has no problem, holds all of `parts`.
-#[track_caller]
-fn told(dir: &Path, options: &LoadOptions, parts: &[&str]) -> bool {
-    let checked = check(dir, options);
-    assert!(checked.problems.is_empty(), "{:?}", checked.problems);
-    let holds = |notice: &String| parts.iter().all(|part| notice.contains(part));
-    checked.notices.iter().any(holds)
-}
-
-#[test]
-fn label_maps_beside_files_of_labelme_are_told_and_copies_of_photos_are_not() {
-    let folder = folder();
-    let dir = folder.path();
-    let file = labelme(&[shape("red", "polygon", triangle())]);
-    write(dir, "raw/v3.json", &file);
-    assert_eq!(
-        labelled(&load(dir, &options("raw")).expect("scene")),
-        ["v3"]
-    );
-    let parts = ["6 label maps are not read: v0, v1, v2", "data.raw_format"];
-    assert!(told(dir, &options("raw"), &parts));
-    let grey = LoadOptions {
-        raw_format: RawFormat::Grey,
-        ..options("raw")
-    };
-    assert_eq!(labelled(&load(dir, &grey).expect("scene")).len(), 6);
-    assert!(!told(dir, &grey, &["are not read"]));
-    // The photos are PNG.
-    write(dir, "images/v3.json", &file);
-    assert!(!told(dir, &options("images"), &["are not read"]));
-}
-
-#[test]
-fn files_of_labelme_that_belong_to_no_photo_are_told() {
-    let folder = folder();
-    let dir = folder.path();
-    let file = labelme(&[shape("red", "polygon", triangle())]);
-    write(dir, "drawn/v3.json", &file);
-    write(dir, "drawn/notes.json", &json!({ "area": 3 }));
-    let part = "belong to no photo";
-    assert!(!told(dir, &options("drawn"), &[part]));
-    write(dir, "drawn/w1.json", &file);
-    write(dir, "drawn/v3.png.json", &file);
-    let parts = [
-        "2 files of LabelMe belong to no photo",
-        ": v3.png.json, w1.json",
-    ];
-    assert!(told(dir, &options("drawn"), &parts));
-    // Other photos are there, but not read.
-    let some = LoadOptions {
-        stride: 2,
-        ..options("drawn")
-    };
-    assert!(
-        !check(dir, &some)
-            .notices
-            .iter()
-            .any(|notice| notice.contains(part))
-    );
-    // Nothing is labelled.
-    colmap(dir);
-    assert!(!told(dir, &LoadOptions::default(), &[part]));
-    write(dir, "labels_raw/w1.json", &file);
-    assert!(told(
-        dir,
-        &LoadOptions::default(),
-        &["1 files of LabelMe", part, "w1.json"]
-    ));
-}
-
-fn colmap(dir: &Path) {
-    fs::remove_file(dir.join("transforms.json")).expect("remove");
-    fs::create_dir_all(dir.join("sparse/0")).expect("folder");
-    let cameras = format!("1 PINHOLE {WIDTH} {HEIGHT} 80 80 40 32\n");
-    fs::write(dir.join("sparse/0/cameras.txt"), cameras).expect("cameras");
-    let images = (0..6).map(|i| format!("{} 1 0 0 0 {i} 0 0 1 v{i}.png\n\n", i + 1));
-    fs::write(dir.join("sparse/0/images.txt"), images.collect::<String>()).expect("images");
-    fs::write(dir.join("sparse/0/points3D.txt"), "").expect("points");
-}
-
 #[test]
 fn labelme_is_found_in_a_colmap_scene() {
     let folder = folder();
@@ -421,124 +317,6 @@ fn broken_files_of_labelme_are_refused() {
         1,
     );
     assert!(message.contains("v0.json"), "{message}");
-}
-
-/// A mask of these pixels, row by row, with the corners of its box.
-fn mask(label: &str, corners: Value, (width, height): (u32, u32), pixels: &[u8]) -> Value {
-    let picture = GrayImage::from_raw(width, height, pixels.to_vec()).expect("pixels");
-    let mut shape = shape(label, "mask", corners);
-    shape["mask"] = json!(base64(&picture.into()));
-    shape
-}
-
-/// The picture as PNG in base64.
-fn base64(picture: &DynamicImage) -> String {
-    let mut png = Cursor::new(Vec::new());
-    picture.write_to(&mut png, ImageFormat::Png).expect("PNG");
-    STANDARD.encode(png.into_inner())
-}
-
-#[test]
-fn masks_of_labelme_are_painted_in_their_boxes() {
-    let folder = folder();
-    let dir = folder.path();
-    // . # #
-    // # . .
-    let pixels = [0, 1, 1, 255, 0, 0];
-    let rim = json!([[77.0, 62.0], [80.0, 64.0]]);
-    let shapes = [
-        shape("Wall", "rectangle", rectangle(0.0, 0.0, 80.0, 64.0)),
-        mask("red", rectangle(50.0, 50.0, 52.0, 51.0), (3, 2), &pixels),
-        mask("green", rim, (3, 2), &[1; 6]),
-        mask("blue", rectangle(10.9, 10.9, 11.9, 10.9), (2, 1), &[0, 7]),
-    ];
-    write(dir, "drawn/v0.json", &labelme(&shapes));
-    let map = raw(&load(dir, &options("drawn")).expect("scene"), 0);
-    let places = [
-        (50, 50),
-        (51, 50),
-        (52, 50),
-        (50, 51),
-        (51, 51),
-        (53, 50),
-        (50, 52),
-    ];
-    assert_eq!(at(&map, &places), [4, 1, 1, 1, 4, 4, 4]);
-    let places = [(76, 62), (77, 62), (79, 63), (77, 61)];
-    assert_eq!(at(&map, &places), [4, 2, 2, 4]);
-    assert_eq!(at(&map, &[(10, 10), (11, 10), (12, 10)]), [4, 3, 4]);
-    // On a reduced copy, a pixel stands for four.
-    let mut half = labelme(&[mask("red", rectangle(5.0, 5.0, 6.0, 5.0), (2, 1), &[0, 1])]);
-    half["imageWidth"] = json!(WIDTH / 2);
-    half["imageHeight"] = json!(HEIGHT / 2);
-    write(dir, "drawn/v0.json", &half);
-    let map = raw(&load(dir, &options("drawn")).expect("scene"), 0);
-    let places = [(11, 10), (12, 10), (13, 11), (14, 10), (12, 12)];
-    assert_eq!(at(&map, &places), [0, 1, 1, 0, 0]);
-}
-
-#[test]
-fn broken_masks_of_labelme_are_refused() {
-    let folder = folder();
-    let dir = folder.path();
-    let good = mask("red", rectangle(50.0, 50.0, 52.0, 51.0), (3, 2), &[1; 6]);
-    let broken = |change: &dyn Fn(&mut Value), parts: &[&str]| {
-        let mut value = labelme(std::slice::from_ref(&good));
-        change(&mut value);
-        write(dir, "drawn/v0.json", &value);
-        refused(dir, &options("drawn"), &[&["v0.json"], parts].concat());
-    };
-    let field = "shapes[0] (red).mask";
-    let with_mask = |mask: Value, parts: &[&str]| {
-        broken(
-            &|v| v["shapes"][0]["mask"] = mask.clone(),
-            &[&[field, "a grey PNG in base64"], parts].concat(),
-        );
-    };
-    with_mask(json!(null), &["nothing"]);
-    with_mask(json!("no base64"), &["Invalid"]);
-    with_mask(json!("aGVsbG8="), &["hello"]);
-    let whole = good["mask"].as_str().expect("mask");
-    with_mask(json!(whole[..whole.len() / 8 * 4]), &["without the end"]);
-    with_mask(json!(base64(&RgbImage::new(3, 2).into())), &["colours"]);
-    for corners in [
-        rectangle(50.0, 50.0, 54.0, 51.0),
-        rectangle(50.0, 50.0, 52.0, 49.0),
-        rectangle(52.0, 51.0, 50.0, 50.0),
-        rectangle(-1.0, 50.0, 1.0, 51.0),
-        rectangle(78.0, 50.0, 80.0, 51.0),
-        rectangle(1e300, 50.0, 1e300, 51.0),
-    ] {
-        broken(
-            &|v| v["shapes"][0]["points"] = corners.clone(),
-            &[field, "3x2 pixels for", "80x64"],
-        );
-    }
-    broken(
-        &|v| v["shapes"][0]["points"] = json!([[1.0, 2.0]]),
-        &["shapes[0] (red).points", "1 of a mask"],
-    );
-    broken(
-        &|v| v["imageWidth"] = json!(null),
-        &[field, "no imageWidth"],
-    );
-    broken(&|v| v["imageWidth"] = json!(u64::MAX), &["pixels", "limit"]);
-    // A PNG whose header says that it is larger than any picture.
-    let mut bytes = STANDARD.decode(whole).expect("base64");
-    bytes[16..24].fill(0x7F);
-    broken(
-        &|v| v["shapes"][0]["mask"] = json!(STANDARD.encode(&bytes)),
-        &["v0.json"],
-    );
-    let rows = |x: usize| (x % 2) as u8;
-    let fine: Vec<u8> = (0..WIDTH * HEIGHT).map(rows).collect();
-    let size = (WIDTH as u32, HEIGHT as u32);
-    let corners = rectangle(0.0, 0.0, WIDTH as f64, HEIGHT as f64);
-    let fine = mask("red", corners, size, &fine);
-    broken(
-        &|v| v["shapes"] = json!(vec![fine.clone(); 900]),
-        &["runs of pixels", "limit", "4194304"],
-    );
 }
 
 #[test]

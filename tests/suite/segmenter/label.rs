@@ -1,10 +1,9 @@
 //! `coseg label`: a folder of labels from photos, what loaders make of it, and what is never overwritten.
 
-use crate::support::exif_photo;
-use crate::support::onnx::Onnx;
-use crate::support::plates::{self, HEIGHT, WIDTH, scene};
+use crate::support::onnx::plates;
+use crate::support::plates::{self, HEIGHT, WIDTH};
 use crate::support::program::{fails, listed, succeeds, utf8};
-use crate::support::transforms_json::edit;
+use crate::support::snapshot::snapshot;
 use coseg::config::Config;
 use coseg::data::{Classes, LabelMap, LoadOptions, ScoreMap, View, load};
 use coseg::objects::{vote, weighted_vote};
@@ -12,17 +11,6 @@ use coseg::provenance::Provenance;
 use coseg::raster::Settings;
 use glam::Vec3;
 use std::path::{Path, PathBuf};
-use tempfile::TempDir;
-
-/// The plates and a network that tells their colours apart.
-fn plates() -> (TempDir, PathBuf, PathBuf) {
-    let folder = tempfile::tempdir().expect("folder");
-    let dir = folder.path().join("scene");
-    std::fs::create_dir(&dir).expect("scene");
-    scene(&dir);
-    let model = Onnx::write_sound(folder.path(), WIDTH, HEIGHT);
-    (folder, dir, model)
-}
 
 fn classes(folder: &Path) -> PathBuf {
     let file = folder.join("mine.toml");
@@ -157,38 +145,6 @@ fn without_a_list_the_classes_are_those_that_occur() {
 }
 
 #[test]
-fn a_network_sees_photos_upright() {
-    let (folder, scene, net) = plates();
-    let photo = scene.join("images/v1.png");
-    let upright = image::open(&photo).expect("a photo").into_rgb8();
-    // Three quarter turns later it is upright again.
-    let turned = image::imageops::rotate270(&upright);
-    let labels = |name: &str| {
-        let out = folder.path().join(name);
-        let options = ["label", "--data", utf8(&scene), "--model", utf8(&net)];
-        succeeds(&[&options[..], &["--out", utf8(&out)]].concat());
-        LabelMap::read(&out.join("v1.png")).expect("a map")
-    };
-    let want = labels("upright");
-    exif_photo::with_orientation(&photo, &turned, 6);
-    edit(&scene, |file| {
-        let frame = &mut file["frames"][1];
-        frame["w"] = turned.width().into();
-        frame["h"] = turned.height().into();
-        for maps in ["label_path", "raw_label_path"] {
-            frame.as_object_mut().expect("a frame").remove(maps);
-        }
-    });
-    let found = labels("turned");
-    assert_eq!((found.width, found.height), (want.height, want.width));
-    for (i, id) in found.ids.iter().enumerate() {
-        let (x, y) = (i % found.width, i / found.width);
-        let there = x * want.width + want.width - 1 - y;
-        assert_eq!(*id, want.ids[there], "{x} {y}");
-    }
-}
-
-#[test]
 fn what_the_command_did_not_write_is_refused() {
     let (folder, dir, model) = plates();
     let label = |out: &Path| {
@@ -294,83 +250,6 @@ fn train_labels_the_photos_first_and_a_resumed_run_refuses_other_scores() {
 }
 
 #[test]
-fn no_command_writes_into_a_scene() {
-    let (folder, dir, model) = plates();
-    let ply = dir.join("plates.ply");
-    let [data, ply, model] = [&dir, &ply, &model].map(|path| utf8(path).to_owned());
-    // The labels of a COLMAP scene lie where `associate` puts its own.
-    let outs = ["", "images", "labels", "raw", "images/../labels"]
-        .map(|name| utf8(&dir.join(name)).to_owned());
-    let before = snapshot(&dir);
-    for out in &outs {
-        let lines: [&[&str]; 5] = [
-            &["associate", "--scene", &ply, "--data", &data],
-            &["vote", "--scene", &ply, "--data", &data],
-            &["render", "--scene", &ply, "--cameras", &data],
-            &["train", "--data", &data],
-            &["train", "--data", &data, "--segmenter", &model],
-        ];
-        for line in lines {
-            let line = [line, &["--out", out]].concat();
-            let message = fails(&line, 1);
-            assert!(message.contains("--out"), "{line:?}: {message}");
-            assert!(snapshot(&dir) == before, "{line:?}");
-        }
-    }
-    // Nor a new file beside photos, with classes and cameras of its own.
-    let file = utf8(&dir.join("new.ply")).to_owned();
-    let [frame, pixel] = [["--frame", "v3"], ["--pixel", "40,30"]];
-    let select = [
-        &["--cameras", &data][..],
-        &frame,
-        &pixel,
-        &["--name", "lamp"],
-    ]
-    .concat();
-    for (command, more) in [
-        ("edit", &["--paint"][..]),
-        ("separate", &[]),
-        ("select", &select),
-        ("export", &[]),
-    ] {
-        let line = [command, "--scene", &ply, "--out", &file, "--force"];
-        let message = fails(&[&line[..], more].concat(), 1);
-        assert!(message.contains("holds files of a scene"), "{message}");
-        assert!(snapshot(&dir) == before, "{command}");
-    }
-    std::fs::create_dir(dir.join("depth")).expect("folder");
-    std::fs::write(dir.join("depth/v0.png"), "not read").expect("write");
-    let before = snapshot(&dir);
-    for file in [
-        "images/v0.png",
-        "transforms.json",
-        "classes.json",
-        "depth/v0.png",
-    ] {
-        let file = utf8(&dir.join(file)).to_owned();
-        assert!(fails(&["data", "info", &data, "--sheet", &file], 1).contains("--sheet"));
-        assert!(snapshot(&dir) == before, "{file}");
-    }
-    // Labels that others made stay where they are.
-    let taken = folder.path().join("taken");
-    std::fs::create_dir_all(taken.join("labels")).expect("folder");
-    std::fs::write(taken.join("labels/v0.png"), "mine").expect("write");
-    let message = fails(
-        &[
-            "associate",
-            "--scene",
-            &ply,
-            "--data",
-            &data,
-            "--out",
-            utf8(&taken),
-        ],
-        1,
-    );
-    assert!(message.contains("did not write"), "{message}");
-}
-
-#[test]
 fn photos_alone_get_told_what_to_do() {
     let folder = tempfile::tempdir().expect("folder");
     let images = folder.path().join("images");
@@ -388,21 +267,6 @@ fn photos_alone_get_told_what_to_do() {
             assert!(message.contains(part), "{part}: {message}");
         }
     }
-}
-
-/// All files below a folder with their contents.
-fn snapshot(dir: &Path) -> Vec<(PathBuf, Vec<u8>)> {
-    let mut files = Vec::new();
-    for entry in std::fs::read_dir(dir).expect("folder") {
-        let path = entry.expect("entry").path();
-        if path.is_dir() {
-            files.extend(snapshot(&path));
-        } else {
-            files.push((path.clone(), std::fs::read(path).expect("file")));
-        }
-    }
-    files.sort();
-    files
 }
 
 #[test]

@@ -5,3 +5,5 @@ mod features;
 mod label;
 mod model;
 mod parity;
+mod scene_folders;
+mod turned_photos;

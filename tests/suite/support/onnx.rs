@@ -1,12 +1,24 @@
 //! A small ONNX segmenter: one convolution that tells colours apart. The file is written field by field, so that tests can
 //! spoil any of them.
 
-use std::path::Path;
+use crate::support::plates::{HEIGHT, WIDTH, scene};
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
 
 /// Side of a cell, pixels.
 pub const STRIDE: usize = 4;
 /// The classes of the network.
 pub const NAMES: [&str; 5] = ["nothing", "crimson", "lime", "navy", "plaster"];
+
+/// The plates and a network that tells their colours apart.
+pub fn plates() -> (TempDir, PathBuf, PathBuf) {
+    let folder = tempfile::tempdir().expect("folder");
+    let dir = folder.path().join("scene");
+    std::fs::create_dir(&dir).expect("scene");
+    scene(&dir);
+    let model = Onnx::write_sound(folder.path(), WIDTH, HEIGHT);
+    (folder, dir, model)
+}
 
 /// What the file says; the default is sound.
 pub struct Onnx {
