@@ -12,15 +12,6 @@
 use super::PooledVotes;
 use super::largest::first_largest;
 
-/// Exponent e of class frequencies, unless settings give another.
-const EXPONENT: f64 = 0.5;
-/// Preferences between which the exponent rises from 0 to all of it. Simulated labels of three rooms had 0.15 to 0.41,
-/// those of a network 0.48 to 0.84.
-const PREFERENCES: [f64; 2] = [0.43, 0.47];
-/// Shares of errors between which pooling rises likewise. True labels of these rooms had 0.015 to 0.018, those of the network 0.07 to 0.12.
-const ERROR_SHARES: [f64; 2] = [0.03, 0.06];
-/// Share of both fluxes of a pair that is added to each, which keeps their ratio finite.
-const FLUX_FLOOR: f64 = 0.02;
 /// Weight of the confusion matrix without preferred pairs, in shares of the scene.
 const SHRINKAGE: f64 = 0.03;
 /// Share of errors added to each row of the confusion matrix.
@@ -43,13 +34,15 @@ impl Calibration {
         let prior = prior(votes);
         let factor = |prior: &f64| prior.max(MIN_SHARE).powf(-exponent);
         let factors: Vec<f64> = prior.iter().map(factor).collect();
-        let mut divided = votes.clone();
-        for row in divided.shares.chunks_exact_mut(votes.classes.max(1)) {
-            divide(row, &factors);
+        let mut flux = Flux::new(votes.classes);
+        for (row, size) in votes.rows() {
+            let mut row = row.to_vec();
+            divide(&mut row, &factors);
+            flux.add(&row, size);
         }
         Self {
             factors,
-            log_confusion: Flux::new(divided.rows(), votes.classes).log_confusion(),
+            log_confusion: flux.log_confusion(),
         }
     }
 
@@ -93,11 +86,11 @@ fn prior(votes: &PooledVotes) -> Vec<f64> {
 }
 
 /// Class of the largest value, none where all are zero. Ties go to the lower index.
-fn winner(row: &[f64]) -> Option<usize> {
+pub(super) fn winner(row: &[f64]) -> Option<usize> {
     first_largest(row).filter(|&best| row[best] > 0.0)
 }
 
-fn normalise(row: &mut [f64]) {
+pub(super) fn normalise(row: &mut [f64]) {
     let sum: f64 = row.iter().sum();
     if sum > 0.0 {
         row.iter_mut().for_each(|value| *value /= sum);
@@ -105,30 +98,33 @@ fn normalise(row: &mut [f64]) {
 }
 
 /// How much of the scene has which label, by winning class: `[C, C]` row-major, winner, then label.
-struct Flux {
+pub(super) struct Flux {
     classes: usize,
     table: Vec<f64>,
 }
 
 impl Flux {
-    /// The flux of pieces of surface with these class shares and sizes.
-    fn new<'a>(rows: impl Iterator<Item = (&'a [f64], f64)>, classes: usize) -> Self {
-        let mut table = vec![0.0; classes * classes];
-        for (row, size) in rows {
-            if let Some(winner) = winner(row) {
-                let to = &mut table[winner * classes..][..classes];
-                to.iter_mut().zip(row).for_each(|(t, s)| *t += size * s);
-            }
+    pub(super) fn new(classes: usize) -> Self {
+        Self {
+            classes,
+            table: vec![0.0; classes * classes],
         }
-        Self { classes, table }
     }
 
-    fn at(&self, winner: usize, label: usize) -> f64 {
+    /// Adds a piece of surface with the class shares `row`.
+    pub(super) fn add(&mut self, row: &[f64], size: f64) {
+        if let Some(winner) = winner(row) {
+            let to = &mut self.table[winner * self.classes..][..self.classes];
+            to.iter_mut().zip(row).for_each(|(t, s)| *t += size * s);
+        }
+    }
+
+    pub(super) fn at(&self, winner: usize, label: usize) -> f64 {
         self.table[winner * self.classes + label]
     }
 
     /// What each class wins, `[C]`.
-    fn won(&self) -> Vec<f64> {
+    pub(super) fn won(&self) -> Vec<f64> {
         let rows = self.table.chunks_exact(self.classes.max(1));
         rows.map(|row| row.iter().sum()).collect()
     }
@@ -168,66 +164,6 @@ impl Flux {
         });
         rows.flatten().collect()
     }
-}
-
-/// How labels err where they contradict the class that wins a piece of surface.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LabelErrors {
-    /// Share of the labels that contradict the winner.
-    pub share: f64,
-    /// How strongly errors prefer frequent classes: 0 where each class loses the same share of its area, 1 where as much area moves
-    /// to the larger class of a pair as to the smaller one. A network that says wall wherever it is unsure is near 1.
-    ///
-    /// F_ab is the area labelled b in what a wins, and A_a the area that a wins. Labels that prefer no class have
-    /// F_ab / F_ba = A_a / A_b. The preference g is the least-squares fit of ln(F_ab / F_ba) = (1 - g) ln(A_a / A_b) over all
-    /// pairs, weighted by F_ab + F_ba.
-    pub preference: f64,
-}
-
-impl LabelErrors {
-    /// The errors in the class shares `rows` of pieces of surface, `[N, C]`. Leave out pieces at the border of two classes: there
-    /// both lose alike.
-    pub fn of<'a>(rows: impl Iterator<Item = &'a [f64]>, classes: usize) -> Self {
-        let flux = Flux::new(rows.map(|row| (row, 1.0)), classes);
-        let won = flux.won();
-        let mut product = 0.0;
-        let mut square = 0.0;
-        for a in 0..classes {
-            for b in 0..a {
-                let both = flux.at(a, b) + flux.at(b, a);
-                if both > 0.0 && won[a] > 0.0 && won[b] > 0.0 {
-                    let floor = FLUX_FLOOR * both;
-                    let flows = ((flux.at(a, b) + floor) / (flux.at(b, a) + floor)).ln();
-                    let areas = (won[a] / won[b]).ln();
-                    product += both * flows * areas;
-                    square += both * areas * areas;
-                }
-            }
-        }
-        let total: f64 = won.iter().sum();
-        let right: f64 = (0..classes).map(|c| flux.at(c, c)).sum();
-        let rest = |part: f64, all: f64| if all > 0.0 { 1.0 - part / all } else { 0.0 };
-        Self {
-            share: rest(right, total),
-            preference: rest(product, square),
-        }
-    }
-
-    /// How far votes of such labels are pooled, 0 to 1. Labels with few errors are not: what contradicts the winner there is mostly
-    /// blur at edges.
-    pub fn pooling(&self) -> f64 {
-        rise(self.share, ERROR_SHARES)
-    }
-
-    /// The exponent of class frequencies that pooled votes of such labels are divided by.
-    pub fn exponent(&self) -> f64 {
-        EXPONENT * rise(self.preference, PREFERENCES)
-    }
-}
-
-/// 0 up to `low`, 1 from `high` on, linear between them.
-fn rise(value: f64, [low, high]: [f64; 2]) -> f64 {
-    ((value - low) / (high - low)).clamp(0.0, 1.0)
 }
 
 #[cfg(test)]
@@ -278,34 +214,10 @@ mod tests {
     }
 
     #[test]
-    fn errors_that_prefer_no_class_are_pooled_without_frequencies() {
-        // Each class loses a quarter, to all others alike.
-        let (votes, truth) = votes(|_, _| 0.06);
-        let errors = LabelErrors::of(votes.rows().map(|row| row.0), COUNTS.len());
-        assert!(errors.preference < 0.2, "{errors:?}");
-        assert_eq!((errors.pooling(), errors.exponent()), (1.0, 0.0));
-        assert_eq!(right(&votes.shares, &truth), truth.len());
-    }
-
-    #[test]
-    fn few_errors_are_left_alone() {
-        // All are taken for the frequent class, but seldom.
-        let (votes, truth) = votes(|_, c| if c == 0 { 0.01 } else { 0.0 });
-        let errors = LabelErrors::of(votes.rows().map(|row| row.0), COUNTS.len());
-        assert!(errors.share < 0.02 && errors.preference > 0.5, "{errors:?}");
-        assert_eq!(errors.pooling(), 0.0);
-        let nothing = LabelErrors::of(std::iter::empty(), COUNTS.len());
-        assert_eq!((nothing.pooling(), nothing.exponent()), (0.0, 0.0));
-        assert_eq!(right(&votes.shares, &truth), truth.len());
-    }
-
-    #[test]
     fn a_class_that_is_named_too_often_gives_way() {
         // All are taken for the frequent class, often by most of their labels.
         let (votes, truth) = votes(|_, c| if c == 0 { 1.0 } else { 0.01 });
-        let errors = LabelErrors::of(votes.rows().map(|row| row.0), COUNTS.len());
-        assert_eq!((errors.pooling(), errors.exponent()), (1.0, EXPONENT));
-        let calibration = Calibration::fit(&votes, EXPONENT);
+        let calibration = Calibration::fit(&votes, 0.5);
         let voted = right(&votes.shares, &truth);
         let calibrated = right(&applied(&calibration, &votes), &truth);
         assert!(
@@ -334,7 +246,7 @@ mod tests {
             classes: 3,
         };
         let mut row = [1.0, 0.0, 0.0];
-        Calibration::fit(&none, EXPONENT).apply(&mut row);
+        Calibration::fit(&none, 0.5).apply(&mut row);
         assert!(row.iter().all(|p| !p.is_nan()), "{row:?}");
     }
 

@@ -7,6 +7,7 @@ mod coloring;
 mod edits;
 mod identities;
 mod inventory;
+mod label_errors;
 mod label_maps;
 mod largest;
 mod pooled_vote;
@@ -22,7 +23,7 @@ mod vote;
 
 pub use self::association::{AssociatedObjects, associate};
 pub use self::borders::{BlockObjects, JoinedObjects, join_objects};
-pub use self::calibration::{Calibration, LabelErrors};
+pub use self::calibration::Calibration;
 pub use self::coloring::{color_all_apart, color_apart};
 pub(crate) use self::edits::farthest;
 pub use self::edits::{
@@ -31,6 +32,7 @@ pub use self::edits::{
 };
 pub use self::identities::Identities;
 pub use self::inventory::{Object, Picked, inventory, pick};
+pub use self::label_errors::LabelErrors;
 pub use self::label_maps::LabelMaps;
 pub(crate) use self::largest::first_largest;
 pub use self::pooled_vote::{PooledVote, PooledVotes, pooled_vote};

@@ -3,7 +3,7 @@
 //! The class shares of a Gaussian are a weighted mean of its own votes and of those of the superpoints that hold it, at several
 //! scales: a superpoint that reaches across two objects costs little then. [`Calibration`] corrects them for systematic errors.
 
-use super::calibration::LabelErrors;
+use super::label_errors::LabelErrors;
 use super::superpoints::{Superpoints, SurfaceGraph};
 use super::{Calibration, Identities, Votes};
 use crate::error::Result;
@@ -95,10 +95,10 @@ pub struct PooledVote {
     pub exponent: f64,
 }
 
-/// Pools the votes `refined` ([`refined_vote`](super::refined_vote)) over superpoints and calibrates them where the plain
-/// `votes` say that labels contradict their surface. Class frequencies are divided out where these errors prefer frequent
-/// classes: a network makes such errors. With `exponent`, labels of any kind are pooled, and divided by the class frequencies to
-/// this power.
+/// Pools the votes `refined` ([`refined_vote`](super::refined_vote)) over superpoints and calibrates them where the plain votes of two
+/// `halves` of the views say that labels contradict their surface. Class frequencies are divided out where these errors repeat from
+/// view to view and prefer frequent classes: a network makes such errors. With `exponent`, labels of any kind are pooled, and divided by
+/// the class frequencies to this power.
 ///
 /// # Errors
 /// [`crate::Error::NonFinite`] when a centre is not finite.
@@ -107,13 +107,13 @@ pub struct PooledVote {
 /// If votes are of another number of Gaussians or classes.
 pub fn pooled_vote(
     gaussians: &Gaussians,
-    votes: &Votes,
+    halves: [&Votes; 2],
     refined: &Votes,
     exponent: Option<f64>,
 ) -> Result<PooledVote> {
     let classes = refined.classes;
     let graph = SurfaceGraph::new(gaussians, NEIGHBOURS)?;
-    let errors = errors_inside(votes, &graph);
+    let errors = errors_inside(halves, &graph);
     let pooling = exponent.map_or_else(|| errors.pooling(), |_| 1.0);
     let exponent = match exponent {
         Some(exponent) => exponent,
@@ -125,9 +125,10 @@ pub fn pooled_vote(
     let pooled = superpoints.each_ref().map(|s| PooledVotes::new(refined, s));
     let calibration = Calibration::fit(&pooled[FITTED], exponent);
     tracing::info!(
-        "{} superpoints; {:.4} of the labels contradict their surface and prefer frequent classes by {:.2}; pooled by {pooling:.2}, exponent {exponent:.2}",
+        "{} superpoints; {:.4} of the labels contradict their surface, repeat by {:.2}, and prefer frequent classes by {:.2}; pooled by {pooling:.2}, exponent {exponent:.2}",
         superpoints[FITTED].count,
         errors.share,
+        errors.repetition,
         errors.preference
     );
     let mut scores = vec![0.0; refined.table.len()];
@@ -156,15 +157,9 @@ pub fn pooled_vote(
 
 /// The errors of the labels on Gaussians whose neighbours, and theirs, have the same winner: at the border of two objects
 /// both lose alike.
-fn errors_inside(votes: &Votes, graph: &SurfaceGraph) -> LabelErrors {
-    let inside = graph.inside(&votes.winners());
-    let mut shares = vec![0.0; votes.table.len()];
-    let rows = shares.chunks_exact_mut(votes.classes.max(1));
-    for (row, votes) in rows.zip(votes.rows()) {
-        add_shares(row, votes);
-    }
-    let rows = shares.chunks_exact(votes.classes.max(1)).zip(inside);
-    LabelErrors::of(rows.filter(|row| row.1).map(|row| row.0), votes.classes)
+fn errors_inside(halves: [&Votes; 2], graph: &SurfaceGraph) -> LabelErrors {
+    let inside = graph.inside(&halves[0].plus(halves[1]).winners());
+    LabelErrors::of(halves, &inside)
 }
 
 /// Adds the class shares of `votes` to `sums`. Returns whether there are votes.
@@ -235,7 +230,7 @@ mod tests {
             table.extend(row);
         }
         let votes = Votes { table, classes: 3 };
-        let identities = pooled_vote(&gaussians, &votes, &votes, Some(0.0))
+        let identities = pooled_vote(&gaussians, [&votes, &votes], &votes, Some(0.0))
             .unwrap()
             .identities;
         for (i, row) in identities.scores.chunks_exact(3).enumerate() {
@@ -259,12 +254,12 @@ mod tests {
         let table = (0..gaussians.means.len()).flat_map(row).collect();
         let votes = Votes { table, classes: 2 };
         let graph = SurfaceGraph::new(&gaussians, NEIGHBOURS).unwrap();
-        let errors = errors_inside(&votes, &graph);
+        let errors = errors_inside([&votes, &votes], &graph);
         assert!(errors.pooling() == 0.0 && errors.exponent() > 0.0);
 
-        let plain = pooled_vote(&gaussians, &votes, &votes, None).unwrap();
+        let plain = pooled_vote(&gaussians, [&votes, &votes], &votes, None).unwrap();
         assert_eq!(plain.exponent, 0.0);
-        let pooled = pooled_vote(&gaussians, &votes, &votes, Some(0.0)).unwrap();
+        let pooled = pooled_vote(&gaussians, [&votes, &votes], &votes, Some(0.0)).unwrap();
         let rows = plain.identities.scores.chunks_exact(2);
         let rows = rows.zip(pooled.identities.scores.chunks_exact(2));
         for (i, (plain, pooled)) in rows.enumerate() {

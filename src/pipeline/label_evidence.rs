@@ -2,7 +2,7 @@
 
 use super::segmentation_inputs::SegmentationInputs;
 use crate::config::{Association, Prior};
-use crate::data::Split;
+use crate::data::{Split, View};
 use crate::error::Result;
 use crate::objects::{PooledVote, Votes, pooled_vote, refined_vote, vote};
 use std::cell::OnceCell;
@@ -18,7 +18,7 @@ const PSEUDO_VOTES: f32 = 0.3;
 /// The votes of a scene, counted when they are first asked for.
 pub(super) struct LabelEvidence<'a> {
     inputs: &'a SegmentationInputs<'a>,
-    votes: OnceCell<Votes>,
+    halves: OnceCell<[Votes; 2]>,
     pooled: OnceCell<PooledVote>,
 }
 
@@ -26,7 +26,7 @@ impl<'a> LabelEvidence<'a> {
     pub fn new(inputs: &'a SegmentationInputs<'a>) -> Self {
         Self {
             inputs,
-            votes: OnceCell::new(),
+            halves: OnceCell::new(),
             pooled: OnceCell::new(),
         }
     }
@@ -76,45 +76,61 @@ impl<'a> LabelEvidence<'a> {
         }
     }
 
-    /// The votes of the training views, counted once.
-    pub fn votes(&self) -> Result<&Votes> {
-        once(&self.votes, || votes(self.inputs))
+    /// The votes of the training views.
+    pub fn votes(&self) -> Result<Votes> {
+        let [first, second] = self.halves()?;
+        Ok(first.plus(second))
     }
 
     /// The refined, pooled and calibrated votes, made once.
     pub fn pooled(&self) -> Result<&PooledVote> {
-        once(&self.pooled, || pooled(self.inputs, self.votes()?))
+        once(&self.pooled, || pooled(self.inputs, self.halves()?.clone()))
+    }
+
+    /// The votes of two halves of the training views, counted once.
+    fn halves(&self) -> Result<&[Votes; 2]> {
+        once(&self.halves, || halves(self.inputs))
     }
 }
 
-/// The votes of the training views.
+/// The votes of the labelled training views at even places, and at odd ones: neighbours on the path of a camera are in different halves,
+/// so errors that last over neighbouring views are in both.
 ///
 /// # Errors
 /// Those of [`vote`].
-pub(crate) fn votes(inputs: &SegmentationInputs) -> Result<Votes> {
-    let scene = inputs.scene;
-    let gaussians = inputs.gaussians;
-    let settings = &inputs.settings;
-    let train = scene.split(Split::Train);
-    vote(gaussians, train, &scene.classes, settings, inputs.device)
+pub(crate) fn halves(inputs: &SegmentationInputs) -> Result<[Votes; 2]> {
+    let train = inputs.scene.split(Split::Train);
+    let labelled: Vec<&View> = train.filter(|view| view.raw.is_some()).collect();
+    let half = |first: usize| {
+        let views = labelled.iter().skip(first).step_by(2).copied();
+        let classes = &inputs.scene.classes;
+        vote(
+            inputs.gaussians,
+            views,
+            classes,
+            &inputs.settings,
+            inputs.device,
+        )
+    };
+    Ok([half(0)?, half(1)?])
 }
 
-/// The refined, pooled and calibrated votes; `votes` are the plain ones.
+/// The refined, pooled and calibrated votes; `halves` are the plain ones.
 ///
 /// # Errors
 /// Those of [`refined_vote`] and [`pooled_vote`].
-pub(crate) fn pooled(inputs: &SegmentationInputs, votes: &Votes) -> Result<PooledVote> {
+pub(crate) fn pooled(inputs: &SegmentationInputs, mut halves: [Votes; 2]) -> Result<PooledVote> {
     let scene = inputs.scene;
     let gaussians = inputs.gaussians;
     let settings = &inputs.settings;
     let train = scene.split(Split::Train);
     let mut refined = refined_vote(gaussians, train, &scene.classes, settings, inputs.device)?;
     // Corrected Gaussians vote for their labels, and so have a say in their superpoints.
-    inputs.correct(&mut refined.table);
-    let mut votes = votes.clone();
-    inputs.correct(&mut votes.table);
+    for votes in halves.iter_mut().chain([&mut refined]) {
+        inputs.correct(&mut votes.table);
+    }
     let exponent = inputs.config.segmentation.prior_exponent;
-    pooled_vote(gaussians, &votes, &refined, exponent)
+    pooled_vote(gaussians, halves.each_ref(), &refined, exponent)
 }
 
 /// The value of `cell`, made where it has none yet.

@@ -270,7 +270,7 @@ impl<'a> StageTwo<'a> {
             return Ok(outcome);
         };
         let votes = self.evidence.votes()?;
-        let smoothed = smoothed(self.inputs.gaussians, decoded, votes)?;
+        let smoothed = smoothed(self.inputs.gaussians, decoded, &votes)?;
         let scored = self.of_identities(outcome.variant, smoothed)?;
         Ok(VariantOutcome {
             identities: scored.identities,

@@ -59,9 +59,10 @@ pub fn vote(
     ensure!(scene.labelled().next().is_some(), dir, "raw_label_path"; found "nothing"; expected "raw labels of training views";
         help "add raw_label_path to the frames of a transforms.json, or name a folder with --set data.raw_labels=FOLDER");
     let inputs = SegmentationInputs::new(scene, gaussians, config, device);
-    let votes = label_evidence::votes(&inputs)?;
+    let halves = label_evidence::halves(&inputs)?;
     if !pooled {
-        return Ok(votes.identities());
+        let [first, second] = &halves;
+        return Ok(first.plus(second).identities());
     }
-    Ok(label_evidence::pooled(&inputs, &votes)?.identities)
+    Ok(label_evidence::pooled(&inputs, halves)?.identities)
 }

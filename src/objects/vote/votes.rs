@@ -19,6 +19,24 @@ impl Votes {
         self.table.chunks_exact(self.classes.max(1))
     }
 
+    /// These votes and those of `other` views together.
+    ///
+    /// # Panics
+    /// If the votes are of another number of Gaussians or classes.
+    #[must_use]
+    pub fn plus(&self, other: &Self) -> Self {
+        assert_eq!(
+            (self.table.len(), self.classes),
+            (other.table.len(), other.classes),
+            "votes of the same Gaussians for the same classes"
+        );
+        let pairs = self.table.iter().zip(&other.table);
+        Self {
+            table: pairs.map(|(a, b)| a + b).collect(),
+            classes: self.classes,
+        }
+    }
+
     /// The votes of each Gaussian, divided by their sum; zeros where nothing was voted.
     #[must_use]
     pub fn shares(&self) -> Self {
