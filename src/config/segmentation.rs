@@ -156,7 +156,7 @@ pub struct SegmentationConfig {
     /// Exponent of the class frequencies that pooled votes are divided by, 0 to 1. Absent: it follows from the votes.
     pub prior_exponent: Option<f64>,
     /// Whether every Gaussian fine-tunes what the decoder gave it by the raw labels in its pixels. Absent: where the prior is pooled,
-    /// unless raw labels name frequent classes too often. Never without a prior.
+    /// unless errors of the raw labels repeat and prefer frequent classes. Never without a prior.
     pub fine_tune: Option<bool>,
     /// Loss of the variant `ours`.
     #[serde(deserialize_with = "super::by_name")]

@@ -45,7 +45,7 @@ impl LabelErrors {
     pub fn of(halves: [&Votes; 2], counts: &[bool]) -> Self {
         let classes = halves[0].classes;
         let mut flux = Flux::new(classes);
-        let mut seen = Halves::new(classes);
+        let mut moments = ClassMoments::new(classes);
         let rows = halves[0].rows().zip(halves[1].rows()).zip(counts);
         for ((first, second), _) in rows.filter(|row| *row.1) {
             let [mut first, mut second] = [first, second].map(|row| {
@@ -59,14 +59,14 @@ impl LabelErrors {
             flux.add(&both, 1.0);
             let in_both = [&first, &second].map(|row| row.iter().any(|&share| share > 0.0));
             if let Some(winner) = winner(&both).filter(|_| in_both == [true, true]) {
-                seen.add(winner, &first, &second);
+                moments.add(winner, &first, &second);
             }
         }
         let total: f64 = flux.won().iter().sum();
         let right: f64 = (0..classes).map(|c| flux.at(c, c)).sum();
         Self {
             share: rest(right, total),
-            repetition: seen.repetition(),
+            repetition: moments.repetition(),
             preference: preference(&flux, classes),
         }
     }
@@ -77,7 +77,8 @@ impl LabelErrors {
         rise(self.share, ERROR_SHARES)
     }
 
-    /// The exponent of class frequencies that pooled votes of such labels are divided by.
+    /// The exponent of class frequencies that pooled votes of such labels are divided by. A vote averages errors away that do not repeat,
+    /// whichever class they prefer.
     pub fn exponent(&self) -> f64 {
         EXPONENT * rise(self.repetition, REPETITIONS) * rise(self.preference, PREFERENCES)
     }
@@ -112,12 +113,12 @@ impl Moments {
 }
 
 /// The moments of each winner and each class, `[C, C]`.
-struct Halves {
+struct ClassMoments {
     classes: usize,
     table: Vec<Moments>,
 }
 
-impl Halves {
+impl ClassMoments {
     fn new(classes: usize) -> Self {
         Self {
             classes,
