@@ -4,8 +4,8 @@ use super::{held_out, terminal};
 use clap::Args;
 use coseg::backend::device::open_cpu;
 use coseg::config::{Association, Config, Variant};
-use coseg::data::{Classes, Split};
-use coseg::error::{Result, ensure};
+use coseg::data::{Class, Classes, Split};
+use coseg::error::{Result, bail};
 use coseg::metrics::ImageScores;
 use coseg::objects::Semantics;
 use coseg::pipeline::{
@@ -58,11 +58,15 @@ impl EvalArgs {
             // True labels hold ids of classes, and the labels of this run ids of objects.
             semantics = Semantics::of(&scene);
             scene.views.iter_mut().for_each(|view| view.truth = None);
-        } else if stored_corrections(run.path())?.is_none() {
-            // With corrections by a person, classes may be new or renamed.
-            same_classes(&scene.classes, &classes)?;
         }
-        scene.classes = classes;
+        let is_corrected = stored_corrections(run.path())?.is_some();
+        if is_associated || is_corrected || scene.classes.is_empty() {
+            // With corrections by a person, classes may be new or renamed.
+            scene.classes.clone_from(&classes);
+        } else {
+            expect_classes(&scene.classes, &classes)?;
+            scene.drop_unused_classes(&classes);
+        }
         let device = open_cpu()?;
         if is_elsewhere {
             compare_with_photos(&run.file(SCENE), &ply.gaussians, &scene, &config, &device)?;
@@ -72,8 +76,8 @@ impl EvalArgs {
             ..SegmentationInputs::new(&scene, &ply.gaussians, &config, &device)
         };
         // Read before the slow part, so that a fault is reported at once.
-        let identities =
-            identities_beside(&run.file(SCENE), ply.gaussians.len(), scene.classes.len())?;
+        let identities = identities_beside(&run.file(SCENE), ply.gaussians.len(), classes.len())?;
+        let identities = identities.map(|own| own.for_classes(&classes, &scene.classes));
         let views = image_scores(&inputs)?;
         let score = |identities| HeldOut::new(&inputs).score(&identities);
         let labels = identities.map(score).transpose()?;
@@ -111,12 +115,14 @@ impl EvalArgs {
     }
 }
 
-/// The true labels of a scene must be of the classes of the run.
-fn same_classes(scene: &Classes, run: &Classes) -> Result<()> {
-    ensure!(scene.is_empty() || run.is_empty() || scene.has_names_of(run),
-        argument "--data"; found "{} classes, not those of the run", scene.len();
-        expected "the {} classes of the run", run.len();
-        help "give the scene that was trained on, or one with the same classes.json");
+/// Refuses a scene that has not all classes of the run, with the same names.
+fn expect_classes(scene: &Classes, run: &Classes) -> Result<()> {
+    let differs = |class: &&Class| scene.known_name(class.id) != Some(&class.name);
+    if let Some(Class { id, name, .. }) = run.entries.iter().find(differs) {
+        let found = scene.known_name(*id).unwrap_or("nothing");
+        bail!(argument "--data"; found "{found} as class {id}"; expected "{name}, as in the classes of the run";
+            help "give the scene that was trained on, or one with the same classes.json");
+    }
     Ok(())
 }
 

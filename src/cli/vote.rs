@@ -3,6 +3,7 @@
 use super::labelled::LabelledArgs;
 use super::{held_out, terminal};
 use clap::Args;
+use coseg::data::Classes;
 use coseg::data::formats::transforms;
 use coseg::error::Result;
 use coseg::pipeline::{HeldOut, SegmentationInputs};
@@ -34,7 +35,8 @@ impl VoteArgs {
         let config = self.input.config()?;
         check_vote(&config)?;
         let device = self.input.backend.open()?;
-        let (scene, ply) = self.input.read(&config, &device, &[])?;
+        let (mut scene, ply) = self.input.read(&config, &device, &[])?;
+        scene.drop_unused_classes(&Classes::default());
         let identities = vote(&scene, &ply.gaussians, self.pooled, &config, &device)?;
         let ids = identities.ids(&scene.classes);
         let path = self.input.out.join("scene.ply");

@@ -40,6 +40,7 @@ use crate::error::{Result, bail, ensure};
 use crate::files::file_name;
 use crate::splat::camera::Camera;
 use glam::DVec3;
+use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Loads the scene in folder `dir`, in the layout that the options name or that the folder has.
@@ -179,6 +180,23 @@ impl Scene {
     /// Training views with raw labels, in file order.
     pub fn labelled(&self) -> impl Iterator<Item = &View> {
         self.split(Split::Train).filter(|view| view.raw.is_some())
+    }
+
+    /// Leaves out the classes that no label of a view names, and that `kept` does not have: each would cost every Gaussian a score.
+    /// A scene whose labels name no class keeps all, as does one with scores, which may name classes that label maps do not.
+    pub fn drop_unused_classes(&mut self, kept: &Classes) {
+        if self.views.iter().any(|view| view.scores.is_some()) {
+            return;
+        }
+        let maps = self.views.iter().flat_map(|view| [&view.raw, &view.truth]);
+        let named: BTreeSet<u16> = maps
+            .flatten()
+            .flat_map(|map| map.runs().map(|(id, _)| id))
+            .collect();
+        let is_used = |class: &Class| named.contains(&class.id) || kept.index(class.id).is_some();
+        if self.classes.entries.iter().any(is_used) {
+            self.classes.entries.retain(is_used);
+        }
     }
 
     /// Refuses a scene without training views.

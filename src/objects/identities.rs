@@ -36,6 +36,43 @@ impl Identities {
             .collect()
     }
 
+    /// The scores of all Gaussians for the classes `to`, where these are for `from`. A class that `from` lacks is as unlikely as the least
+    /// likely one of the Gaussian.
+    ///
+    /// # Panics
+    /// If `from` has another number of classes than the scores.
+    #[must_use]
+    pub fn for_classes(&self, from: &Classes, to: &Classes) -> Self {
+        assert_eq!(from.len(), self.classes, "one class for each score");
+        let columns: Vec<_> = from.entries.iter().map(|c| to.index(c.id)).collect();
+        let mut scores = Vec::with_capacity(self.scores.len() / self.classes.max(1) * to.len());
+        for known in self.scores.chunks_exact(self.classes.max(1)) {
+            let lowest = known.iter().copied().fold(f32::INFINITY, f32::min);
+            let start = scores.len();
+            scores.resize(start + to.len(), lowest);
+            for (column, score) in columns.iter().zip(known) {
+                if let Some(column) = column {
+                    let to: &mut f32 = &mut scores[start + column];
+                    *to = to.max(*score);
+                }
+            }
+        }
+        Self {
+            scores,
+            classes: to.len(),
+        }
+    }
+
+    /// The scores of the Gaussians `rows`, in this order.
+    #[must_use]
+    pub fn select(&self, rows: &[u32]) -> Self {
+        let row = |&row: &u32| &self.scores[row as usize * self.classes..][..self.classes];
+        Self {
+            scores: rows.iter().flat_map(row).copied().collect(),
+            classes: self.classes,
+        }
+    }
+
     /// Writes `identities.safetensors`: tensor `scores` `[N, C]` f32, atomically.
     ///
     /// # Errors
@@ -78,4 +115,24 @@ pub(super) fn largest(row: &[f32]) -> Option<u16> {
     let best = first_largest(row)?;
     let known = row.len() == 1 || row.iter().any(|v| *v < row[best]);
     known.then_some(best as u16)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_class_without_scores_is_as_unlikely_as_the_least_likely_one() {
+        let classes = |ids: &[u16]| Classes::from_names(0, ids.iter().map(|&id| (id, "name")));
+        let own = Identities {
+            scores: vec![0.7, 0.3, -1.0, -2.0],
+            classes: 2,
+        };
+        let [from, more, fewer] = [classes(&[2, 5]), classes(&[1, 2, 5]), classes(&[5])];
+        let wide = own.for_classes(&from, &more);
+        assert_eq!(wide.scores, [0.3, 0.7, 0.3, -2.0, -1.0, -2.0]);
+        assert_eq!(own.for_classes(&from, &fewer).scores, [0.3, -1.0]);
+        assert_eq!(own.for_classes(&from, &from), own);
+        assert_eq!(own.select(&[1]).scores, [-1.0, -2.0]);
+    }
 }

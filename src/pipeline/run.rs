@@ -14,7 +14,7 @@ use super::segmentation_inputs::SegmentationInputs;
 use super::variant_outcome::VariantOutcome;
 use super::variants::train_variants;
 use crate::config::{Association, Config, Variant};
-use crate::data::Scene;
+use crate::data::{Classes, Scene};
 use crate::error::Result;
 use crate::features::FeatureColors;
 use crate::memory;
@@ -152,7 +152,7 @@ pub fn run(
 /// # Errors
 /// Those of both stages, and of writing; [`crate::Error::Stopped`]. Files written before stay.
 pub fn run_on(
-    scene: Scene,
+    mut scene: Scene,
     config: &Config,
     scores_fields: bool,
     out: &Path,
@@ -164,6 +164,9 @@ pub fn run_on(
     let corrections = Corrections::read(&files.corrections())?;
     ranks::expect_same("the corrections", corrections.is_some().to_string())?;
     let config = &resolved(config, &scene, corrections.is_some());
+    if config.data.association == Association::None {
+        scene.drop_unused_classes(&Classes::default());
+    }
     if !config.segmentation.rows().is_empty() {
         if has_raw_labels(&scene) || has_segments(&scene, config) || corrections.is_some() {
             check_networks(config, &scene, device)?;
@@ -316,7 +319,6 @@ fn has_segments(scene: &Scene, config: &Config) -> bool {
 mod tests {
     use super::super::evaluate::HeldOutScores;
     use super::*;
-    use crate::data::Classes;
 
     #[test]
     fn objects_side_by_side_get_colours_that_differ() {

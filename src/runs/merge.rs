@@ -286,27 +286,12 @@ fn objects(parts: &[Part], kept: &[Vec<u32>]) -> Result<JoinedObjects> {
     join_objects(&of_parts.collect::<Vec<_>>(), &shared)
 }
 
-/// The scores of the Gaussians `kept` for `classes`. A class that a block does not know is as unlikely as its least likely one.
+/// The scores of the Gaussians `kept` for `classes`, where all blocks have scores.
 fn identities(parts: &[Part], kept: &[Vec<u32>], classes: &Classes) -> Option<Identities> {
     let mut scores = Vec::new();
     for (part, rows) in parts.iter().zip(kept) {
-        let identities = part.identities.as_ref()?;
-        let own_classes = part.classes.entries.iter();
-        let columns: Vec<_> = own_classes.map(|class| classes.index(class.id)).collect();
-        for &row in rows {
-            let width = identities.classes;
-            let known = &identities.scores[row as usize * width..][..width];
-            let lowest = known.iter().copied().fold(f32::INFINITY, f32::min);
-            let start = scores.len();
-            let lowest = if lowest.is_finite() { lowest } else { 0.0 };
-            scores.resize(start + classes.len(), lowest);
-            for (column, score) in columns.iter().zip(known) {
-                if let Some(column) = column {
-                    let to: &mut f32 = &mut scores[start + column];
-                    *to = to.max(*score);
-                }
-            }
-        }
+        let own = part.identities.as_ref()?.select(rows);
+        scores.extend(own.for_classes(&part.classes, classes).scores);
     }
     Some(Identities {
         scores,

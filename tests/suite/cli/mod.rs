@@ -32,5 +32,6 @@ pub mod separate;
 pub mod splat_transform;
 pub mod split;
 pub mod train;
+pub mod unused_classes;
 pub mod view;
 pub mod views;

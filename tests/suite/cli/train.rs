@@ -110,7 +110,7 @@ fn train_fills_the_run_folder_and_eval_agrees() {
     std::fs::write(&classes, own.replace("green", "turquoise")).unwrap();
     let message = fails(&["eval", utf8(&run)], 1);
     assert!(
-        message.contains("--data") && message.contains("not those of the run"),
+        message.contains("turquoise as class 2") && message.contains("green, as in the classes"),
         "{message}"
     );
     std::fs::write(&classes, own).unwrap();
