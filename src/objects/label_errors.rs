@@ -238,7 +238,7 @@ mod tests {
     fn errors_that_each_view_draws_are_pooled_alone() {
         for wrong in [Wrong::Any, Wrong::Frequent] {
             let errors = errors(wrong, false);
-            assert!(errors.repetition.abs() < 0.02, "{errors:?}");
+            assert!(errors.repetition.abs() < REPETITIONS[0], "{errors:?}");
             assert_eq!((errors.pooling(), errors.exponent()), (1.0, 0.0));
         }
     }

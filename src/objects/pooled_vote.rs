@@ -243,13 +243,14 @@ mod tests {
     #[test]
     fn class_frequencies_are_not_divided_out_where_labels_have_few_errors() {
         let gaussians = squares();
-        // One in 32 votes on red is for grey. Half of red, and a fifth of grey, have no votes.
+        // One in 16 votes is for grey on every other Gaussian of red. Half of red, and a fifth of grey, have no votes.
         let is_red = |i: usize| i % 40 >= 20;
         let is_voted = |i: usize| i / 40 >= if is_red(i) { 10 } else { 4 };
         let row = |i: usize| match (is_voted(i), is_red(i)) {
             (false, _) => [0.0, 0.0],
             (true, false) => [1.0, 0.0],
-            (true, true) => [1.0 / 32.0, 31.0 / 32.0],
+            (true, true) if i % 2 == 0 => [1.0 / 16.0, 15.0 / 16.0],
+            (true, true) => [0.0, 1.0],
         };
         let table = (0..gaussians.means.len()).flat_map(row).collect();
         let votes = Votes { table, classes: 2 };
