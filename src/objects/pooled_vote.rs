@@ -249,7 +249,7 @@ mod tests {
         let row = |i: usize| match (is_voted(i), is_red(i)) {
             (false, _) => [0.0, 0.0],
             (true, false) => [1.0, 0.0],
-            (true, true) if i % 2 == 0 => [1.0 / 16.0, 15.0 / 16.0],
+            (true, true) if i.is_multiple_of(2) => [1.0 / 16.0, 15.0 / 16.0],
             (true, true) => [0.0, 1.0],
         };
         let table = (0..gaussians.means.len()).flat_map(row).collect();
