@@ -5,6 +5,7 @@ use crate::raised;
 use crate::scene::{Features, Scene};
 use coseg::backend::device::{self, BackendName};
 use coseg::config::Config;
+use coseg::data::Classes;
 use coseg::error::Result;
 use coseg::pipeline::LiftedFeatures;
 use coseg::progress::Silent;
@@ -56,7 +57,8 @@ pub fn vote(
         let config = settings.load(&data)?;
         runs::check_vote(&config)?;
         let device = device::open(settings.backend)?;
-        let (photos, mut ply) = runs::load_both(&data, &scene, &config, &device)?;
+        let (mut photos, mut ply) = runs::load_both(&data, &scene, &config, &device)?;
+        photos.drop_unused_classes(&Classes::default());
         let identities = runs::vote(&photos, &ply.gaussians, pooled, &config, &device)?;
         ply.labels = Some(identities.ids(&photos.classes));
         let mut voted = Scene::of_photos(&scene, ply, photos)?;

@@ -59,13 +59,15 @@ impl EvalArgs {
             semantics = Semantics::of(&scene);
             scene.views.iter_mut().for_each(|view| view.truth = None);
         }
-        let is_corrected = stored_corrections(run.path())?.is_some();
-        if is_associated || is_corrected || scene.classes.is_empty() {
-            // With corrections by a person, classes may be new or renamed.
+        if is_associated {
             scene.classes.clone_from(&classes);
         } else {
-            expect_classes(&scene.classes, &classes)?;
+            if stored_corrections(run.path())?.is_none() {
+                expect_classes(&scene.classes, &classes)?;
+            }
             scene.drop_unused_classes(&classes);
+            // With corrections by a person, classes may be new or renamed.
+            scene.classes.put(&classes);
         }
         let device = open_cpu()?;
         if is_elsewhere {
@@ -117,6 +119,9 @@ impl EvalArgs {
 
 /// Refuses a scene that has not all classes of the run, with the same names.
 fn expect_classes(scene: &Classes, run: &Classes) -> Result<()> {
+    if scene.is_empty() {
+        return Ok(());
+    }
     let differs = |class: &&Class| scene.known_name(class.id) != Some(&class.name);
     if let Some(Class { id, name, .. }) = run.entries.iter().find(differs) {
         let found = scene.known_name(*id).unwrap_or("nothing");

@@ -13,7 +13,7 @@ const EXPONENT: f64 = 0.5;
 const ERROR_SHARES: [f64; 2] = [0.03, 0.06];
 /// Repetitions between which the exponent rises likewise. Independent errors of these rooms had -0.14 to -0.01, those of the network
 /// 0.32 to 0.41.
-const REPETITIONS: [f64; 2] = [0.05, 0.20];
+const REPETITIONS: [f64; 2] = [0.05, 0.15];
 /// Preferences between which it rises likewise. Simulated errors that repeat had 0.13 to 0.21, those of the network 0.49 to 0.84.
 const PREFERENCES: [f64; 2] = [0.25, 0.40];
 /// Share of both fluxes of a pair that is added to each, which keeps their ratio finite.

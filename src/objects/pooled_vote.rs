@@ -125,7 +125,7 @@ pub fn pooled_vote(
     let pooled = superpoints.each_ref().map(|s| PooledVotes::new(refined, s));
     let calibration = Calibration::fit(&pooled[FITTED], exponent);
     tracing::info!(
-        "{} superpoints; {:.4} of the labels contradict their surface, repeat by {:.2}, and prefer frequent classes by {:.2}; pooled by {pooling:.2}, exponent {exponent:.2}",
+        "{} superpoints; {:.4} of the labels contradict their surface; these errors repeat by {:.2} and prefer frequent classes by {:.2}; pooled by {pooling:.2}, exponent {exponent:.2}",
         superpoints[FITTED].count,
         errors.share,
         errors.repetition,

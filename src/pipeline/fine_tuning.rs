@@ -3,7 +3,7 @@
 //! A decoder gives Gaussians with similar features the same label. That corrects wrong labels, but loses details that only the
 //! labels of a Gaussian itself show. So the scores of every Gaussian become free parameters, and learn the raw labels in one step
 //! for each training view, at least 100. That is enough to move a boundary where all views agree, and too little to learn errors
-//! that last. Where labels name frequent classes too often in all views, they are errors that last, and nothing is fine-tuned.
+//! that last. Where errors repeat from view to view and prefer frequent classes, nothing is fine-tuned.
 
 use super::train_decoder::TrainingPlan;
 use crate::segmentation::loss::LabelLoss;

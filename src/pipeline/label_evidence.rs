@@ -31,7 +31,7 @@ impl<'a> LabelEvidence<'a> {
         }
     }
 
-    /// Whether raw labels fine-tune what decoders learn. Those that name frequent classes too often would bring back these errors, and
+    /// Whether raw labels fine-tune what decoders learn. Those whose errors repeat and prefer frequent classes would bring these back, and
     /// few labels made by hand say nothing of most Gaussians.
     pub fn wants_fine_tuning(&self) -> Result<bool> {
         let configured = self.inputs.config.segmentation.fine_tune;
@@ -84,7 +84,7 @@ impl<'a> LabelEvidence<'a> {
 
     /// The refined, pooled and calibrated votes, made once.
     pub fn pooled(&self) -> Result<&PooledVote> {
-        once(&self.pooled, || pooled(self.inputs, self.halves()?.clone()))
+        once(&self.pooled, || pooled(self.inputs, self.halves()?))
     }
 
     /// The votes of two halves of the training views, counted once.
@@ -119,12 +119,13 @@ pub(crate) fn halves(inputs: &SegmentationInputs) -> Result<[Votes; 2]> {
 ///
 /// # Errors
 /// Those of [`refined_vote`] and [`pooled_vote`].
-pub(crate) fn pooled(inputs: &SegmentationInputs, mut halves: [Votes; 2]) -> Result<PooledVote> {
+pub(crate) fn pooled(inputs: &SegmentationInputs, halves: &[Votes; 2]) -> Result<PooledVote> {
     let scene = inputs.scene;
     let gaussians = inputs.gaussians;
     let settings = &inputs.settings;
     let train = scene.split(Split::Train);
     let mut refined = refined_vote(gaussians, train, &scene.classes, settings, inputs.device)?;
+    let mut halves = halves.clone();
     // Corrected Gaussians vote for their labels, and so have a say in their superpoints.
     for votes in halves.iter_mut().chain([&mut refined]) {
         inputs.correct(&mut votes.table);

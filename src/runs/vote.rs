@@ -64,5 +64,5 @@ pub fn vote(
         let [first, second] = &halves;
         return Ok(first.plus(second).identities());
     }
-    Ok(label_evidence::pooled(&inputs, halves)?.identities)
+    Ok(label_evidence::pooled(&inputs, &halves)?.identities)
 }

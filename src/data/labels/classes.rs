@@ -121,6 +121,14 @@ impl Classes {
         self.len() == other.len() && pairs.all(|(a, b)| a.id == b.id && a.name == b.name)
     }
 
+    /// Adds the classes of `other`, in place of those with the same id. Unlabelled is what it is there.
+    pub fn put(&mut self, other: &Self) {
+        self.ignore = other.ignore;
+        self.entries.retain(|class| other.index(class.id).is_none());
+        self.entries.extend(other.entries.iter().cloned());
+        self.entries.sort_by_key(|class| class.id);
+    }
+
     /// The labels of `count` unlabelled Gaussians.
     pub fn unlabelled(&self, count: usize) -> Vec<u16> {
         vec![self.ignore; count]
