@@ -95,8 +95,8 @@ pub struct PooledVote {
     pub exponent: f64,
 }
 
-/// Pools the votes `refined` ([`refined_vote`](super::refined_vote)) over superpoints and calibrates them where the plain votes of two
-/// `halves` of the views say that labels contradict their surface. Class frequencies are divided out where these errors repeat from
+/// Pools the votes `refined` ([`refined_vote`](super::refined_vote)) over superpoints and calibrates them where the plain votes of four
+/// `quarters` of the views say that labels contradict their surface. Class frequencies are divided out where these errors repeat from
 /// view to view and prefer frequent classes: a network makes such errors. With `exponent`, labels of any kind are pooled, and divided by
 /// the class frequencies to this power.
 ///
@@ -107,13 +107,13 @@ pub struct PooledVote {
 /// If votes are of another number of Gaussians or classes.
 pub fn pooled_vote(
     gaussians: &Gaussians,
-    halves: [&Votes; 2],
+    quarters: [&Votes; 4],
     refined: &Votes,
     exponent: Option<f64>,
 ) -> Result<PooledVote> {
     let classes = refined.classes;
     let graph = SurfaceGraph::new(gaussians, NEIGHBOURS)?;
-    let errors = errors_inside(halves, &graph);
+    let errors = errors_inside(quarters, &graph);
     let pooling = exponent.map_or_else(|| errors.pooling(), |_| 1.0);
     let exponent = match exponent {
         Some(exponent) => exponent,
@@ -157,9 +157,9 @@ pub fn pooled_vote(
 
 /// The errors of the labels on Gaussians whose neighbours, and theirs, have the same winner: at the border of two objects
 /// both lose alike.
-fn errors_inside(halves: [&Votes; 2], graph: &SurfaceGraph) -> LabelErrors {
-    let inside = graph.inside(&halves[0].plus(halves[1]).winners());
-    LabelErrors::of(halves, &inside)
+fn errors_inside(quarters: [&Votes; 4], graph: &SurfaceGraph) -> LabelErrors {
+    let inside = graph.inside(&Votes::of_all(quarters).winners());
+    LabelErrors::of(quarters, &inside)
 }
 
 /// Adds the class shares of `votes` to `sums`. Returns whether there are votes.
@@ -230,7 +230,7 @@ mod tests {
             table.extend(row);
         }
         let votes = Votes { table, classes: 3 };
-        let identities = pooled_vote(&gaussians, [&votes, &votes], &votes, Some(0.0))
+        let identities = pooled_vote(&gaussians, [&votes; 4], &votes, Some(0.0))
             .unwrap()
             .identities;
         for (i, row) in identities.scores.chunks_exact(3).enumerate() {
@@ -255,12 +255,12 @@ mod tests {
         let table = (0..gaussians.means.len()).flat_map(row).collect();
         let votes = Votes { table, classes: 2 };
         let graph = SurfaceGraph::new(&gaussians, NEIGHBOURS).unwrap();
-        let errors = errors_inside([&votes, &votes], &graph);
+        let errors = errors_inside([&votes; 4], &graph);
         assert!(errors.pooling() == 0.0 && errors.exponent() > 0.0);
 
-        let plain = pooled_vote(&gaussians, [&votes, &votes], &votes, None).unwrap();
+        let plain = pooled_vote(&gaussians, [&votes; 4], &votes, None).unwrap();
         assert_eq!(plain.exponent, 0.0);
-        let pooled = pooled_vote(&gaussians, [&votes, &votes], &votes, Some(0.0)).unwrap();
+        let pooled = pooled_vote(&gaussians, [&votes; 4], &votes, Some(0.0)).unwrap();
         let rows = plain.identities.scores.chunks_exact(2);
         let rows = rows.zip(pooled.identities.scores.chunks_exact(2));
         for (i, (plain, pooled)) in rows.enumerate() {

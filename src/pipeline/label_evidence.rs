@@ -18,7 +18,7 @@ const PSEUDO_VOTES: f32 = 0.3;
 /// The votes of a scene, counted when they are first asked for.
 pub(super) struct LabelEvidence<'a> {
     inputs: &'a SegmentationInputs<'a>,
-    halves: OnceCell<[Votes; 2]>,
+    quarters: OnceCell<[Votes; 4]>,
     pooled: OnceCell<PooledVote>,
 }
 
@@ -26,7 +26,7 @@ impl<'a> LabelEvidence<'a> {
     pub fn new(inputs: &'a SegmentationInputs<'a>) -> Self {
         Self {
             inputs,
-            halves: OnceCell::new(),
+            quarters: OnceCell::new(),
             pooled: OnceCell::new(),
         }
     }
@@ -78,31 +78,30 @@ impl<'a> LabelEvidence<'a> {
 
     /// The votes of the training views.
     pub fn votes(&self) -> Result<Votes> {
-        let [first, second] = self.halves()?;
-        Ok(first.plus(second))
+        Ok(Votes::of_all(self.quarters()?.each_ref()))
     }
 
     /// The refined, pooled and calibrated votes, made once.
     pub fn pooled(&self) -> Result<&PooledVote> {
-        once(&self.pooled, || pooled(self.inputs, self.halves()?))
+        once(&self.pooled, || pooled(self.inputs, self.quarters()?))
     }
 
-    /// The votes of two halves of the training views, counted once.
-    fn halves(&self) -> Result<&[Votes; 2]> {
-        once(&self.halves, || halves(self.inputs))
+    /// The votes of four quarters of the training views, counted once.
+    fn quarters(&self) -> Result<&[Votes; 4]> {
+        once(&self.quarters, || quarters(self.inputs))
     }
 }
 
-/// The votes of the labelled training views at even places, and at odd ones: neighbours on the path of a camera are in different halves,
-/// so errors that last over neighbouring views are in both.
+/// The votes of each quarter of the labelled training views: every fourth one from the first on, from the second on, and so on.
+/// Neighbours on the path of a camera are in different quarters, so errors that last over neighbouring views are in all.
 ///
 /// # Errors
 /// Those of [`vote`].
-pub(crate) fn halves(inputs: &SegmentationInputs) -> Result<[Votes; 2]> {
+pub(crate) fn quarters(inputs: &SegmentationInputs) -> Result<[Votes; 4]> {
     let train = inputs.scene.split(Split::Train);
     let labelled: Vec<&View> = train.filter(|view| view.raw.is_some()).collect();
-    let half = |first: usize| {
-        let views = labelled.iter().skip(first).step_by(2).copied();
+    let quarter = |first: usize| {
+        let views = labelled.iter().skip(first).step_by(4).copied();
         let classes = &inputs.scene.classes;
         vote(
             inputs.gaussians,
@@ -112,26 +111,23 @@ pub(crate) fn halves(inputs: &SegmentationInputs) -> Result<[Votes; 2]> {
             inputs.device,
         )
     };
-    Ok([half(0)?, half(1)?])
+    Ok([quarter(0)?, quarter(1)?, quarter(2)?, quarter(3)?])
 }
 
-/// The refined, pooled and calibrated votes; `halves` are the plain ones.
+/// The refined, pooled and calibrated votes; `quarters` are the plain ones.
 ///
 /// # Errors
 /// Those of [`refined_vote`] and [`pooled_vote`].
-pub(crate) fn pooled(inputs: &SegmentationInputs, halves: &[Votes; 2]) -> Result<PooledVote> {
+pub(crate) fn pooled(inputs: &SegmentationInputs, quarters: &[Votes; 4]) -> Result<PooledVote> {
     let scene = inputs.scene;
     let gaussians = inputs.gaussians;
     let settings = &inputs.settings;
     let train = scene.split(Split::Train);
     let mut refined = refined_vote(gaussians, train, &scene.classes, settings, inputs.device)?;
-    let mut halves = halves.clone();
     // Corrected Gaussians vote for their labels, and so have a say in their superpoints.
-    for votes in halves.iter_mut().chain([&mut refined]) {
-        inputs.correct(&mut votes.table);
-    }
+    inputs.correct(&mut refined.table);
     let exponent = inputs.config.segmentation.prior_exponent;
-    pooled_vote(gaussians, halves.each_ref(), &refined, exponent)
+    pooled_vote(gaussians, quarters.each_ref(), &refined, exponent)
 }
 
 /// The value of `cell`, made where it has none yet.

@@ -70,7 +70,7 @@ const FREE_SCORES: [Variant; 3] = [
     Variant::NoDecoder,
 ];
 
-/// Scores of each Gaussian for each class that are in memory together at most, as measured: votes of two halves of the views, the table
+/// Scores of each Gaussian for each class that are in memory together at most, as measured: votes of four quarters of the views, the table
 /// that is counted, identities of each variant, and what training them takes.
 pub(super) fn score_tables(config: &Config) -> usize {
     let rows = config.segmentation.rows();
@@ -82,7 +82,7 @@ pub(super) fn score_tables(config: &Config) -> usize {
         _ if has_decoder => 3,
         _ => 0,
     };
-    3 + rows.len() + training
+    5 + rows.len() + training
 }
 
 /// Whether stage two has something to train on.

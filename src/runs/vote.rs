@@ -4,7 +4,7 @@ use super::scene_path;
 use crate::config::{Association, Config};
 use crate::data::{self, LoadOptions, Scene};
 use crate::error::{Result, ensure};
-use crate::objects::Identities;
+use crate::objects::{Identities, Votes};
 use crate::pipeline::{SegmentationInputs, compare_with_photos, label_evidence};
 use crate::splat::Gaussians;
 use crate::splat::formats;
@@ -59,10 +59,9 @@ pub fn vote(
     ensure!(scene.labelled().next().is_some(), dir, "raw_label_path"; found "nothing"; expected "raw labels of training views";
         help "add raw_label_path to the frames of a transforms.json, or name a folder with --set data.raw_labels=FOLDER");
     let inputs = SegmentationInputs::new(scene, gaussians, config, device);
-    let halves = label_evidence::halves(&inputs)?;
+    let quarters = label_evidence::quarters(&inputs)?;
     if !pooled {
-        let [first, second] = &halves;
-        return Ok(first.plus(second).identities());
+        return Ok(Votes::of_all(quarters.each_ref()).identities());
     }
-    Ok(label_evidence::pooled(&inputs, &halves)?.identities)
+    Ok(label_evidence::pooled(&inputs, &quarters)?.identities)
 }

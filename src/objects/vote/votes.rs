@@ -19,21 +19,29 @@ impl Votes {
         self.table.chunks_exact(self.classes.max(1))
     }
 
-    /// These votes and those of `other` views together.
+    /// The votes on Gaussian `index`.
+    pub(in crate::objects) fn row(&self, index: usize) -> &[f32] {
+        &self.table[index * self.classes..][..self.classes]
+    }
+
+    /// The votes of four parts of the views together.
     ///
     /// # Panics
-    /// If the votes are of another number of Gaussians or classes.
+    /// If they are of other numbers of Gaussians or classes.
     #[must_use]
-    pub fn plus(&self, other: &Self) -> Self {
-        assert_eq!(
-            (self.table.len(), self.classes),
-            (other.table.len(), other.classes),
-            "votes of the same Gaussians for the same classes"
-        );
-        let pairs = self.table.iter().zip(&other.table);
+    pub fn of_all([a, b, c, d]: [&Self; 4]) -> Self {
+        for other in [b, c, d] {
+            assert_eq!(
+                (a.table.len(), a.classes),
+                (other.table.len(), other.classes),
+                "votes of the same Gaussians for the same classes"
+            );
+        }
+        let first = a.table.iter().zip(&b.table).map(|(a, b)| a + b);
+        let second = c.table.iter().zip(&d.table).map(|(c, d)| c + d);
         Self {
-            table: pairs.map(|(a, b)| a + b).collect(),
-            classes: self.classes,
+            table: first.zip(second).map(|(a, b)| a + b).collect(),
+            classes: a.classes,
         }
     }
 
