@@ -65,7 +65,7 @@ pub struct LabelArgs {
 pub struct SegmenterArgs {
     /// How the network reads photos: a TOML or a shipped contract [default: the model's name]
     #[arg(long, value_name = "FILE|NAME")]
-    contract: Option<String>,
+    pub contract: Option<String>,
     /// The classes of the labels, a TOML [default: those of the network that occur]
     #[arg(long, value_name = "FILE.toml")]
     classes: Option<PathBuf>,

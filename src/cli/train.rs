@@ -5,7 +5,7 @@ use super::label::{BEST, SegmenterArgs};
 use super::progress::Bars;
 use super::{BackendArgs, Settings, interrupt, or_usage_error, terminal};
 use clap::Args;
-use coseg::config::Config;
+use coseg::config::{Config, FeatureSource};
 use coseg::data::LoadOptions;
 use coseg::error::{Error, Result, bail, ensure};
 use coseg::files::own;
@@ -202,6 +202,16 @@ impl TrainArgs {
         self.labelling.label(scene, model, BEST, &labels)?;
         let labels = labels.canonicalize().unwrap_or(labels);
         config.data.raw_labels = labels.display().to_string();
+        let features = &mut config.features;
+        let is_same = features
+            .weights
+            .as_ref()
+            .is_some_and(|file| file.canonicalize().ok() == model.canonicalize().ok());
+        if matches!(features.source, FeatureSource::Segmenter(_)) && is_same {
+            let contract = self.labelling.contract.clone();
+            features.contract = features.contract.take().or(contract);
+            *config = config.clone().with_absolute_paths()?;
+        }
         Ok(())
     }
 

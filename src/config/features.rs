@@ -41,6 +41,9 @@ pub struct FeatureConfig {
     /// Weights of the extractor.
     #[serde(deserialize_with = "super::optional_path")]
     pub weights: Option<PathBuf>,
+    /// Contract of the segmenter in `weights`: a file, or the name of a shipped one. Absent: as `coseg label` finds it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub contract: Option<String>,
     /// Dimensions kept by PCA, per scale, 1 to 4096.
     #[default(64)]
     pub dimensions: usize,

@@ -99,6 +99,12 @@ impl Config {
         for path in self.paths() {
             *path = files::absolute(path)?;
         }
+        // It may be the name of a shipped contract.
+        if let Some(contract) = &mut self.features.contract
+            && Path::new(contract).is_file()
+        {
+            *contract = files::absolute(Path::new(contract))?.display().to_string();
+        }
         Ok(self)
     }
 
@@ -166,6 +172,7 @@ mod tests {
         full.segmentation.rows = Some(Variant::COMPARED.to_vec());
         full.data.dir = Some(path());
         full.features.weights = Some(path());
+        full.features.contract = Some("name".to_owned());
         full.features.cache_dir = Some(path());
         let mut other = full.clone();
         other.features.source = FeatureSource::Import(path());

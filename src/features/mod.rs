@@ -100,7 +100,7 @@ impl Extractor {
             }
             FeatureSource::Segmenter(tensor) => {
                 let path = weights("segmenter")?;
-                let tap = Tap::load(path, tensor)?;
+                let tap = Tap::load(path, config.contract.as_deref(), tensor)?;
                 let name = format!("segmenter {}, {tensor}", path.display());
                 let key = format!("{} {} {tensor}", segmenter::VERSION, tap.digest());
                 (name, Some(key), Source::Segmenter(Box::new(tap)))

@@ -19,13 +19,13 @@ pub struct Tap {
 }
 
 impl Tap {
-    /// The tensor of this name within the network in `file`, whose contract lies beside it or is shipped under its name.
+    /// The tensor of this name within the network in `file`. [`Contract::find`] tells what `contract` may be.
     ///
     /// # Errors
     /// As [`Contract::find`] and [`Network::load`]; [`crate::Error::Input`] for a name that the network does not have, listing
     /// the nearest ones, and for a tensor that is not a map.
-    pub fn load(file: &Path, tensor: &str) -> Result<Self> {
-        let contract = Contract::find(file, None)?;
+    pub fn load(file: &Path, contract: Option<&str>, tensor: &str) -> Result<Self> {
+        let contract = Contract::find(file, contract)?;
         let network = Network::open(file, contract, Some(tensor))?;
         Ok(Self { network })
     }

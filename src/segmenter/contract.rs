@@ -337,7 +337,7 @@ fn without_contract(model: &Path, stem: &str) -> Error {
         return invalid!(argument "--model"; found "{found}"; expected "a network as .onnx file"; help "export it to ONNX");
     }
     let shipped = nearest_first(stem, Contract::names()).join(", ");
-    invalid!(argument "--model"; found "{found}, which has no contract"; expected "{stem}.toml beside it, or --contract";
+    invalid!(argument "--model"; found "{found}, which has no contract"; expected "{stem}.toml beside it, or --contract (features.contract for its features)";
         help "a contract says how a network reads photos (docs/data.md); `coseg` has {shipped}")
 }
 

@@ -72,16 +72,24 @@ pub fn label_scene(job: &Job<'_>, progress: &mut dyn Progress) -> Result<Labelle
         Some(user) => Mapping::of_user(contract, user, scene)?,
         None => Mapping::all(contract),
     };
-    let mut index = Index::open(job.out)?;
-    index.made_from(&[
+    let recipe = format!(
+        "{VERSION}\n{}\n{contract:?}\n{}\n{}\n",
+        job.network.digest,
+        mapping.text(),
+        job.best
+    );
+    let classes_file = job.classes.map(|user| user.file.display().to_string());
+    let parts = [
         ("model", job.network.file.display().to_string()),
         ("contract", contract.file.display().to_string()),
-        (
-            "classes",
-            job.classes
-                .map_or_else(String::new, |user| user.file.display().to_string()),
-        ),
-    ]);
+        ("classes", classes_file.unwrap_or_default()),
+    ];
+    let meaning = format!("{}\n{}", mapping.text(), mapping.classes.text());
+    let meaning = index::digest(meaning.as_bytes());
+    let mut index = Index::open(job.out)?;
+    let views = listing.frames.iter().map(|frame| frame.name.as_str());
+    index.check_classes(&meaning, views)?;
+    index.made_from(&parts);
     // Written before the maps: without this file, loading would have to guess their geometry.
     index.write(&[(
         MapGeometry::FILE.to_owned(),
@@ -90,12 +98,8 @@ pub fn label_scene(job: &Job<'_>, progress: &mut dyn Progress) -> Result<Labelle
     let work = Work {
         job,
         listing: &listing,
-        recipe: format!(
-            "{VERSION}\n{}\n{contract:?}\n{}\n{}\n",
-            job.network.digest,
-            mapping.text(),
-            job.best
-        ),
+        recipe,
+        meaning,
         mapping: &mapping,
         index: Mutex::new(index),
     };
@@ -132,6 +136,8 @@ struct Work<'a> {
     mapping: &'a Mapping,
     /// Everything that labels follow from, except the photo.
     recipe: String,
+    /// Digest of what ids mean.
+    meaning: String,
     index: Mutex<Index>,
 }
 
@@ -187,7 +193,8 @@ impl Work<'_> {
             (names[1].clone(), scores.encode(path)?),
         ];
         let ids: BTreeSet<u16> = map.ids.iter().copied().collect();
-        self.index().add(&frame.name, key, ids, &files)?;
+        self.index()
+            .add(&frame.name, [key, self.meaning.clone()], ids, &files)?;
         Ok(false)
     }
 

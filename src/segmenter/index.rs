@@ -35,6 +35,9 @@ struct Content {
 struct Entry {
     /// SHA-256 of all that its labels follow from.
     key: String,
+    /// SHA-256 of what ids mean; empty where an older program wrote the file.
+    #[serde(default)]
+    classes: String,
     /// Ids in its label map.
     ids: BTreeSet<u16>,
 }
@@ -68,6 +71,26 @@ impl Index {
     pub fn made_from(&mut self, parts: &[(&str, String)]) {
         let owned = |(name, text): &(&str, String)| ((*name).to_owned(), text.clone());
         self.content.made_from = parts.iter().map(owned).collect();
+    }
+
+    /// Refuses labels of other photos than `views` whose ids do not mean `classes`, a digest.
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`] naming one of these photos.
+    pub fn check_classes<'a>(
+        &self,
+        classes: &str,
+        views: impl Iterator<Item = &'a str>,
+    ) -> Result<()> {
+        let views: BTreeSet<&str> = views.collect();
+        let mut photos = self.content.photos.iter();
+        let other =
+            photos.find(|(view, entry)| !views.contains(view.as_str()) && entry.classes != classes);
+        if let Some((view, _)) = other {
+            bail!(self.folder.join(FILE), "photos"; found "labels of {view}, which is not among the photos to label, in other classes";
+                expected "labels in one set of classes"; help "name a new folder, or label all photos");
+        }
+        Ok(())
     }
 
     /// Whether the labels of a photo are there and follow from what has the digest `key`.
@@ -121,20 +144,19 @@ impl Index {
             .try_for_each(|(name, bytes)| atomic::write_bytes(self.folder.join(name), bytes))
     }
 
-    /// Writes the labels of a photo and notes them.
+    /// Writes the labels of a photo and notes them, with the digests of all that they follow from and of what ids mean.
     ///
     /// # Errors
     /// As [`Index::write`].
     pub fn add(
         &mut self,
         view: &str,
-        key: String,
+        [key, classes]: [String; 2],
         ids: BTreeSet<u16>,
         files: &[(String, Vec<u8>)],
     ) -> Result<()> {
-        self.content
-            .photos
-            .insert(view.to_owned(), Entry { key, ids });
+        let entry = Entry { key, classes, ids };
+        self.content.photos.insert(view.to_owned(), entry);
         self.write(files)
     }
 

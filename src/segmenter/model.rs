@@ -44,7 +44,8 @@ impl fmt::Debug for Network {
 impl Network {
     /// Reads the ONNX file and prepares the network for the input of `contract`.
     ///
-    /// # Errors [`Error::Io`]; [`Error::Input`] naming tensor or operator, where the file is cut off or not ONNX, weights lie in
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Input`] naming tensor or operator, where the file is cut off or not ONNX, weights lie in
     /// other files or do not fill their shapes, an operator is not implemented, or inputs and outputs differ from the contract in
     /// name, type or shape; [`Error::Limit`] for tensors of more than 4 GB.
     pub fn load(file: &Path, contract: Contract) -> Result<Self> {

@@ -264,6 +264,7 @@ fn extraction_reduces_the_maps_and_names_the_file() {
     let cached = Some(dir.path().join("cache"));
     let config = FeatureConfig {
         source: FeatureSource::Dino,
+        contract: None,
         weights: Some(path.clone()),
         dimensions: 16,
         scales: None,

@@ -27,7 +27,7 @@ fn a_tensor_of_the_network_lies_over_the_photo() {
             Rgb([0, 0, 255])
         }
     });
-    let map = Tap::load(&file, "logits")
+    let map = Tap::load(&file, None, "logits")
         .expect("tap")
         .map(&photo)
         .expect("map");
@@ -46,7 +46,7 @@ fn a_tensor_of_the_network_lies_over_the_photo() {
         "{blue:?}"
     );
     // Features of another contract are others: a cache must not mix them.
-    let digest = || Tap::load(&file, "logits").expect("tap").digest();
+    let digest = || Tap::load(&file, None, "logits").expect("tap").digest();
     let before = digest();
     assert_eq!(before, digest());
     let contract = file.with_extension("toml");
@@ -54,7 +54,7 @@ fn a_tensor_of_the_network_lies_over_the_photo() {
     assert!(text.contains("mean = ["), "{text}");
     std::fs::write(&contract, text.replace("mean = [", "mean = [1")).expect("written");
     assert_ne!(before, digest());
-    let error = Tap::load(&file, "logit").expect_err("no such tensor");
+    let error = Tap::load(&file, None, "logit").expect_err("no such tensor");
     assert_names(&error, &["net.onnx", "\"logit\"", "such as logits"]);
 }
 
@@ -66,7 +66,7 @@ fn the_decoder_of_the_real_network_is_a_map() {
     };
     let photo = RgbImage::from_pixel(48, 36, Rgb([90, 120, 60]));
     let tensor = "decoder.conv1.point.relu";
-    let map = Tap::load(&file, tensor)
+    let map = Tap::load(&file, None, tensor)
         .expect("tap")
         .map(&photo)
         .expect("map");

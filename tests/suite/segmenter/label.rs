@@ -188,6 +188,80 @@ fn what_the_command_did_not_write_is_refused() {
 }
 
 #[test]
+fn labels_of_other_photos_from_other_classes_are_refused() {
+    let (folder, dir, model) = plates();
+    let out = folder.path().join("labels");
+    let mine = classes(folder.path());
+    let all = [
+        "label",
+        "--data",
+        utf8(&dir),
+        "--model",
+        utf8(&model),
+        "--out",
+        utf8(&out),
+    ];
+    let own_classes = [&all[..], &["--classes", utf8(&mine)]].concat();
+    succeeds(&own_classes);
+    let two = ["--set", "data.max_frames=1"];
+    succeeds(&[&own_classes[..], &two].concat());
+    let maps = || ["v0.png", "v5.png", "classes.json"].map(|name| std::fs::read(out.join(name)));
+    let before = maps().map(|file| file.expect("a file"));
+    let message = fails(&[&all[..], &two].concat(), 1);
+    for part in [
+        "label.json",
+        "not among the photos",
+        "other classes",
+        "new folder",
+    ] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    assert!(maps().map(|file| file.expect("a file")) == before);
+    // All photos get the other classes.
+    succeeds(&all);
+}
+
+#[test]
+fn features_of_the_segmenter_are_read_by_the_contract_of_its_labels() {
+    let (folder, dir, model) = plates();
+    // Neither beside the network nor shipped under its name.
+    let contract = folder.path().join("elsewhere.toml");
+    std::fs::rename(model.with_extension("toml"), &contract).expect("rename");
+    let run = folder.path().join("run");
+    let ply = dir.join("plates.ply");
+    let weights = format!("features.weights={}", utf8(&model));
+    let mine = classes(folder.path());
+    succeeds(&[
+        "train",
+        "--data",
+        utf8(&dir),
+        "--scene",
+        utf8(&ply),
+        "--segmenter",
+        utf8(&model),
+        "--contract",
+        utf8(&contract),
+        "--classes",
+        utf8(&mine),
+        "--set",
+        "features.source.segmenter=logits",
+        "--set",
+        &weights,
+        "--set",
+        "segmentation.iterations=4",
+        "--set",
+        "segmentation.rows=[\"ours\"]",
+        "--backend",
+        "ndarray",
+        "--out",
+        utf8(&run),
+    ]);
+    let config = std::fs::read_to_string(run.join("config.toml")).expect("config");
+    assert!(config.contains("elsewhere.toml"), "{config}");
+    succeeds(&["train", "--resume", utf8(&run)]);
+}
+
+#[test]
 fn train_labels_the_photos_first_and_a_resumed_run_refuses_other_scores() {
     let (folder, dir, model) = plates();
     let mine = classes(folder.path());
