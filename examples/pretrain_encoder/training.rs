@@ -15,7 +15,7 @@ use coseg::segmentation::loss::{CoSegLoss, LabelLoss};
 use coseg::segmentation::pixels::NO_CLASS;
 use coseg::segmentation::pyramid::{Level, Pyramid, Switches};
 use coseg::segmentation::randla::RandlaEncoder;
-use coseg::segmentation::sampling::Hierarchy;
+use coseg::segmentation::sampling::{Hierarchy, LAYERS};
 use coseg::weights::WeightFile;
 use glam::DVec3;
 use rand::seq::{SliceRandom, index};
@@ -160,7 +160,7 @@ fn student_loss(
         scale: 1.0,
     }
     .oriented()?;
-    let hierarchy = Hierarchy::build(&positions, rng.random())?;
+    let hierarchy = Hierarchy::build(&positions, LAYERS, rng.random())?;
     let flat = positions.as_flattened().to_vec();
     let input = Tensor::from_data(TensorData::new(flat, [positions.len(), 3]), device);
     let (features, top) = student.encoder.encode_levels(input, &hierarchy, false);

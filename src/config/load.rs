@@ -154,7 +154,7 @@ fn in_file(error: Error, values: &[Assignment<'_>]) -> Error {
 mod tests {
     use super::*;
     use crate::config::assignment::{flatten, table_of};
-    use crate::config::{FeatureSource, LabelLoss, SpatialSource, Variant};
+    use crate::config::{FeatureSource, LabelLoss, Prior, SpatialSource, Variant};
     use std::path::PathBuf;
     use toml::{Table, Value};
 
@@ -167,6 +167,8 @@ mod tests {
         full.building.batch = Some(2);
         full.segmentation.batch = Some(2);
         full.segmentation.prior_exponent = Some(0.5);
+        full.segmentation.prior = Some(Prior::Votes);
+        full.segmentation.loss = Some(LabelLoss::GCE);
         full.segmentation.pixel_share = Some(0.5);
         full.segmentation.fine_tune = Some(true);
         full.segmentation.rows = Some(Variant::COMPARED.to_vec());
@@ -177,7 +179,7 @@ mod tests {
         let mut other = full.clone();
         other.features.source = FeatureSource::Import(path());
         other.spatial.source = SpatialSource::Pretrained(path());
-        other.segmentation.loss = LabelLoss::Js { pi_rl: 0.9 };
+        other.segmentation.loss = Some(LabelLoss::Js { pi_rl: 0.9 });
         let mut union = Table::new();
         for config in [full, other] {
             merge(&mut union, table_of(&config));

@@ -40,8 +40,8 @@ impl Config {
                 config.spatial.encode = Encode::View;
                 config.segmentation.iterations = 6_000;
                 config.segmentation.blend = Blend::Logits;
-                config.segmentation.prior = Prior::None;
-                config.segmentation.loss = LabelLoss::Js { pi_rl: 0.9 };
+                config.segmentation.prior = Some(Prior::None);
+                config.segmentation.loss = Some(LabelLoss::Js { pi_rl: 0.9 });
                 config.segmentation.reduction = Reduction::Sum;
                 config.segmentation.warmup = 0.0;
                 config.segmentation.average = false;

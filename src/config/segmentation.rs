@@ -18,10 +18,6 @@ pub const LAMBDA_PIX: f64 = 0.8;
 pub enum LabelLoss {
     /// Cross-entropy.
     Ce,
-    /// Half the absolute error, 1 - p of the label.
-    Mae,
-    /// Normalised cross-entropy and reverse cross-entropy, added with equal weights (Ma et al. 2020).
-    NceRce,
     /// Jensen-Shannon with a one-hot label (Eq. 8): the paper.
     Js {
         /// Weight of the raw label, in (0, 1).
@@ -38,8 +34,6 @@ pub enum LabelLoss {
         #[serde(default = "default_least_recall")]
         least_recall: f64,
     },
-    /// Generalised Jensen-Shannon of the label and two predictions under dropout (Englesson and Azizpour 2021).
-    Gjs,
 }
 
 fn default_pi_rl() -> f64 {
@@ -64,7 +58,7 @@ impl LabelLoss {
     /// Checks the ranges of the payload.
     pub(crate) fn check(&self) -> Result<()> {
         match *self {
-            Self::Ce | Self::Mae | Self::NceRce | Self::Gjs => Ok(()),
+            Self::Ce => Ok(()),
             Self::Js { pi_rl } => Range::OpenUnit.check("segmentation.loss.js.pi_rl", pi_rl),
             Self::Gce {
                 exponent,
@@ -151,17 +145,20 @@ pub struct SegmentationConfig {
     #[default(Blend::Probabilities)]
     pub blend: Blend,
     /// What the decoder's scores are added to; all but `none` need `blend = "probabilities"`.
-    #[default(Prior::Pooled)]
-    pub prior: Prior,
+    /// Absent: see [`SegmentationConfig::prior`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub prior: Option<Prior>,
     /// Exponent of the class frequencies that pooled votes are divided by, 0 to 1. Absent: it follows from the votes.
     pub prior_exponent: Option<f64>,
     /// Whether every Gaussian fine-tunes what the decoder gave it by the raw labels in its pixels. Absent: where the prior is pooled,
     /// unless errors of the raw labels repeat and prefer frequent classes. Never without a prior.
     pub fine_tune: Option<bool>,
-    /// Loss of the variant `ours`.
-    #[serde(deserialize_with = "super::by_name")]
-    #[default(LabelLoss::GCE)]
-    pub loss: LabelLoss,
+    /// Loss of the variant `ours`. Absent: see [`SegmentationConfig::loss`].
+    #[serde(
+        deserialize_with = "super::by_name",
+        skip_serializing_if = "Option::is_none"
+    )]
+    pub loss: Option<LabelLoss>,
     /// Weight of the 3D regularisation (Eq. 9) beside that of the label loss, [`LAMBDA_PIX`].
     #[default(0.2)]
     pub lambda_reg: f64,
@@ -208,6 +205,18 @@ impl SegmentationConfig {
         self.rows.as_deref().unwrap_or(&Variant::COMPARED)
     }
 
+    /// `loss`, or generalised cross-entropy, which withstands errors of a network. A run on labels made by hand sets
+    /// cross-entropy where it is absent.
+    pub fn loss(&self) -> LabelLoss {
+        self.loss.unwrap_or(LabelLoss::GCE)
+    }
+
+    /// `prior`, or pooled votes, which correct errors of a network. A run on labels made by hand sets [`Prior::Votes`] where it is
+    /// absent.
+    pub fn prior(&self) -> Prior {
+        self.prior.unwrap_or(Prior::Pooled)
+    }
+
     /// `batch`, or what its absence stands for.
     pub fn batch(&self) -> usize {
         self.batch.unwrap_or(1)
@@ -222,7 +231,7 @@ impl SegmentationConfig {
             warmup: Unit,
             min_coverage: Unit,
         });
-        self.loss.check()?;
+        self.loss().check()?;
         let rows = self.rows();
         if let Some(row) = (1..rows.len()).find(|&i| rows[..i].contains(&rows[i])) {
             bail!(setting "segmentation.rows"; found "{} twice", rows[row]; expected "each variant once";
@@ -234,8 +243,8 @@ impl SegmentationConfig {
         if let Some(exponent) = self.prior_exponent {
             Range::Unit.check("segmentation.prior_exponent", exponent)?;
         }
-        ensure!(self.prior == Prior::None || self.blend != Blend::Logits,
-            setting "segmentation.prior"; found "{}", self.prior; expected "none where logits are blended";
+        ensure!(self.prior() == Prior::None || self.blend != Blend::Logits,
+            setting "segmentation.prior"; found "{}", self.prior(); expected "none where logits are blended";
             help "set segmentation.blend = \"probabilities\", or segmentation.prior = \"none\"");
         Ok(())
     }

@@ -20,8 +20,6 @@ pub enum Variant {
     Distilled,
     /// The losses of Panoptic Lifting (Siddiqui et al. 2023) on classes of Gaussians.
     PanopticLifting,
-    /// The decoder with CE.
-    OursCe,
     /// The decoder with [`SegmentationConfig::loss`](super::SegmentationConfig::loss).
     Ours,
     /// `Ours` with a free score for each Gaussian and class in place of the decoder.
@@ -30,8 +28,6 @@ pub enum Variant {
     NoImageFeatures,
     /// `Ours` without spatial features.
     NoSpatial,
-    /// `Ours` with a random point encoder.
-    RandomSpatial,
 }
 
 impl std::fmt::Display for Variant {
@@ -42,12 +38,11 @@ impl std::fmt::Display for Variant {
 
 impl Variant {
     /// The variants compared by default.
-    pub const COMPARED: [Self; 6] = [
+    pub const COMPARED: [Self; 5] = [
         Self::Raw,
         Self::Vote,
         Self::PooledVote,
         Self::PerGaussian,
-        Self::OursCe,
         Self::Ours,
     ];
     /// The default where no held-out view has a truth to score by.
@@ -55,19 +50,12 @@ impl Variant {
 
     /// Whether the variant trains the decoder.
     pub fn trains_decoder(self) -> bool {
-        matches!(
-            self,
-            Self::OursCe
-                | Self::Ours
-                | Self::NoImageFeatures
-                | Self::NoSpatial
-                | Self::RandomSpatial
-        )
+        matches!(self, Self::Ours | Self::NoImageFeatures | Self::NoSpatial)
     }
 
     /// Whether the variant learns with [`SegmentationConfig::loss`](super::SegmentationConfig::loss), as `Ours` does.
     pub fn uses_configured_loss(self) -> bool {
-        self == Self::NoDecoder || (self.trains_decoder() && self != Self::OursCe)
+        self == Self::NoDecoder || self.trains_decoder()
     }
 
     /// Whether the variant reads 2D image features.
@@ -99,12 +87,10 @@ impl Variant {
             Self::Grouping => ["grouping", "Gaussian Grouping"],
             Self::Distilled => ["distilled", "Feature 3DGS"],
             Self::PanopticLifting => ["panoptic_lifting", "Panoptic Lifting"],
-            Self::OursCe => ["ours_ce", "ours, CE"],
             Self::Ours => ["ours", "ours"],
             Self::NoDecoder => ["no_decoder", "ours without the decoder"],
             Self::NoImageFeatures => ["no_image_features", "ours without image features"],
             Self::NoSpatial => ["no_spatial", "ours without spatial features"],
-            Self::RandomSpatial => ["random_spatial", "ours, random encoder"],
         }
     }
 }

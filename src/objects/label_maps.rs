@@ -129,6 +129,7 @@ fn largest_scores(
     let parts = vec![index.reshape([pixels]), transmittance.reshape([pixels])];
     let mut index = read("a label map", Tensor::<1>::cat(parts, 0))?;
     let transmittance = index.split_off(pixels);
-    let class = |index: f32| (index >= 0.0).then_some(index as u16);
-    Ok((index.into_iter().map(class).collect(), transmittance))
+    let class = |(index, &t): (f32, &f32)| (index >= 0.0 && t < 1.0).then_some(index as u16);
+    let classes = index.into_iter().zip(&transmittance).map(class).collect();
+    Ok((classes, transmittance))
 }

@@ -3,7 +3,7 @@
 use super::segmentation_inputs::SegmentationInputs;
 use super::train_decoder::{DecoderInput, Encoded};
 use crate::backend::device::upload;
-use crate::config::{Config, Encode, SpatialConfig, SpatialSource, Variant};
+use crate::config::{Encode, Variant};
 use crate::data::Split;
 use crate::error::{Result, bail};
 use crate::raster::Projected;
@@ -29,14 +29,16 @@ struct EncodedView {
     encoding: Encoding,
 }
 
-/// Encodes the Gaussians of `inputs` by the weights that `spatial` names.
+/// Encodes the Gaussians of `inputs` at the scales that the decoder reads.
 ///
 /// # Errors
 /// Those of the encoder's weights and of [`encoder::encode`].
-pub fn encode(inputs: &SegmentationInputs, spatial: &SpatialConfig) -> Result<Encodings> {
+pub fn encode(inputs: &SegmentationInputs) -> Result<Encodings> {
+    let spatial = &inputs.config.spatial;
     let gaussians = inputs.gaussians;
     let seed = inputs.config.seed;
     let (encoder, weights) = load_spatial(spatial, seed, inputs.device)?;
+    let encoder = encoder.first_blocks(inputs.config.features.scale_count());
     let train = inputs.scene.split(Split::Train).collect::<Vec<_>>();
     let (_, extent) = spread(train.iter().map(|view| view.camera.center));
     let scale = metres_per_unit(spatial.scale, inputs.scene.unit, extent)?;
@@ -71,15 +73,6 @@ pub fn encode(inputs: &SegmentationInputs, spatial: &SpatialConfig) -> Result<En
         scene: encoded(&gaussians.means, &colors)?,
         views,
     })
-}
-
-/// The weights of the point encoder that `variant` uses.
-pub fn spatial_of(variant: Variant, config: &Config) -> SpatialConfig {
-    let mut spatial = config.spatial.clone();
-    if variant == Variant::RandomSpatial {
-        spatial.source = SpatialSource::Random;
-    }
-    spatial
 }
 
 impl Encodings {

@@ -58,7 +58,7 @@ impl<'a> LabelEvidence<'a> {
 
     /// What decoders start from. Votes for objects of association are not pooled: two of them may share a superpoint.
     pub fn prior_kind(&self) -> Prior {
-        match self.inputs.config.segmentation.prior {
+        match self.inputs.config.segmentation.prior() {
             Prior::Pooled if self.has_objects() => Prior::Votes,
             prior => prior,
         }

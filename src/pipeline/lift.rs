@@ -212,9 +212,16 @@ fn count(
     progress: &mut dyn Progress,
 ) -> Result<Vec<u32>> {
     let settings = &Settings::from(&config.raster);
-    let viewing = Viewing::begin(progress, "attendance", 1);
-    let views = ranks::share(scene.split(Split::Train));
-    let keep = attended(gaussians, views, &config.unprojection, settings, device)?;
+    let views = || ranks::share(scene.split(Split::Train));
+    let mut viewing = Viewing::begin(progress, "attendance", views().count());
+    let keep = attended(
+        gaussians,
+        views(),
+        &config.unprojection,
+        settings,
+        device,
+        &mut || viewing.advance(1),
+    )?;
     viewing.end();
     Ok(rows_where(keep, |keep| keep))
 }

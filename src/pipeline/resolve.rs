@@ -31,8 +31,8 @@ pub(super) fn resolved(config: &Config, scene: &Scene, has_corrections: bool) ->
 /// If at most this share of the training photos has labels, they count as made by hand: a network labels all photos.
 const MAX_HAND_LABELLED: f64 = 0.25;
 
-/// Decides who made the labels. Where a person did, cross-entropy and the votes of each Gaussian take the place of the default loss
-/// and of the pooled votes, which withstand and correct errors that such labels do not have.
+/// Decides who made the labels. Where a person did, the loss and the prior that the settings leave open are cross-entropy and the votes
+/// of each Gaussian: those for labels of a network withstand and correct errors that such labels do not have.
 fn trust_labels(config: &mut Config, scene: &Scene) {
     if config.data.labels_by == LabelsBy::Auto {
         let views = || scene.split(Split::Train);
@@ -48,20 +48,19 @@ fn trust_labels(config: &mut Config, scene: &Scene) {
     if config.data.labels_by == LabelsBy::Hand {
         trust(config);
     }
+    let segmentation = &mut config.segmentation;
+    segmentation.loss = Some(segmentation.loss());
+    segmentation.prior = Some(segmentation.prior());
 }
 
 /// Trains on labels that a person made.
 fn trust(config: &mut Config) {
-    if config.segmentation.loss == LabelLoss::GCE {
-        config.segmentation.loss = LabelLoss::Ce;
-    }
-    if config.segmentation.prior == Prior::Pooled {
-        config.segmentation.prior = Prior::Votes;
-    }
+    config.segmentation.loss.get_or_insert(LabelLoss::Ce);
+    config.segmentation.prior.get_or_insert(Prior::Votes);
     tracing::info!(
-        "labels made by hand are trusted: `ours` is trained under {:?} from the prior {:?} (data.labels_by)",
-        config.segmentation.loss,
-        config.segmentation.prior
+        "labels made by hand: `ours` is trained under {:?} from the prior {:?} (data.labels_by)",
+        config.segmentation.loss(),
+        config.segmentation.prior()
     );
 }
 
@@ -92,8 +91,8 @@ mod tests {
         let resolved = resolved(&config, scene, false);
         (
             resolved.data.labels_by,
-            resolved.segmentation.loss,
-            resolved.segmentation.prior,
+            resolved.segmentation.loss(),
+            resolved.segmentation.prior(),
         )
     }
 
@@ -113,11 +112,16 @@ mod tests {
             network
         );
         // What the user chose stays.
-        let chosen = decided(&drawn, |c| {
-            c.segmentation.loss = LabelLoss::Mae;
-            c.segmentation.prior = Prior::None;
-        });
-        assert_eq!(chosen, (LabelsBy::Hand, LabelLoss::Mae, Prior::None));
+        for (loss, prior) in [
+            (LabelLoss::Js { pi_rl: 0.9 }, Prior::None),
+            (LabelLoss::GCE, Prior::Pooled),
+        ] {
+            let chosen = decided(&drawn, |c| {
+                c.segmentation.loss = Some(loss);
+                c.segmentation.prior = Some(prior);
+            });
+            assert_eq!(chosen, (LabelsBy::Hand, loss, prior));
+        }
         // Nothing is decided without labels.
         assert_eq!(decided(&scene(0), |_| ()).0, LabelsBy::Auto);
     }

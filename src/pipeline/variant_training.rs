@@ -13,9 +13,6 @@ use crate::segmentation::encoder::spatial_digest;
 use crate::segmentation::loss::LabelLoss;
 use std::path::Path;
 
-/// Share of the frozen channels that each of the two predictions of `loss = "gjs"` drops.
-const GJS_DROPOUT: f64 = 0.2;
-
 /// How `variant` is trained.
 pub(super) fn plan(variant: Variant, inputs: &SegmentationInputs) -> Result<TrainingPlan> {
     let config = &inputs.config.segmentation;
@@ -76,7 +73,7 @@ fn provenance(variant: Variant, inputs: &SegmentationInputs) -> Result<Provenanc
         provenance = provenance.with_image_features(&lifted.content);
     }
     if decoder
-        && !matches!(variant, Variant::NoSpatial | Variant::RandomSpatial)
+        && variant != Variant::NoSpatial
         && let Some(weights) = spatial_digest(&inputs.config.spatial)?
     {
         provenance = provenance.with_point_encoder(&weights);
@@ -84,10 +81,9 @@ fn provenance(variant: Variant, inputs: &SegmentationInputs) -> Result<Provenanc
     Ok(provenance)
 }
 
-/// The decoder of `variant` before its first step, over the frozen `input`. Its scores are added to `prior`, `[N, C]`. Where its
+/// A decoder before its first step, over the frozen `input`. Its scores are added to `prior`, `[N, C]`. Where its
 /// parameters are averaged, that begins after the share `segmentation.warmup` of the iterations of `plan`.
 pub fn decoder_training<'a>(
-    variant: Variant,
     plan: &TrainingPlan,
     input: &'a DecoderInput,
     prior: Option<Vec<f32>>,
@@ -103,9 +99,8 @@ pub fn decoder_training<'a>(
         .init(&device);
     let decoder_plan = DecoderPlan {
         config,
-        regularised: variant != Variant::OursCe && config.lambda_reg > 0.0,
+        regularised: config.lambda_reg > 0.0,
         size: [inputs.gaussians.len(), classes],
-        dropout: matches!(plan.loss, LabelLoss::Gjs { .. }).then_some(GJS_DROPOUT),
         seed,
     };
     let means = &inputs.gaussians.means;

@@ -1,6 +1,6 @@
 //! The variants of the label table: what each is, and its training and scoring.
 
-use super::encode::{Encodings, encode, spatial_of};
+use super::encode::{Encodings, encode};
 use super::evaluate::{FieldScores, HeldOut, HeldOutScores};
 use super::fine_tuning::fine_tuning;
 use super::label_evidence::{LabelEvidence, VOTE_FLOOR, once};
@@ -12,7 +12,7 @@ use super::train_decoder::{
 };
 use super::variant_outcome::VariantOutcome;
 use super::variant_training::{average_from, decoder_training, plan, schedule};
-use crate::config::{Blend, Prior, SpatialConfig, Variant};
+use crate::config::{Blend, Prior, Variant};
 use crate::error::Result;
 use crate::objects::{Identities, smoothed};
 use crate::progress::{Event, Progress, go_on};
@@ -86,7 +86,10 @@ pub fn train_variants(
     }
     Ok(TrainedVariants {
         rows,
-        spatial: stage.spatial,
+        spatial: stage
+            .encodings
+            .take()
+            .map_or_else(String::new, |e| e.weights),
     })
 }
 
@@ -99,10 +102,8 @@ struct StageTwo<'a> {
     views: TrainingViews<'a>,
     held_out: HeldOut<'a>,
     evidence: LabelEvidence<'a>,
-    /// The last encodings, and the weights that they were made with.
-    encodings: Option<(SpatialConfig, Encodings)>,
-    /// Name of the encoder's weights; those of the random encoder only if there are no others.
-    spatial: String,
+    /// Spatial features of the Gaussians (Eq. 6), made once, where a decoder reads them.
+    encodings: OnceCell<Encodings>,
     /// Scores of the lifted features.
     lifted: OnceCell<Option<FieldScores>>,
 }
@@ -116,8 +117,7 @@ impl<'a> StageTwo<'a> {
             views: inputs.training_views(),
             held_out: HeldOut::new(inputs),
             evidence: LabelEvidence::new(inputs),
-            encodings: None,
-            spatial: String::new(),
+            encodings: OnceCell::new(),
             lifted: OnceCell::new(),
         }
     }
@@ -197,10 +197,11 @@ impl<'a> StageTwo<'a> {
     fn decoder(&mut self, variant: Variant, progress: &mut dyn Progress) -> Result<VariantOutcome> {
         let inputs = self.inputs;
         let plan = plan(variant, inputs)?;
-        let input = self.encodings(variant)?.decoder_input(variant, inputs)?;
+        let encodings = once(&self.encodings, || encode(inputs))?;
+        let input = encodings.decoder_input(variant, inputs)?;
         let prior = self.evidence.prior()?;
         self.use_labels_of_prior()?;
-        let training = decoder_training(variant, &plan, &input, prior, inputs);
+        let training = decoder_training(&plan, &input, prior, inputs);
         let schedule = schedule(variant, inputs, self.checkpoints)?;
         let mut outcome = self.trained(variant, training, &plan, &schedule, progress)?;
         if variant.reads_lifted_features() {
@@ -310,19 +311,6 @@ impl<'a> StageTwo<'a> {
         outcome.seconds += tuned.seconds;
         outcome.learnable_bytes += tuned.learnable_bytes;
         Ok(outcome)
-    }
-
-    /// The encodings of the Gaussians (Eq. 6) by the weights that `variant` uses.
-    fn encodings(&mut self, variant: Variant) -> Result<&Encodings> {
-        let spatial = spatial_of(variant, self.inputs.config);
-        let encodings = match self.encodings.take() {
-            Some((of, encodings)) if of == spatial => encodings,
-            _ => encode(self.inputs, &spatial)?,
-        };
-        if variant != Variant::RandomSpatial || self.spatial.is_empty() {
-            self.spatial.clone_from(&encodings.weights);
-        }
-        Ok(&self.encodings.insert((spatial, encodings)).1)
     }
 
     /// Runs `training` by `plan` and `schedule`, and scores the identities.

@@ -21,8 +21,6 @@ pub enum Purpose {
     Pixels = 5,
     /// Samples of the 3D regularisation; index = 4 iteration + scale.
     Regularisation = 6,
-    /// Channels that a prediction does without; index = 2 iteration + prediction.
-    Dropout = 8,
     /// Initial parameters of rivals; index 0.
     RivalParameters = 11,
     /// Cells that a PCA is fitted on; index = 4 * training view + scale.

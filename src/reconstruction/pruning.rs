@@ -107,7 +107,7 @@ impl PrunedScene {
         Ok(ascending(&order[left_out..]))
     }
 
-    /// Mean PSNR of `views` without the Gaussians `left_out`, dB.
+    /// Mean PSNR of `views` without the Gaussians `left_out`, dB. Views that their masks hide do not count; 0 if there are no others.
     ///
     /// # Errors
     /// As [`Self::prune`].
@@ -116,15 +116,17 @@ impl PrunedScene {
         let mut values = read("opacity logits", logits.clone())?;
         left_out.iter().for_each(|&i| values[i as usize] = LEFT_OUT);
         let logits = upload(values, logits.dims(), &logits.device());
-        let mut sum = 0.0;
+        let (mut sum, mut count) = (0.0, 0);
         for view in views {
             let image = self.image(view, logits.clone(), &self.settings)?;
             let image = read("image", image)?;
             let photo = view.rgb()?;
-            let score = masked_psnr(&image, &photo, view.mask.as_ref());
-            sum += score.unwrap_or(0.0);
+            if let Some(score) = masked_psnr(&image, &photo, view.mask.as_ref()) {
+                sum += score;
+                count += 1;
+            }
         }
-        Ok(sum / views.len().max(1) as f64)
+        Ok(sum / f64::from(count.max(1)))
     }
 
     fn image(&self, view: &View, logits: Tensor<1>, settings: &Settings) -> Result<Tensor<3>> {
@@ -170,6 +172,7 @@ mod tests {
     use crate::backend::device::{BackendName, device_of_tests};
     use crate::config::Config;
     use crate::data::builtin::{BuiltinOptions, scene_with};
+    use crate::data::mask::Mask;
     use crate::data::{Scene, Split};
     use crate::random::{Purpose, stream};
     use crate::reconstruction::initialization::initial_gaussians;
@@ -276,6 +279,25 @@ mod tests {
             let bound = 4.0 * (2.0 / DRAWS as f64).sqrt() * want + 1e-6;
             assert!((mean - want).abs() <= bound, "{i}: {mean} for {want}");
         }
+    }
+
+    #[test]
+    fn a_view_that_its_mask_hides_does_not_count() {
+        let mut photos = photos();
+        let of = |photos: &Scene, views: usize| {
+            let scene = gaussians(photos, &Device::ndarray());
+            let psnr = scene.psnr(&train(photos)[..views], &[]);
+            psnr.expect("rendered")
+        };
+        let first = of(&photos, 1);
+        assert_ne!(of(&photos, 2), first);
+        let second = photos
+            .views
+            .iter_mut()
+            .filter(|view| view.split == Split::Train);
+        let second = second.last().expect("two views");
+        second.mask = Some(Mask::new(48, 36, |_| false));
+        assert_eq!(of(&photos, 2), first);
     }
 
     #[test]

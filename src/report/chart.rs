@@ -38,7 +38,7 @@ pub(crate) const FONT: &str = "sans-serif";
 /// Ticks of an axis, about.
 pub(crate) const TICKS: usize = 6;
 /// Colours of the rows of a table, readable on light and on dark pages.
-const PALETTE: [[u8; 3]; 13] = [
+const PALETTE: [[u8; 3]; 11] = [
     [128, 131, 138],
     [194, 118, 26],
     [180, 148, 24],
@@ -46,12 +46,10 @@ const PALETTE: [[u8; 3]; 13] = [
     [86, 122, 64],
     [176, 96, 176],
     [96, 110, 160],
-    [27, 145, 168],
     [47, 125, 225],
     [181, 81, 122],
     [111, 145, 48],
     [156, 106, 56],
-    [207, 76, 63],
 ];
 /// A logarithmic axis spans this ratio or more.
 const MIN_RATIO: f64 = 3.0;

@@ -183,8 +183,8 @@ fn notes_of_labels(outcome: &Outcome, config: &Config) -> Vec<String> {
         let s = &config.segmentation;
         let steps = (s.warmup * s.iterations as f64).round();
         notes.push(format!(
-            "The rows called ours, except \"ours, CE\", learn with segmentation.loss = {}, after {steps} steps of cross-entropy.",
-            serde_json::json!(s.loss)
+            "The rows called ours learn with segmentation.loss = {}, after {steps} steps of cross-entropy.",
+            serde_json::json!(s.loss())
         ));
     }
     if let Some(a) = &outcome.association {

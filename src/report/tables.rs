@@ -267,7 +267,7 @@ pub(super) fn times(report: &Report<'_>) -> Markup {
         ("building", s.building, color(Variant::Ours)),
         ("2D features", s.features, color(Variant::Vote)),
         ("unprojection", s.unprojection, color(Variant::PerGaussian)),
-        ("segmentation", s.segmentation, color(Variant::OursCe)),
+        ("segmentation", s.segmentation, color(Variant::NoDecoder)),
         ("loading, scoring, writing", rest, color(Variant::Raw)),
     ];
     let share = |seconds: f64| 100.0 * seconds / s.total.max(1e-9);

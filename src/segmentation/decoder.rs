@@ -2,10 +2,9 @@
 //!
 //! Only its parameters are learned. Linear maps are applied before upsampling, on a quarter of the rows.
 
-use super::linear::{add_bias, bound, linear, product};
+use super::linear::{add_bias, bound, leaky_relu, linear, parameter, product};
 use super::pixels::constant;
 use super::pyramid::{Level, Pyramid};
-use super::randla::{leaky_relu, parameter};
 use crate::ops::sparse_apply;
 use crate::random::uniform;
 use burn::config::Config;

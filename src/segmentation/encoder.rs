@@ -79,15 +79,15 @@ pub struct EncodedLevel {
 /// Spatial features of a cloud from local to global (Eq. 6).
 #[derive(Clone, Debug)]
 pub struct Encoding {
-    /// Levels 1 to 4, `N / 4^(n-1)` points.
+    /// Levels from 1 on, one for each block of the encoder, `N / 4^(n-1)` points.
     pub levels: Vec<EncodedLevel>,
     /// The last sampled set and its features `f_e`.
     pub coarsest: EncodedLevel,
-    /// For n = 1 to 4, interpolation onto level n from level n + 1 (from the coarsest set for n = 4).
+    /// Interpolation onto each level n from level n + 1, and from the coarsest set onto the last.
     pub upsample: Vec<Arc<SparseMatrix>>,
 }
 
-/// Encodes a cloud; `seed` decides the random sampling.
+/// Encodes a cloud, to as many levels as `encoder` has blocks; `seed` decides the random sampling.
 ///
 /// Memory beyond the result is bounded: a few 2 MB tensors a thread, and 17 indices a point.
 ///
@@ -103,7 +103,7 @@ pub fn encode(
     ensure!(!cloud.positions.is_empty(), argument "positions to encode"; found "none"; expected "at least one point";
         help "encode a scene with Gaussians");
     let positions = cloud.oriented()?;
-    let hierarchy = Hierarchy::build(&positions, seed)?;
+    let hierarchy = Hierarchy::build(&positions, encoder.widths().len(), seed)?;
     let device = device.clone().inner();
     let input = encoder_input(encoder.inputs(), &positions, cloud.colors, &device)?;
     let (features, coarsest) = encoder.encode_levels(input, &hierarchy, true);

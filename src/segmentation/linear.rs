@@ -1,16 +1,34 @@
-//! Linear layers: their random initial weights, and maps of many rows, computed in blocks of rows.
+//! Linear layers: their random initial weights, maps of many rows, computed in blocks of rows, and LeakyReLU.
 //!
 //! The gradients of a weight and of a bias are sums over all rows. A GPU computes such a product, of few outputs and a long sum,
 //! within one workgroup. With blocks, each has a workgroup, and their sums are added up.
 
-use super::randla::parameter;
+use crate::backend::device::upload;
 use crate::random::uniform;
+use burn::module::Param;
 use burn::nn::Linear;
 use burn::tensor::{Device, Tensor};
 use rand_chacha::ChaCha8Rng;
 
 /// Rows of a block.
 pub const BLOCK: usize = 256;
+/// Slope of LeakyReLU below zero.
+const SLOPE: f64 = 0.2;
+
+/// LeakyReLU with slope 0.2. The slope is detached, so that the backward pass is one product: burn's own selects by masks, twice.
+pub(super) fn leaky_relu(x: Tensor<2>) -> Tensor<2> {
+    let slope = x.clone().detach().sign() * (0.5 * (1.0 - SLOPE)) + 0.5 * (1.0 + SLOPE);
+    x * slope
+}
+
+/// A parameter with `values` on `device`.
+pub(crate) fn parameter<const D: usize>(
+    values: Vec<f32>,
+    shape: [usize; D],
+    device: &Device,
+) -> Param<Tensor<D>> {
+    Param::from_tensor(upload(values, shape, device))
+}
 
 /// The initial weights of a layer are uniform in +- this, 1 / sqrt(`inputs`).
 pub(super) fn bound(inputs: usize) -> f32 {

@@ -2,7 +2,6 @@
 
 use super::encoder::Encoding;
 use super::linear::fill_blocks;
-use crate::backend::device::upload;
 use crate::config::SCALES;
 use crate::error::{Result, ensure};
 use crate::ops::{SparseMatrix, selected};
@@ -27,7 +26,7 @@ pub struct Switches {
 /// Frozen inputs of one scale n = 1..4 (Eq. 7), on `N_n` points, without autodiff.
 #[derive(Clone, Debug)]
 pub struct Level {
-    /// Scene index of each point, `[N_n]`.
+    /// Row of each point in the cloud that was encoded, `[N_n]`.
     pub points: Arc<Vec<u32>>,
     /// Features side by side, `[N_n, D + S_n]`: the unprojected image features f_d,n of the points, then their spatial features
     /// f_s,n. A part that is switched off is left out.
@@ -46,8 +45,8 @@ pub struct Pyramid {
 }
 
 impl Pyramid {
-    /// Joins an encoding with unprojected features: `image(n, rows)` is f_d of scale n + 1 for the rows `rows` of the encoded
-    /// cloud, `[rows, D]`. It is called only for scales that are read.
+    /// Joins an encoding, of the scales that are read or more, with unprojected features: `image(n, rows)` is f_d of scale n + 1 for the
+    /// rows `rows` of the encoded cloud, `[rows, D]`. It is called only for scales that are read.
     ///
     /// # Errors
     /// [`crate::Error::Argument`] when all features are off; those of `image`.
@@ -79,7 +78,7 @@ impl Pyramid {
                 upsample: encoding.upsample[n].clone(),
             });
         }
-        let top = if switches.spatial && count == encoding.levels.len() {
+        let top = if switches.spatial && count == SCALES {
             encoding.coarsest.features.clone()
         } else {
             Tensor::zeros([encoding.upsample[count - 1].columns, 0], &device)
@@ -102,25 +101,6 @@ impl Pyramid {
         }
     }
 
-    /// The same with each channel of the levels multiplied by its factor: `factors` holds one list for each level.
-    /// Dropout is a list of zeros and 1 / (1 - rate).
-    ///
-    /// # Panics
-    /// If a list is not as long as its level has channels.
-    #[must_use]
-    pub fn scaled(&self, factors: &[Vec<f32>]) -> Self {
-        let mut scaled = self.clone();
-        for (level, factors) in scaled.levels.iter_mut().zip(factors) {
-            if level.features.dims()[0] == 0 {
-                continue;
-            }
-            let device = level.features.device();
-            let factors = upload(factors.clone(), [1, factors.len()], &device);
-            level.features = level.features.clone() * factors;
-        }
-        scaled
-    }
-
     /// Features of the levels, then of the set below them.
     fn features(&self) -> impl Iterator<Item = &Tensor<2>> {
         let levels = self.levels.iter().map(|level| &level.features);
@@ -141,7 +121,7 @@ pub struct Dependencies {
 #[derive(Clone, Debug)]
 struct LevelPart {
     selection: Arc<SparseMatrix>,
-    /// Scene index of each.
+    /// Row of each in the cloud that was encoded.
     points: Arc<Vec<u32>>,
     /// Interpolation onto them from the rows of the next coarser set.
     upsample: Arc<SparseMatrix>,

@@ -43,19 +43,19 @@ pub struct Hierarchy {
 }
 
 impl Hierarchy {
-    /// Samples `positions` (`[N, 3]`) [`LAYERS`] times: each next level keeps the first quarter (at least one point, see
+    /// Samples `positions` (`[N, 3]`) `layers` times: each next level keeps the first quarter (at least one point, see
     /// [`RATIO`]) of one seeded shuffle. Sets smaller than [`NEIGHBOURS`] repeat their neighbours.
     ///
     /// # Errors
     /// [`crate::Error::NonFinite`] naming the first bad row.
-    pub fn build(positions: &[[f32; 3]], seed: u64) -> Result<Self> {
+    pub fn build(positions: &[[f32; 3]], layers: usize, seed: u64) -> Result<Self> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(SHUFFLE_STREAM);
         let mut order: Vec<u32> = (0..positions.len() as u32).collect();
         order.shuffle(&mut rng);
         let mut indices: Vec<u32> = (0..positions.len() as u32).collect();
-        let mut levels = Vec::with_capacity(LAYERS);
-        for n in 0..LAYERS {
+        let mut levels = Vec::with_capacity(layers);
+        for n in 0..layers {
             let points: Vec<[f32; 3]> = indices.iter().map(|&i| positions[i as usize]).collect();
             let neighbours = PointIndex::new(&points)?.neighbours(NEIGHBOURS);
             let count = (points.len() / RATIO).max(1).min(points.len());

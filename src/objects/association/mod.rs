@@ -2,7 +2,7 @@
 //!
 //! The ids of segments mean something within their view only. The Gaussians are what views have in common. A segment covers
 //! Gaussian i with weight `w_mi = sum_p alpha'_i T_i` over its pixels, and a group of segments with the sum of theirs. Of what a
-//! view shows, group g claims `sum_i w_mi W_gi / W_i` pixels of segment m. The IoU of segment and group in these pixels scores the
+//! view shows, group g claims `sum_i w_mi W_gi / (W_i + 1)` pixels of segment m. The IoU of segment and group in these pixels scores the
 //! pair. It compares only what the view can see. So a wall is one wall even if each view shows a part of it. Pairs are chosen one
 //! to one in each view (as Gaga, arXiv 2404.07977, and CCGS, arXiv 2502.16303, do on sets of points; weights in place of point
 //! tests are ours).

@@ -8,21 +8,19 @@
 //! (Training deep nets with sublinear memory cost). Points of coarse scales that several parts depend on are decoded in each.
 
 use super::adam::parameter_gradients;
-use super::view_input::{DecoderInput, Encoded, Part, REGULARISED, ViewInput};
+use super::view_input::{DecoderInput, Encoded, REGULARISED, ViewInput};
 use super::{DecodedScores, IdentityModel};
 use crate::backend::device::{read, upload};
 use crate::config::{Blend, SegmentationConfig};
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::{SparseMatrix, selected};
-use crate::random::{Purpose, stream};
 use crate::segmentation::decoder::Decoder;
 use crate::segmentation::pixels::constant;
-use crate::segmentation::pyramid::{Dependencies, Pyramid};
+use crate::segmentation::pyramid::Dependencies;
 use burn::module::Module;
 use burn::tensor::activation::softmax;
 use burn::tensor::{Device, Gradients, Tensor};
-use rand::Rng;
 use std::sync::Arc;
 
 /// Gaussians decoded at once when the stored identities are made.
@@ -37,25 +35,8 @@ pub struct DecoderPlan<'a> {
     pub regularised: bool,
     /// Number of Gaussians and of classes.
     pub size: [usize; 2],
-    /// Share of the frozen channels that each of two predictions does without; absent for one prediction of all channels.
-    pub dropout: Option<f64>,
-    /// Seed of the regularisation's samples, and of dropout.
+    /// Seed of the regularisation's samples.
     pub seed: u64,
-}
-
-/// Factors of the frozen channels of each scale.
-type ChannelFactors = Vec<Vec<f32>>;
-
-/// Factors of the frozen channels of each scale for prediction `index` of a run with `seed`: 0 for a random `rate` of
-/// them, 1 / (1 - rate) for the others.
-pub fn dropped_channels(pyramid: &Pyramid, rate: f64, seed: u64, index: usize) -> ChannelFactors {
-    let mut rng = stream(seed, Purpose::Dropout, index as u64);
-    let kept = (1.0 - rate).recip() as f32;
-    let mut factor = || if rng.random_bool(rate) { 0.0 } else { kept };
-    let levels = pyramid.levels.iter();
-    levels
-        .map(|level| (0..level.features.dims()[1]).map(|_| factor()).collect())
-        .collect()
 }
 
 /// Scores in the form that identities store.
@@ -67,11 +48,7 @@ pub(super) fn stored_scores(scores: Tensor<2>, blend: Blend) -> Tensor<2> {
 }
 
 /// A view that was decoded in parts. Its scores are leaves of the loss's graph and wait for their gradient.
-pub struct DecodedParts {
-    input: ViewInput,
-    /// Factors of the channels, for each prediction.
-    factors: Vec<ChannelFactors>,
-}
+pub struct DecodedParts(ViewInput);
 
 /// The frozen input of a decoder in training.
 pub struct DecoderModel<'a> {
@@ -127,17 +104,6 @@ impl<'a> DecoderModel<'a> {
         }
     }
 
-    /// Factors of the channels of each prediction; no factors for all channels as they are.
-    fn channel_factors(&self, pyramid: &Pyramid, iteration: usize) -> Vec<ChannelFactors> {
-        let Some(rate) = self.plan.dropout else {
-            return vec![Vec::new()];
-        };
-        let predictions = [2 * iteration, 2 * iteration + 1];
-        predictions
-            .map(|index| dropped_channels(pyramid, rate, self.plan.seed, index))
-            .into()
-    }
-
     /// Scores of the finest points, in chunks so that memory beside them does not grow with the scene.
     fn decode_all(&self, decoder: &Decoder, encoded: &Encoded) -> Result<Vec<f32>> {
         let count = encoded.points.len();
@@ -189,11 +155,6 @@ impl<'a> DecoderModel<'a> {
     }
 }
 
-/// The decoder's input for `part` of `pyramid`, its channels multiplied by `factors` if there are any.
-fn part_of(pyramid: &Pyramid, part: &Part, factors: &ChannelFactors) -> Pyramid {
-    pyramid.part(&part.rows).scaled(factors)
-}
-
 /// `scores` without the rows that only fill a block.
 fn first_rows(scores: Tensor<2>, count: usize) -> Tensor<2> {
     if scores.dims()[0] == count {
@@ -215,40 +176,30 @@ impl IdentityModel for DecoderModel<'_> {
         let encoded = self.input.view(view);
         let input = ViewInput::new(encoded, visible, self.means, &self.plan)?;
         let pyramid = &encoded.pyramid;
-        let factors = self.channel_factors(pyramid, iteration);
         match &input.parts[..] {
             [part] => {
-                let decoded = factors.iter().map(|factors| {
-                    let decoded = decoder.forward(&part_of(pyramid, part, factors));
-                    let scores = self.scores(decoder, decoded.hidden, &part.gaussians);
-                    (scores, decoded.fused)
-                });
-                let (scores, fused): (Vec<_>, Vec<_>) = decoded.unzip();
+                let decoded = decoder.forward(&pyramid.part(&part.rows));
                 Ok(DecodedScores {
-                    scores,
-                    regularisation: input.regularisation(&fused[0], &self.plan, iteration),
+                    scores: self.scores(decoder, decoded.hidden, &part.gaussians),
+                    regularisation: input.regularisation(&decoded.fused, &self.plan, iteration),
                     parts: None,
                 })
             }
             parts => {
                 let frozen = decoder.valid();
-                let scores = factors.iter().map(|factors| {
-                    let scores = parts.iter().map(|part| {
-                        let decoded = frozen.forward(&part_of(pyramid, part, factors));
-                        self.scores(&frozen, decoded.hidden, &part.gaussians)
-                    });
-                    Tensor::from_inner(Tensor::cat(scores.collect(), 0)).require_grad()
+                let scores = parts.iter().map(|part| {
+                    let decoded = frozen.forward(&pyramid.part(&part.rows));
+                    self.scores(&frozen, decoded.hidden, &part.gaussians)
                 });
-                let scores = scores.collect();
+                let scores = Tensor::cat(scores.collect(), 0);
                 let regularisation = input.coarse_rows(pyramid).and_then(|coarse| {
-                    let coarse = pyramid.part(&coarse).scaled(&factors[0]);
-                    let fused = decoder.fuse(&coarse, REGULARISED.start);
+                    let fused = decoder.fuse(&pyramid.part(&coarse), REGULARISED.start);
                     input.regularisation(&fused, &self.plan, iteration)
                 });
                 Ok(DecodedScores {
-                    scores,
+                    scores: Tensor::from_inner(scores).require_grad(),
                     regularisation,
-                    parts: Some(DecodedParts { input, factors }),
+                    parts: Some(DecodedParts(input)),
                 })
             }
         }
@@ -262,21 +213,19 @@ impl IdentityModel for DecoderModel<'_> {
         gradients: &mut Gradients,
     ) -> Tensor<1> {
         let mut sum = parameter_gradients(decoder, gradients);
-        let Some(DecodedParts { input, factors }) = &decoded.parts else {
+        let Some(DecodedParts(input)) = &decoded.parts else {
+            return sum;
+        };
+        let Some(gradient) = decoded.scores.grad_remove(gradients) else {
             return sum;
         };
         let pyramid = &self.input.view(view).pyramid;
-        for (scores, factors) in decoded.scores.iter().zip(factors) {
-            let Some(gradient) = scores.grad_remove(gradients) else {
-                continue;
-            };
-            for part in &input.parts {
-                let seed = Tensor::from_inner(gradient.clone().slice([part.places.clone()]));
-                let hidden = decoder.forward(&part_of(pyramid, part, factors)).hidden;
-                let scores = first_rows(decoder.classify(hidden), part.places.len());
-                let mut of_part = (scores * seed).sum().backward();
-                sum = sum + parameter_gradients(decoder, &mut of_part);
-            }
+        for part in &input.parts {
+            let seed = Tensor::from_inner(gradient.clone().slice([part.places.clone()]));
+            let hidden = decoder.forward(&pyramid.part(&part.rows)).hidden;
+            let scores = first_rows(decoder.classify(hidden), part.places.len());
+            let mut of_part = (scores * seed).sum().backward();
+            sum = sum + parameter_gradients(decoder, &mut of_part);
         }
         sum
     }

@@ -18,7 +18,7 @@ mod views;
 pub use self::adam::Adam;
 pub(super) use self::adam::parameter_gradients;
 pub use self::class_recall::{ClassRecall, Measurement};
-pub use self::decoder_model::{DecodedParts, DecoderModel, DecoderPlan, dropped_channels};
+pub use self::decoder_model::{DecodedParts, DecoderModel, DecoderPlan};
 pub use self::per_gaussian::{Logits, PerGaussian};
 pub use self::plan::TrainingPlan;
 pub(super) use self::sampling::stratified_sample;
@@ -41,8 +41,8 @@ use std::time::Instant;
 
 /// Scores of the Gaussians of a view, with gradient to the parameters of the model.
 pub struct DecodedScores {
-    /// `[V, C]`; two predictions where the loss compares two.
-    pub scores: Vec<Tensor<2>>,
+    /// `[V, C]`.
+    pub scores: Tensor<2>,
     /// Eq. 9, where the model has one.
     pub regularisation: Option<Tensor<1>>,
     /// Present where the scores were decoded in parts, without autodiff: they are leaves.
@@ -50,10 +50,10 @@ pub struct DecodedScores {
 }
 
 impl From<Tensor<2>> for DecodedScores {
-    /// One prediction, decoded at once.
+    /// Scores that were decoded at once.
     fn from(scores: Tensor<2>) -> Self {
         Self {
-            scores: vec![scores],
+            scores,
             regularisation: None,
             parts: None,
         }

@@ -6,7 +6,7 @@ use crate::config::Blend;
 use crate::error::Result;
 use crate::objects::Identities;
 use crate::ops::select;
-use crate::segmentation::randla::parameter;
+use crate::segmentation::linear::parameter;
 use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor};
 

@@ -28,7 +28,7 @@ impl TrainingPlan {
             LabelLoss::Ce => 0,
             _ => (config.warmup * config.iterations as f64).round() as usize,
         };
-        let least_recall = match (loss, config.loss) {
+        let least_recall = match (loss, config.loss()) {
             (LabelLoss::Gce { .. }, config::LabelLoss::Gce { least_recall, .. }) => least_recall,
             _ => 0.0,
         };

@@ -1,7 +1,7 @@
 //! The decoder's frozen input: of the scene, and of the Gaussians that a training view shows.
 
 use super::DecoderPlan;
-use crate::error::Result;
+use crate::error::{Result, bail};
 use crate::ops::SparseMatrix;
 use crate::random::{Purpose, stream};
 use crate::segmentation::loss::{NeighbourPairs, neighbour_divergence};
@@ -90,15 +90,21 @@ impl ViewInput {
     /// all Gaussians of the scene.
     ///
     /// # Errors
-    /// [`crate::Error::NonFinite`] naming a centre.
+    /// [`crate::Error::NonFinite`] naming a centre; [`crate::Error::Argument`] for a Gaussian that was not encoded.
     pub fn new(
         encoded: &Encoded,
         visible: &[u32],
         means: &[[f32; 3]],
         plan: &DecoderPlan,
     ) -> Result<Self> {
-        let row = |g: &u32| encoded.points.binary_search(g).ok().map(|row| row as u32);
-        let rows: Vec<u32> = visible.iter().filter_map(row).collect();
+        let row = |g: &u32| match encoded.points.binary_search(g) {
+            Ok(row) => Ok(row as u32),
+            Err(_) => {
+                bail!(argument "visible Gaussians"; found "Gaussian {g}"; expected "Gaussians that were encoded";
+                help "set spatial.encode = \"scene\"")
+            }
+        };
+        let rows = visible.iter().map(row).collect::<Result<Vec<u32>>>()?;
         let count = rows.len().max(1);
         let parts = match plan.config.decoder_chunk {
             0 => 1,

@@ -32,21 +32,14 @@ pub struct ViewSample {
 }
 
 impl ViewSample {
-    /// Eq. 3: the scores `[V, C]` of the visible Gaussians in the pixels, blended before or after their softmax. Two predictions
-    /// make a pair.
+    /// Eq. 3: the scores `[V, C]` of the visible Gaussians in the pixels, blended before or after their softmax.
     ///
     /// # Errors
     /// Those of [`LabelledPixels::blend`].
-    pub fn blended(&self, predictions: Vec<Tensor<2>>, blend: Blend) -> Result<Scores> {
-        let blended = |scores| match blend {
-            Blend::Logits => Ok(Scores::Pixels(self.pixels.blend(scores)?)),
-            Blend::Probabilities => Ok(Scores::Gaussians(scores)),
-        };
-        let mut scores = predictions.into_iter().map(blended);
-        let first = scores.next().expect("at least one prediction")?;
-        Ok(match scores.next() {
-            Some(second) => Scores::Pair(Box::new([first, second?])),
-            None => first,
+    pub fn blended(&self, scores: Tensor<2>, blend: Blend) -> Result<Scores> {
+        Ok(match blend {
+            Blend::Logits => Scores::Pixels(self.pixels.blend(scores)?),
+            Blend::Probabilities => Scores::Gaussians(scores),
         })
     }
 }

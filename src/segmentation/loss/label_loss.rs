@@ -9,10 +9,6 @@ use burn::tensor::{Tensor, TensorData};
 pub(super) const MIN_PROBABILITY: f64 = 1e-8;
 /// Keeps the logarithm finite of a mixture of two distributions that both lack a class. Its factor is 0 then.
 const MIN_MIXTURE: f64 = 1e-30;
-/// Logarithm of a label's zeros in [`LabelLoss::NceRce`] (Ma et al. 2020).
-const LOG_ZERO: f64 = -4.0;
-/// Weight of the raw label in [`LabelLoss::Gjs`] of the settings.
-const GJS_PI: f64 = 0.99;
 /// Least exponent of a softened [`LabelLoss::Gce`]: within a thousandth of cross-entropy for probabilities above 1e-5.
 const SOFTEST: f64 = 1e-4;
 
@@ -30,24 +26,14 @@ const SOFTEST: f64 = 1e-4;
 pub enum LabelLoss {
     /// Cross-entropy, -ln p_y.
     Ce,
-    /// Generalised cross-entropy, (1 - p_y^q) / q (Zhang and Sabuncu 2018).
+    /// Generalised cross-entropy, (1 - p_y^q) / q (Zhang and Sabuncu 2018). It is the absolute error 1 - p_y at q = 1.
     Gce {
         /// The exponent, in (0, 1].
         q: f64,
     },
     /// Jensen-Shannon (Eq. 8), divided by Z = -(1 - pi) ln(1 - pi). It tends to [`LabelLoss::Ce`] as `pi` goes to 0 and to
-    /// [`LabelLoss::Mae`] as `pi` goes to 1.
+    /// the absolute error 1 - p_y as `pi` goes to 1.
     Js {
-        /// Weight of the raw label, in (0, 1).
-        pi: f64,
-    },
-    /// Half the absolute error of the distribution, 1 - p_y.
-    Mae,
-    /// Normalised cross-entropy ln p_y / sum_k ln p_k plus reverse cross-entropy 4 (1 - p_y) (Ma et al. 2020, with
-    /// alpha = beta = 1).
-    NceRce,
-    /// Generalised Jensen-Shannon between the label and two predictions (Englesson and Azizpour 2021).
-    Gjs {
         /// Weight of the raw label, in (0, 1).
         pi: f64,
     },
@@ -59,14 +45,12 @@ impl LabelLoss {
     /// # Errors
     /// [`crate::Error::Config`] when a payload of the loss is out of range.
     pub fn from_config(config: &SegmentationConfig) -> Result<Self> {
-        config.loss.check()?;
-        Ok(match config.loss {
+        let loss = config.loss();
+        loss.check()?;
+        Ok(match loss {
             config::LabelLoss::Ce => Self::Ce,
             config::LabelLoss::Gce { exponent: q, .. } => Self::Gce { q },
-            config::LabelLoss::Mae => Self::Mae,
-            config::LabelLoss::NceRce => Self::NceRce,
             config::LabelLoss::Js { pi_rl: pi } => Self::Js { pi },
-            config::LabelLoss::Gjs => Self::Gjs { pi: GJS_PI },
         })
     }
 
@@ -85,16 +69,7 @@ impl LabelLoss {
                 let q = TensorData::new(exponents(q, robustness, 0..classes), [1, classes]);
                 (generalised_cross_entropy(log_p, q) * y).sum_dim(1)
             }
-            Self::Mae => (log_p.exp() - y).abs().sum_dim(1) * 0.5,
-            Self::NceRce => {
-                let log_y = y.clone().clamp_min(LOG_ZERO.exp()).log();
-                let reverse = (log_p.clone().exp() * log_y).sum_dim(1).neg();
-                if log_p.dims()[1] == 1 {
-                    return reverse;
-                }
-                (log_p.clone() * y).sum_dim(1) / log_p.sum_dim(1) + reverse
-            }
-            Self::Js { pi } | Self::Gjs { pi } => {
+            Self::Js { pi } => {
                 let p = log_p.clone().exp();
                 let m = p.clone() * (1.0 - pi) + y.clone() * pi;
                 let log_m = m.clamp_min(MIN_MIXTURE).log();
@@ -111,13 +86,8 @@ impl LabelLoss {
     pub(super) fn of_pixels(self, own: OwnClass) -> Tensor<2> {
         match self {
             Self::Ce => own.log_p.neg(),
-            Self::Mae => own.rest,
-            Self::NceRce => match own.sum_of_logs {
-                Some(sum) => own.log_p / sum + own.rest * -LOG_ZERO,
-                None => own.rest * -LOG_ZERO,
-            },
             Self::Gce { q } => generalised_cross_entropy(own.log_p, [[q]]),
-            Self::Js { pi } | Self::Gjs { pi } => jensen_shannon(own, pi),
+            Self::Js { pi } => jensen_shannon(own, pi),
         }
     }
 }
@@ -154,7 +124,7 @@ fn log1p(x: Tensor<2>) -> Tensor<2> {
 /// Eq. 8 over Z, in closed form. With m = pi + (1 - pi) p_y the divergence to the label is -ln m; that to the prediction
 /// is p_y ln(p_y / m) - (1 - p_y) ln(1 - pi).
 fn jensen_shannon(own: OwnClass, pi: f64) -> Tensor<2> {
-    let OwnClass { log_p, p, rest, .. } = own;
+    let OwnClass { log_p, p, rest } = own;
     let log_rest_weight = (-pi).ln_1p(); // ln(1 - pi)
     // m = 1 - (1 - pi) (1 - p): take the logarithm from the end that keeps its digits.
     let missing = rest.clone() * (1.0 - pi);
@@ -181,33 +151,23 @@ pub(super) struct OwnClass {
     p: Tensor<2>,
     /// 1 - p_y.
     rest: Tensor<2>,
-    /// sum_k ln p_k; none for a single class, or where only p_y is known.
-    sum_of_logs: Option<Tensor<2>>,
 }
 
 impl OwnClass {
     /// From `logits` `[P, C]` of labelled pixels: softmax over the margins z_k - z_y, whose sum without the label's own
     /// term keeps the digits of 1 - p_y. The shift is a constant that cancels.
     pub fn of_logits(logits: Tensor<2>, labels: &[u16]) -> Self {
-        let classes = logits.dims()[1];
         let own = one_hot(labels, &logits);
         let margins = logits.clone() - (logits * own.clone()).sum_dim(1);
         let shift = margins.clone().detach().max_dim(1);
         let own_power = shift.clone().neg().exp();
-        let others = ((margins.clone() - shift.clone()).exp() * (own.neg() + 1.0)).sum_dim(1);
+        let others = ((margins - shift.clone()).exp() * (own.neg() + 1.0)).sum_dim(1);
         let total = others.clone() + own_power.clone();
         let log_p = (log1p(others.clone() + (own_power.clone() - 1.0)) + shift).neg();
-        let sum_of_logs =
-            (classes > 1).then(|| margins.sum_dim(1) + log_p.clone() * classes as f64);
         let p = own_power / total.clone();
         // Each form keeps the digits of values and gradients where the other cancels.
         let rest = (others / total).mask_where(p.clone().lower_elem(0.5), p.clone().neg() + 1.0);
-        Self {
-            log_p,
-            p,
-            rest,
-            sum_of_logs,
-        }
+        Self { log_p, p, rest }
     }
 
     /// From blended probabilities `[P, 1]` of the labelled classes.
@@ -218,7 +178,6 @@ impl OwnClass {
             log_p: p.clone().log(),
             rest: p.clone().neg() + 1.0,
             p,
-            sum_of_logs: None,
         }
     }
 }

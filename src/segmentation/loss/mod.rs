@@ -21,22 +21,19 @@ pub enum Scores {
     Pixels(Tensor<2>),
     /// Of the view's visible Gaussians, `[V, C]`: their class probabilities are blended.
     Gaussians(Tensor<2>),
-    /// Two predictions from different parts of the input, each one of the above.
-    Pair(Box<[Scores; 2]>),
 }
 
 impl Scores {
-    /// The first prediction for the pixels at `places`, without gradient.
+    /// The scores of the pixels at `places`, without gradient.
     #[must_use]
     pub(crate) fn at(&self, places: &[u32]) -> Self {
         match self {
             Self::Pixels(logits) => Self::Pixels(select(&logits.clone().detach(), places)),
             Self::Gaussians(scores) => Self::Gaussians(scores.clone().detach()),
-            Self::Pair(pair) => pair[0].at(places),
         }
     }
 
-    /// Class probabilities of `pixels`, `[P, C]`; of a pair their mean.
+    /// Class probabilities of `pixels`, `[P, C]`.
     ///
     /// # Errors
     /// Those of [`LabelledPixels::blend`].
@@ -44,17 +41,8 @@ impl Scores {
         Ok(match self {
             Self::Pixels(logits) => softmax(logits, 1),
             Self::Gaussians(scores) => pixels.blend(softmax(scores, 1))?,
-            Self::Pair(pair) => {
-                let [a, b] = both(*pair, pixels)?;
-                (a + b) * 0.5
-            }
         })
     }
-}
-
-/// Class probabilities of `pixels` in two predictions, `[P, C]` each.
-fn both([a, b]: [Scores; 2], pixels: &LabelledPixels) -> Result<[Tensor<2>; 2]> {
-    Ok([a.probabilities(pixels)?, b.probabilities(pixels)?])
 }
 
 /// The loss of stage two (Eq. 10).
@@ -105,11 +93,6 @@ impl CoSegLoss {
         }
         Ok(match scores {
             Scores::Pixels(logits) => self.of_logits(logits, &pixels.labels),
-            Scores::Gaussians(scores) if self.label == LabelLoss::NceRce => {
-                let blended = pixels.blend(softmax(scores, 1))?;
-                // softmax(ln q) = q / sum q: the loss reads the mixture itself.
-                self.of_logits((blended + MIN_PROBABILITY).log(), &pixels.labels)
-            }
             Scores::Gaussians(scores) => {
                 let pixels = pixels.labelled();
                 let classes = scores.dims()[1];
@@ -120,35 +103,22 @@ impl CoSegLoss {
                 let p = pixels.blend_own_class(softmax(scores, 1))?;
                 self.mean(OwnClass::of_probabilities(p, classes), &pixels.labels)
             }
-            Scores::Pair(pair) => self.of_pair(both(*pair, pixels)?, &pixels.labels),
         })
     }
 
     /// The mean label loss `[1]` of pixels with distributions; 0 without any.
     fn of_distributions(&self, scores: Scores, pixels: &LabelledPixels) -> Result<Tensor<1>> {
         let y = pixels.distributions.clone().expect("distributions");
-        let log = |p: Tensor<2>| (p + MIN_PROBABILITY).log();
-        let mut disagreement = None;
         let log_p = match scores {
             Scores::Pixels(logits) => log_softmax(logits, 1),
-            Scores::Gaussians(_) => log(scores.probabilities(pixels)?),
-            Scores::Pair(pair) => {
-                let pair = both(*pair, pixels)?;
-                let log_mean = log((pair[0].clone() + pair[1].clone()) * 0.5);
-                disagreement = self.disagreement(pair, &log_mean);
-                log_mean
-            }
+            Scores::Gaussians(_) => (scores.probabilities(pixels)? + MIN_PROBABILITY).log(),
         };
         if pixels.is_empty() {
             return Ok((log_p * 0.0).sum());
         }
         let y = constant(y, &log_p.device());
         let losses = self.label.of_distributions(log_p, y, &self.robustness);
-        let loss = losses.sum() * (1.0 / pixels.len() as f64);
-        Ok(match disagreement {
-            Some(disagreement) => loss + disagreement,
-            None => loss,
-        })
+        Ok(losses.sum() * (1.0 / pixels.len() as f64))
     }
 
     /// The mean label loss `[1]` over the labelled rows of `logits` `[P, C]`, with gradient to `logits`; 0 without any.
@@ -168,36 +138,6 @@ impl CoSegLoss {
         let labels: Vec<u16> = kept.iter().map(|&i| labels[i as usize]).collect();
         let own = OwnClass::of_logits(select(&logits, &kept), &labels);
         self.mean(own, &labels)
-    }
-
-    /// The mean over pixels of the label loss of the mean of two predictions, class probabilities `[P, C]`, and of their
-    /// Jensen-Shannon divergence by [`LabelLoss::Gjs`].
-    ///
-    /// This is the loss of Englesson and Azizpour (2021) for M = 3 and weights pi, (1 - pi) / 2, (1 - pi) / 2, by its
-    /// decomposition (their proposition 2), divided by Z = -(1 - pi) ln(1 - pi).
-    ///
-    /// # Panics
-    /// As [`CoSegLoss::of_logits`].
-    pub fn of_pair(&self, [a, b]: [Tensor<2>; 2], labels: &[u16]) -> Tensor<1> {
-        let mean = (a.clone() + b.clone()) * 0.5;
-        let log_mean = (mean + MIN_PROBABILITY).log();
-        let loss = self.of_logits(log_mean.clone(), labels);
-        match self.disagreement([a, b], &log_mean) {
-            Some(disagreement) if !labels.is_empty() => loss + disagreement,
-            _ => loss,
-        }
-    }
-
-    /// What [`LabelLoss::Gjs`] adds for the divergence of two predictions `[P, C]` from their mean, given its logarithm.
-    fn disagreement(&self, [a, b]: [Tensor<2>; 2], log_mean: &Tensor<2>) -> Option<Tensor<1>> {
-        let LabelLoss::Gjs { pi } = self.label else {
-            return None;
-        };
-        let pixels = a.dims()[0];
-        let to_mean =
-            |p: Tensor<2>| (p.clone() * ((p + MIN_PROBABILITY).log() - log_mean.clone())).sum();
-        let weight = -0.5 / ((-pi).ln_1p() * pixels as f64);
-        Some((to_mean(a) + to_mean(b)) * weight)
     }
 
     /// The mean loss of labelled pixels.

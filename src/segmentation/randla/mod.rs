@@ -10,27 +10,19 @@ mod weights;
 pub(super) use self::weights::block_name;
 
 use self::neighbourhood::{attentive_mean, gather, position_code, sample};
+use super::linear::leaky_relu;
 use super::sampling::{Hierarchy, SampledLevel};
-use crate::backend::device::upload;
-use burn::module::{Module, Param};
+use burn::module::Module;
 use burn::nn::{BatchNorm, Linear};
 use burn::tensor::{Device, Tensor};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Slope of LeakyReLU below zero.
-const SLOPE: f64 = 0.2;
 /// Channels of the relative position code: distance, p_i - p_k, p_i, p_k.
 pub const POSITION_CHANNELS: usize = 10;
 
 /// Values that [`RandlaEncoder::encode_levels`] holds per tensor in one chunk of points, when it may chunk.
 const CHUNK_VALUES: usize = 1 << 19;
-
-/// LeakyReLU with slope 0.2. The slope is detached, so that the backward pass is one product: burn's own selects by masks, twice.
-pub(crate) fn leaky_relu(x: Tensor<2>) -> Tensor<2> {
-    let slope = x.clone().detach().sign() * (0.5 * (1.0 - SLOPE)) + 0.5 * (1.0 + SLOPE);
-    x * slope
-}
 
 /// A linear layer and batch normalisation.
 #[derive(Module, Debug)]
@@ -150,7 +142,14 @@ impl RandlaEncoder {
         self.inputs
     }
 
-    /// Channels of the features of levels 1 to 4; the coarsest set has those of the last.
+    /// The encoder without the blocks from `count` on, whose levels nothing reads.
+    #[must_use]
+    pub fn first_blocks(mut self, count: usize) -> Self {
+        self.blocks.truncate(count);
+        self
+    }
+
+    /// Channels of the features of each level; the coarsest set has those of the last.
     pub fn widths(&self) -> Vec<usize> {
         self.blocks.iter().map(|b| 2 * b.width).collect()
     }
@@ -178,12 +177,4 @@ impl RandlaEncoder {
         }
         (outputs, features)
     }
-}
-
-pub(crate) fn parameter<const D: usize>(
-    values: Vec<f32>,
-    shape: [usize; D],
-    device: &Device,
-) -> Param<Tensor<D>> {
-    Param::from_tensor(upload(values, shape, device))
 }

@@ -1,9 +1,9 @@
 //! The weights of the encoder in a checkpoint, read and written. Key names are those of the PyTorch port.
 
-use super::parameter;
 use super::{AttentivePooling, POSITION_CHANNELS, RandlaEncoder, ResidualBlock, SharedMlp};
 use crate::backend::device::{read, upload};
 use crate::error::{Result, bail};
+use crate::segmentation::linear::parameter;
 use crate::segmentation::sampling::LAYERS;
 use crate::weights::{HostTensor, WeightFile};
 use burn::module::{Param, RunningState};

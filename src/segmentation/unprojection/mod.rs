@@ -168,17 +168,18 @@ impl Unprojected {
 
 /// Attendance pruning without features: which of `gaussians` are kept, `[N]`. These are the Gaussians that [`unproject`] keeps at
 /// `image` resolution, for any features of `views`, those of this [rank](crate::ranks). At `feature` resolution the counted cells
-/// are those of the maps, which this does not know.
+/// are those of the maps, which this does not know. Calls `advance` after each view.
 ///
 /// # Errors
 /// As [`crate::raster::Projected::new`]; [`Error::Config`] for a mask of a different size than its view; [`Error::Device`] where
-/// a device does not return its counts.
+/// a device does not return its counts; those of `advance`.
 pub fn attended<'a>(
     gaussians: &Gaussians,
     views: impl Iterator<Item = &'a View>,
     config: &UnprojectionConfig,
     settings: &Settings,
     device: &Device,
+    advance: &mut dyn FnMut() -> Result<()>,
 ) -> Result<Vec<bool>> {
     if gaussians.is_empty() || config.attendance == 0.0 {
         return Ok(vec![true; gaussians.len()]);
@@ -193,6 +194,7 @@ pub fn attended<'a>(
             .zip(counts)
             .for_each(|(sum, count)| *sum += count);
         sums.pixels[0] += pixels;
+        advance()?;
     }
     sums.add_other_ranks();
     Ok(sums.attended(config))

@@ -120,7 +120,7 @@ fn stage_two(config: &Config) -> StageTwo {
         ..SegmentationInputs::new(&scene, &gaussians, config, &device)
     };
     let plan = TrainingPlan::new(&config.segmentation, LabelLoss::Ce, 0);
-    let encodings = encode(&inputs, &config.spatial).expect("encoded");
+    let encodings = encode(&inputs).expect("encoded");
     let input = encodings.decoder_input(Variant::Ours, &inputs);
     let input = input.expect("the decoder's input");
     let votes = vote(
@@ -133,7 +133,7 @@ fn stage_two(config: &Config) -> StageTwo {
     let votes = votes.expect("votes");
     let prior = Some(votes.logits(0.3));
     let mut views = inputs.training_views();
-    let mut training = decoder_training(Variant::Ours, &plan, &input, prior, &inputs);
+    let mut training = decoder_training(&plan, &input, prior, &inputs);
     let loss = training.step(&mut views, &plan).expect("a step");
     let identities = Identities {
         scores: (0..gaussians.len() * scene.classes.len())

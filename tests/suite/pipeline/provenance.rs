@@ -180,7 +180,7 @@ fn a_decoder_beside_another_point_encoder_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut config = rows(
         &with_unseen(folder.path()),
-        &[Variant::NoSpatial, Variant::RandomSpatial, Variant::Ours],
+        &[Variant::NoSpatial, Variant::Ours],
     );
     let weights = folder.path().join("weights.safetensors");
     let write = |seed| {

@@ -9,16 +9,16 @@ use coseg::progress::Silent;
 fn a_resumed_row_equals_an_uninterrupted_one_bit_for_bit() {
     let folder = tempfile::tempdir().expect("a folder");
     crate::support::plates::scene(folder.path());
-    let gjs = LabelLoss::Gjs;
+    let js = LabelLoss::Js { pi_rl: 0.9 };
     for (encode, loss, chunk) in [
         (Encode::Scene, LabelLoss::GCE, 65_536),
-        (Encode::View, gjs, 65_536),
-        (Encode::Scene, gjs, 97),
+        (Encode::View, js, 65_536),
+        (Encode::Scene, js, 97),
     ] {
         let mut config = config(folder.path());
         config.spatial.encode = encode;
         config.segmentation.decoder_chunk = chunk;
-        config.segmentation.loss = loss;
+        config.segmentation.loss = Some(loss);
         let out = |name: &str| folder.path().join(format!("{encode:?}-{chunk}-{name}"));
         let uninterrupted = whole(&config, &out("whole"));
         assert_eq!(uninterrupted.rows[1].curve.len(), 3);
@@ -103,10 +103,10 @@ fn checkpoints_of_other_settings_or_data_are_refused() {
     });
     let gce = |exponent| format!("{{\"gce\":{{\"exponent\":{exponent},\"least_recall\":1.0}}}}");
     named("segmentation.loss", &gce(0.5), &gce(0.7), &|c| {
-        c.segmentation.loss = LabelLoss::Gce {
+        c.segmentation.loss = Some(LabelLoss::Gce {
             exponent: 0.5,
             least_recall: 1.0,
-        }
+        })
     });
     // What a row does not read is not an obstacle to it, but to the next.
     let message = named("features.dimensions", "8", "64", &|c| {

@@ -5,7 +5,7 @@ use crate::support::plates::training_views;
 use crate::support::raster_reference::all_pixels;
 use burn::tensor::Tensor;
 use coseg::Error;
-use coseg::config::{Blend, Config, Prior, SegmentationConfig, Variant};
+use coseg::config::{Blend, Config, LabelLoss, Prior, SegmentationConfig, Variant};
 use coseg::data::{Classes, LabelMap, LabelRuns, Split};
 use coseg::objects::{Identities, smoothed, vote};
 use coseg::pipeline::Outcome;
@@ -21,7 +21,7 @@ const STILL: f64 = 1e-12;
 fn a_decoder_that_has_learned_nothing_stores_what_the_votes_say() {
     let outcome = trained(|s| {
         s.lr = STILL;
-        s.prior = Prior::Votes;
+        s.prior = Some(Prior::Votes);
         s.fine_tune = Some(false);
     });
     let scene = &outcome.scene;
@@ -150,8 +150,9 @@ fn probabilities_are_blended_over_the_coverage_and_logits_as_they_are() {
 fn blended_logits_without_a_prior_are_the_papers_rule_and_learn() {
     let edit = |s: &mut SegmentationConfig| {
         s.blend = Blend::Logits;
-        s.prior = Prior::None;
-        s.rows = Some(vec![Variant::OursCe]);
+        s.prior = Some(Prior::None);
+        s.rows = Some(vec![Variant::Ours]);
+        s.loss = Some(LabelLoss::Ce);
         s.iterations = 100;
         s.lr = 1e-2;
     };

@@ -41,7 +41,7 @@ fn the_run_folder_is_complete() {
         ("raw", 0.612),
         ("vote", 0.798),
         ("per_gaussian", 0.712),
-        ("ours_ce", 0.801),
+        ("no_decoder", 0.801),
         ("ours", 0.834),
     ] {
         let scores = &metrics["test"]["labels"][row];

@@ -9,13 +9,12 @@ use coseg::segmentation::loss::{
 use coseg::segmentation::pixels::{LabelledPixels, NO_CLASS, PixelWeights};
 use std::sync::Arc;
 
-const KINDS: [LabelLoss; 6] = [
+const KINDS: [LabelLoss; 5] = [
     LabelLoss::Ce,
-    LabelLoss::Mae,
     LabelLoss::Gce { q: 0.7 },
+    LabelLoss::Gce { q: 1.0 },
     LabelLoss::Js { pi: 0.9 },
     LabelLoss::Js { pi: 0.99 },
-    LabelLoss::NceRce,
 ];
 
 fn device() -> Device {

@@ -3,14 +3,14 @@
 use crate::support::joined_pyramid;
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::{Tensor, TensorData};
-use coseg::config::{Blend, LabelLoss, SegmentationConfig, SpatialConfig, SpatialSource};
+use coseg::config::{Blend, SegmentationConfig, SpatialConfig, SpatialSource};
 use coseg::ops::SparseMatrix;
 use coseg::pipeline::train_decoder::{
     Adam, DecoderInput, DecoderModel, DecoderPlan, Encoded, IdentityModel, ViewSample,
 };
 use coseg::segmentation::decoder::{Decoder, DecoderConfig};
 use coseg::segmentation::encoder::{Cloud, encode, load_spatial};
-use coseg::segmentation::loss::{self, CoSegLoss};
+use coseg::segmentation::loss::{CoSegLoss, LabelLoss};
 use coseg::segmentation::pixels::{LabelledPixels, NO_CLASS, PixelWeights};
 use coseg::segmentation::pyramid::{Dependencies, Switches};
 use glam::DVec3;
@@ -106,7 +106,6 @@ fn model<'a>(
         config,
         regularised,
         size: [POINTS, CLASSES],
-        dropout: matches!(config.loss, LabelLoss::Gjs).then_some(0.3),
         seed: 3,
     };
     let device = crate::support::device().autodiff();
@@ -159,7 +158,7 @@ fn step(
     scene: &Scene,
     iteration: usize,
 ) -> (f32, Vec<f32>) {
-    let label = loss::LabelLoss::Gjs { pi: 0.9 };
+    let label = LabelLoss::Js { pi: 0.9 };
     let loss = CoSegLoss {
         lambda: [0.8, 20.0],
         ..label.into()
@@ -223,13 +222,10 @@ fn parts_of_any_size_give_the_gradients_of_the_step_at_once() {
         scales: 1,
         ..Switches::default()
     };
-    let (js, gjs) = (LabelLoss::Js { pi_rl: 0.99 }, LabelLoss::Gjs);
-    for (switches, blend, prior, regularised, label_loss) in [
-        (Switches::default(), Blend::Probabilities, true, true, js),
-        (Switches::default(), Blend::Probabilities, true, true, gjs),
-        (Switches::default(), Blend::Probabilities, false, false, js),
-        (Switches::default(), Blend::Logits, false, true, gjs),
-        (Switches::default(), Blend::Logits, false, true, js),
+    for (switches, blend, prior, regularised) in [
+        (Switches::default(), Blend::Probabilities, true, true),
+        (Switches::default(), Blend::Probabilities, false, false),
+        (Switches::default(), Blend::Logits, false, true),
         (
             Switches {
                 spatial: false,
@@ -238,16 +234,12 @@ fn parts_of_any_size_give_the_gradients_of_the_step_at_once() {
             Blend::Logits,
             false,
             false,
-            js,
         ),
-        (single, Blend::Probabilities, true, true, js),
+        (single, Blend::Probabilities, true, true),
     ] {
         let scene = Scene::new(switches, blend);
         let of = |chunk| {
-            let config = SegmentationConfig {
-                loss: label_loss,
-                ..config(blend, chunk)
-            };
+            let config = config(blend, chunk);
             gradients(model(&scene, &config, regularised, prior), &scene)
         };
         let (loss, whole) = of(0);
@@ -260,7 +252,7 @@ fn parts_of_any_size_give_the_gradients_of_the_step_at_once() {
         for chunk in [64, 300, visible - 1, visible] {
             let (loss_in_parts, parts) = of(chunk);
             let case = format!(
-                "{switches:?}, {blend:?}, {label_loss:?}, prior {prior}, Eq. 9 {regularised}, chunks of {chunk}"
+                "{switches:?}, {blend:?}, prior {prior}, Eq. 9 {regularised}, chunks of {chunk}"
             );
             assert!(
                 (loss_in_parts - loss).abs() <= 1e-6 * loss.abs(),

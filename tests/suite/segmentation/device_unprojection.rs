@@ -303,6 +303,7 @@ fn features_are_lifted_alike() {
                     &config,
                     &Settings::default(),
                     &gpu,
+                    &mut || Ok(()),
                 )
                 .expect("counts");
                 assert_eq!(alone, got.keep);

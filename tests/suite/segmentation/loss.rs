@@ -21,20 +21,7 @@ fn direct(logits: &[f64], label: usize, kind: LabelLoss) -> f64 {
     let p: Vec<f64> = logits.iter().map(|z| (z - highest).exp() / total).collect();
     match kind {
         LabelLoss::Ce => -p[label].ln(),
-        LabelLoss::Mae => {
-            0.5 * p
-                .iter()
-                .enumerate()
-                .map(|(k, p)| (f64::from(u8::from(k == label)) - p).abs())
-                .sum::<f64>()
-        }
         LabelLoss::Gce { q } => (1.0 - p[label].powf(q)) / q,
-        // Reverse cross-entropy: -sum_k p_k ln of the label, ln 0 = -4
-        LabelLoss::NceRce => {
-            p[label].ln() / p.iter().map(|p| p.ln()).sum::<f64>()
-                + 4.0 * (p.iter().sum::<f64>() - p[label])
-        }
-        LabelLoss::Gjs { .. } => unreachable!("it compares two predictions"),
         LabelLoss::Js { pi: pi_rl } => {
             let kappa = |k: usize| f64::from(u8::from(k == label));
             let m = |k: usize| pi_rl * kappa(k) + (1.0 - pi_rl) * p[k];
@@ -115,7 +102,7 @@ fn jensen_shannon_tends_to_cross_entropy_and_to_absolute_error() {
             "ln p {log_p}: {js:?}"
         );
         let js = of_log_probability(LabelLoss::Js { pi: 1.0 - 1e-16 }, log_p);
-        let mae = of_log_probability(LabelLoss::Mae, log_p);
+        let mae = of_log_probability(LabelLoss::Gce { q: 1.0 }, log_p);
         assert!(
             (js.0 - mae.0).abs() < 0.05 && (js.1 - mae.1).abs() <= 0.9 * -mae.1.min(-1e-300),
             "{log_p}: {js:?} {mae:?}"
@@ -259,15 +246,15 @@ fn js_of_a_nearly_right_prediction_is_what_it_lacks() {
 fn settings_choose_the_loss() {
     let of = |config: SegmentationConfig| LabelLoss::from_config(&config);
     let gce = |exponent| SegmentationConfig {
-        loss: config::LabelLoss::Gce {
+        loss: Some(config::LabelLoss::Gce {
             exponent,
             least_recall: 0.3,
-        },
+        }),
         ..Default::default()
     };
     assert_eq!(of(gce(0.4)).unwrap(), LabelLoss::Gce { q: 0.4 });
     let js = |pi_rl| SegmentationConfig {
-        loss: config::LabelLoss::Js { pi_rl },
+        loss: Some(config::LabelLoss::Js { pi_rl }),
         ..Default::default()
     };
     assert_eq!(of(js(0.3)).unwrap(), LabelLoss::Js { pi: 0.3 });

@@ -261,8 +261,15 @@ fn attendance_by_itself_is_that_of_the_unprojection() {
             };
             let lifted = unproject(&scene, views.iter(), &set, &config, &settings, &device)
                 .expect("features");
-            let alone =
-                attended(&scene, views.iter(), &config, &settings, &device).expect("counts");
+            let alone = attended(
+                &scene,
+                views.iter(),
+                &config,
+                &settings,
+                &device,
+                &mut || Ok(()),
+            )
+            .expect("counts");
             assert_eq!(alone, lifted.keep, "{attendance}, masked: {masked}");
             // One is behind all cameras.
             assert_eq!(alone.contains(&false), attendance > 0.0);

@@ -3,7 +3,6 @@
 pub mod algorithm_one;
 pub mod attendance_pruning;
 pub mod blended_loss;
-pub mod consistency;
 pub mod decoder;
 pub mod decoder_chunks;
 #[cfg(feature = "wgpu")]

@@ -3,7 +3,7 @@
 use burn::tensor::{Tensor, TensorData};
 use coseg::Error;
 use coseg::config::{SpatialConfig, SpatialSource};
-use coseg::segmentation::encoder::{Cloud, encode, load_spatial, random_weights};
+use coseg::segmentation::encoder::{Cloud, EncodedLevel, encode, load_spatial, random_weights};
 use coseg::segmentation::neighbours::Neighbours;
 use coseg::segmentation::randla::RandlaEncoder;
 use coseg::segmentation::sampling::{Hierarchy, LAYERS, SampledLevel};
@@ -177,6 +177,30 @@ fn levels_of_a_hundred_thousand_points_are_a_quarter_each() {
             (vec![100_000, 25_000, 6_250, 1_562], 390),
             "{name}"
         );
+    }
+}
+
+#[test]
+fn the_first_blocks_give_the_first_levels() {
+    let device = crate::support::device();
+    let (encoder, _) =
+        load_spatial(&spatial(SpatialSource::Random), 2, &device).expect("random weights");
+    let points = room(2_000, 3);
+    let cloud = Cloud {
+        positions: &points,
+        colors: None,
+        up: DVec3::Z,
+        scale: 1.0,
+    };
+    let features = |encoder: &RandlaEncoder| -> Vec<(Vec<u32>, Vec<f32>)> {
+        let levels = encode(encoder, &cloud, 9, &device).expect("finite").levels;
+        let level = |l: EncodedLevel| (l.indices, l.features.into_data().into_vec().expect("f32"));
+        levels.into_iter().map(level).collect()
+    };
+    let all = features(&encoder);
+    for count in 1..=4 {
+        let first = features(&encoder.clone().first_blocks(count));
+        assert_eq!(first, all[..count], "{count}");
     }
 }
 

@@ -4,17 +4,16 @@ use burn::tensor::{DType, Device, Tensor, TensorData};
 use coseg::segmentation::loss::LabelLoss;
 use coseg::segmentation::pixels::NO_CLASS;
 
-/// Every label loss of one prediction.
-pub const KINDS: [LabelLoss; 9] = [
+/// Every label loss.
+pub const KINDS: [LabelLoss; 8] = [
     LabelLoss::Ce,
-    LabelLoss::Mae,
     LabelLoss::Gce { q: 0.7 },
     LabelLoss::Gce { q: 0.01 },
+    LabelLoss::Gce { q: 1.0 },
     LabelLoss::Js { pi: 0.1 },
     LabelLoss::Js { pi: 0.5 },
     LabelLoss::Js { pi: 0.9 },
     LabelLoss::Js { pi: 0.97 },
-    LabelLoss::NceRce,
 ];
 
 /// A device without autodiff.

@@ -39,10 +39,10 @@ pub fn config(data: &Path) -> Config {
         eval_every: 10,
         checkpoint_every: 7,
         // Every loss depends on earlier measurements.
-        loss: LabelLoss::Gce {
+        loss: Some(LabelLoss::Gce {
             exponent: 0.7,
             least_recall: 1.0,
-        },
+        }),
         ..config.segmentation
     };
     config
