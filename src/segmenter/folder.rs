@@ -108,7 +108,7 @@ pub fn label_scene(job: &Job<'_>, progress: &mut dyn Progress) -> Result<Labelle
     let mut index = index.unwrap_or_else(PoisonError::into_inner);
     let mut classes = mapping.classes;
     if mapping.keeps_occurring {
-        let ids = index.ids(listing.frames.iter().map(|frame| frame.name.as_str()));
+        let ids = index.ids();
         classes.entries.retain(|class| ids.contains(&class.id));
     }
     index.write(&[("classes.json".to_owned(), classes.text().into_bytes())])?;

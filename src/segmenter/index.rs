@@ -160,9 +160,9 @@ impl Index {
         self.write(files)
     }
 
-    /// The ids that occur in the label maps of `views`.
-    pub fn ids<'a>(&self, views: impl Iterator<Item = &'a str>) -> BTreeSet<u16> {
-        let entries = views.filter_map(|view| self.content.photos.get(view));
+    /// The ids that occur in the label maps.
+    pub fn ids(&self) -> BTreeSet<u16> {
+        let entries = self.content.photos.values();
         entries
             .flat_map(|entry| entry.ids.iter().copied())
             .collect()
