@@ -19,6 +19,12 @@ fn classes(folder: &Path) -> PathBuf {
     file
 }
 
+/// `coseg label` of the scene `dir` by `model`, into `out`.
+fn arguments<'a>(dir: &'a Path, model: &'a Path, out: &'a Path) -> [&'a str; 7] {
+    let [dir, model, out] = [dir, model, out].map(utf8);
+    ["label", "--data", dir, "--model", model, "--out", out]
+}
+
 fn views(dir: &Path, labels: &Path) -> (Vec<View>, Classes) {
     let options = LoadOptions {
         raw_labels: Some(utf8(labels).into()),
@@ -44,18 +50,12 @@ fn photos_become_labels_with_scores_in_the_classes_of_the_scene() {
     let (folder, dir, model) = plates();
     let out = folder.path().join("labels");
     let mine = classes(folder.path());
-    let arguments = [
-        "label",
-        "--data",
-        utf8(&dir),
-        "--model",
-        utf8(&model),
-        "--classes",
-        utf8(&mine),
-        "--out",
-        utf8(&out),
-    ];
-    let said = succeeds(&arguments);
+    let label = [
+        &arguments(&dir, &model, &out)[..],
+        &["--classes", utf8(&mine)],
+    ]
+    .concat();
+    let said = succeeds(&label);
     assert!(
         said.contains("6 photos, 0 labelled before; 4 classes"),
         "{said}"
@@ -93,7 +93,7 @@ fn photos_become_labels_with_scores_in_the_classes_of_the_scene() {
             .expect("time")
     };
     let before = ["v0.png", "scores/v3.scores", "classes.json"].map(written);
-    let said = succeeds(&arguments);
+    let said = succeeds(&label);
     assert!(said.contains("6 photos, 6 labelled before"), "{said}");
     assert_eq!(
         before,
@@ -101,7 +101,7 @@ fn photos_become_labels_with_scores_in_the_classes_of_the_scene() {
     );
     // A file that is missing is made again, and only that photo.
     std::fs::remove_file(out.join("scores/v3.scores")).expect("remove");
-    assert!(succeeds(&arguments).contains("5 labelled before"));
+    assert!(succeeds(&label).contains("5 labelled before"));
     assert!(out.join("scores/v3.scores").is_file());
 }
 
@@ -117,15 +117,7 @@ fn without_a_list_the_classes_are_those_that_occur() {
         }
     }
     let out = folder.path().join("labels");
-    succeeds(&[
-        "label",
-        "--data",
-        utf8(&dir),
-        "--model",
-        utf8(&model),
-        "--out",
-        utf8(&out),
-    ]);
+    succeeds(&arguments(&dir, &model, &out));
     let (views, table) = views(&dir, &out);
     let names: Vec<&str> = table
         .entries
@@ -147,21 +139,8 @@ fn without_a_list_the_classes_are_those_that_occur() {
 #[test]
 fn what_the_command_did_not_write_is_refused() {
     let (folder, dir, model) = plates();
-    let label = |out: &Path| {
-        [
-            "label",
-            "--data",
-            utf8(&dir),
-            "--model",
-            utf8(&model),
-            "--out",
-            utf8(out),
-        ]
-        .map(str::to_owned)
-    };
     let refused = |out: &Path, parts: &[&str]| {
-        let arguments = label(out);
-        let message = fails(&arguments.each_ref().map(String::as_str), 1);
+        let message = fails(&arguments(&dir, &model, out), 1);
         parts
             .iter()
             .for_each(|part| assert!(message.contains(part), "{part}: {message}"));
@@ -177,7 +156,7 @@ fn what_the_command_did_not_write_is_refused() {
     refused(&used, &["label.json", "notes.txt", "new folder"]);
     // A map that somebody corrected.
     let out = folder.path().join("out");
-    succeeds(&label(&out).each_ref().map(String::as_str));
+    succeeds(&arguments(&dir, &model, &out));
     let map = out.join("v2.png");
     let mut ids = LabelMap::read(&map).expect("map");
     ids.ids[0] = 3;
@@ -192,15 +171,7 @@ fn labels_of_other_photos_from_other_classes_are_refused() {
     let (folder, dir, model) = plates();
     let out = folder.path().join("labels");
     let mine = classes(folder.path());
-    let all = [
-        "label",
-        "--data",
-        utf8(&dir),
-        "--model",
-        utf8(&model),
-        "--out",
-        utf8(&out),
-    ];
+    let all = arguments(&dir, &model, &out);
     let own_classes = [&all[..], &["--classes", utf8(&mine)]].concat();
     succeeds(&own_classes);
     let two = ["--set", "data.max_frames=1"];
