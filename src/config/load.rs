@@ -166,7 +166,7 @@ mod tests {
         full.building.gradient_threshold = Some(2e-4);
         full.building.batch = Some(2);
         full.segmentation.batch = Some(2);
-        full.segmentation.prior_exponent = Some(0.5);
+        full.pooling.exponent = Some(0.5);
         full.segmentation.prior = Some(Prior::Votes);
         full.segmentation.loss = Some(LabelLoss::GCE);
         full.segmentation.pixel_share = Some(0.5);
@@ -199,9 +199,12 @@ mod tests {
     }
 
     /// Keys for labels of a network, for labels by hand, and for several processes. The bound holds for all others.
-    const BEYOND_THE_METHOD: [&str; 5] = [
+    const BEYOND_THE_METHOD: [&str; 8] = [
         "data.labels_by",
-        "segmentation.prior_exponent",
+        "pooling.distance",
+        "pooling.superpoints",
+        "pooling.confusion",
+        "pooling.exponent",
         "segmentation.fine_tune",
         "building.batch",
         "segmentation.batch",

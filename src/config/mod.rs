@@ -14,6 +14,7 @@ mod building;
 mod data;
 mod features;
 mod load;
+mod pooling;
 mod presets;
 mod range;
 mod segmentation;
@@ -28,6 +29,7 @@ pub use self::features::{
     Encode, FeatureConfig, FeatureSource, Normalisation, Resolution, SCALES, SpatialConfig,
     SpatialScale, SpatialSource, UnprojectionConfig,
 };
+pub use self::pooling::PoolingConfig;
 pub use self::segmentation::{
     Blend, GCE_EXPONENTS, LAMBDA_PIX, LabelLoss, LabelSource, Prior, Reduction, SegmentationConfig,
 };
@@ -58,6 +60,8 @@ pub struct Config {
     pub unprojection: UnprojectionConfig,
     /// The frozen point encoder.
     pub spatial: SpatialConfig,
+    /// Votes of the raw labels, corrected.
+    pub pooling: PoolingConfig,
     /// Stage two: segmentation identities.
     pub segmentation: SegmentationConfig,
 }
@@ -103,6 +107,7 @@ impl Config {
         self.features.check()?;
         self.unprojection.check()?;
         self.spatial.check()?;
+        self.pooling.check()?;
         self.segmentation.check()
     }
 

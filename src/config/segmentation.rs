@@ -148,8 +148,6 @@ pub struct SegmentationConfig {
     /// Absent: see [`SegmentationConfig::prior`].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub prior: Option<Prior>,
-    /// Exponent of the class frequencies that pooled votes are divided by, 0 to 1. Absent: it follows from the votes.
-    pub prior_exponent: Option<f64>,
     /// Whether every Gaussian fine-tunes what the decoder gave it by the raw labels in its pixels. Absent: where the prior is pooled,
     /// unless errors of the raw labels repeat and prefer frequent classes. Never without a prior.
     pub fine_tune: Option<bool>,
@@ -239,9 +237,6 @@ impl SegmentationConfig {
         }
         if let Some(share) = self.pixel_share {
             Range::Share.check("segmentation.pixel_share", share)?;
-        }
-        if let Some(exponent) = self.prior_exponent {
-            Range::Unit.check("segmentation.prior_exponent", exponent)?;
         }
         ensure!(self.prior() == Prior::None || self.blend != Blend::Logits,
             setting "segmentation.prior"; found "{}", self.prior(); expected "none where logits are blended";

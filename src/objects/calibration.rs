@@ -24,25 +24,26 @@ const MIN_SHARE: f64 = 1e-6;
 pub struct Calibration {
     /// prior^-e of each class, `[C]`.
     factors: Vec<f64>,
-    /// ln theta, `[C, C]`: true class, then label. Rows of classes that win nowhere are negative infinity.
+    /// ln theta, `[C, C]`: true class, then label. Rows of classes that win nowhere are negative infinity. Empty where shares are
+    /// not corrected by it.
     log_confusion: Vec<f64>,
 }
 
 impl Calibration {
-    /// Fits the calibration to `votes`, with class frequencies to the power of `exponent`.
-    pub fn fit(votes: &PooledVotes, exponent: f64) -> Self {
+    /// Fits the calibration to `votes`, with class frequencies to the power of `exponent`, and with the second correction if
+    /// `confusion` says so.
+    pub fn fit(votes: &PooledVotes, exponent: f64, confusion: bool) -> Self {
         let prior = prior(votes);
         let factor = |prior: &f64| prior.max(MIN_SHARE).powf(-exponent);
         let factors: Vec<f64> = prior.iter().map(factor).collect();
-        let mut flux = Flux::new(votes.classes);
-        for (row, size) in votes.rows() {
-            let mut row = row.to_vec();
-            divide(&mut row, &factors);
-            flux.add(&row, size);
-        }
+        let log_confusion = if confusion {
+            log_confusion(votes, &factors)
+        } else {
+            Vec::new()
+        };
         Self {
             factors,
-            log_confusion: flux.log_confusion(),
+            log_confusion,
         }
     }
 
@@ -67,6 +68,17 @@ impl Calibration {
         row.iter_mut().for_each(|p| *p = (*p - highest).exp());
         normalise(row);
     }
+}
+
+/// ln theta of `votes`, after their multiplication by `factors`.
+fn log_confusion(votes: &PooledVotes, factors: &[f64]) -> Vec<f64> {
+    let mut flux = Flux::new(votes.classes);
+    for (row, size) in votes.rows() {
+        let mut row = row.to_vec();
+        divide(&mut row, factors);
+        flux.add(&row, size);
+    }
+    flux.log_confusion()
 }
 
 /// Multiplies `row` by `factors` and brings its sum to 1.
@@ -217,7 +229,7 @@ mod tests {
     fn a_class_that_is_named_too_often_gives_way() {
         // All are taken for the frequent class, often by most of their labels.
         let (votes, truth) = votes(|_, c| if c == 0 { 1.0 } else { 0.01 });
-        let calibration = Calibration::fit(&votes, 0.5);
+        let calibration = Calibration::fit(&votes, 0.5, true);
         let voted = right(&votes.shares, &truth);
         let calibrated = right(&applied(&calibration, &votes), &truth);
         assert!(
@@ -232,7 +244,7 @@ mod tests {
         let (mut votes, _) = votes(|_, c| 0.1 * c as f64);
         votes.shares[..COUNTS.len()].fill(0.0);
         votes.sizes[0] = 0.0;
-        let calibration = Calibration::fit(&votes, 0.25);
+        let calibration = Calibration::fit(&votes, 0.25, true);
         let rows = applied(&calibration, &votes);
         let sums: Vec<f64> = rows
             .chunks_exact(COUNTS.len())
@@ -246,8 +258,18 @@ mod tests {
             classes: 3,
         };
         let mut row = [1.0, 0.0, 0.0];
-        Calibration::fit(&none, 0.5).apply(&mut row);
+        Calibration::fit(&none, 0.5, true).apply(&mut row);
         assert!(row.iter().all(|p| !p.is_nan()), "{row:?}");
+    }
+
+    #[test]
+    fn without_the_confusion_matrix_shares_are_divided_by_their_frequencies() {
+        let (votes, _) = votes(|_, c| if c == 0 { 1.0 } else { 0.01 });
+        let calibration = Calibration::fit(&votes, 1.0, false);
+        // Frequencies themselves become the same for each class.
+        let mut row = prior(&votes);
+        calibration.apply(&mut row);
+        assert!(row.iter().all(|p| (p - 0.2).abs() < 1e-12), "{row:?}");
     }
 
     #[test]
@@ -260,7 +282,7 @@ mod tests {
             normalise(row);
         }
         let votes = PooledVotes { shares, ..votes };
-        let rows = applied(&Calibration::fit(&votes, 0.0), &votes);
+        let rows = applied(&Calibration::fit(&votes, 0.0, true), &votes);
         let rare = rows.chunks_exact(COUNTS.len()).map(|row| row[4]);
         assert!(rare.into_iter().all(|p| p == 0.0));
     }

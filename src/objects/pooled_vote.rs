@@ -6,6 +6,7 @@
 use super::label_errors::LabelErrors;
 use super::superpoints::{Superpoints, SurfaceGraph};
 use super::{Calibration, Identities, Votes};
+use crate::config::PoolingConfig;
 use crate::error::Result;
 use crate::splat::Gaussians;
 use rayon::prelude::*;
@@ -97,8 +98,7 @@ pub struct PooledVote {
 
 /// Pools the votes `refined` ([`refined_vote`](super::refined_vote)) over superpoints and calibrates them where the plain votes of four
 /// `quarters` of the views say that labels contradict their surface. Class frequencies are divided out where these errors repeat from
-/// view to view and prefer frequent classes: a network makes such errors. With `exponent`, labels of any kind are pooled, and divided by
-/// the class frequencies to this power.
+/// view to view and prefer frequent classes: a network makes such errors. `config` may turn the corrections off, or name the exponent.
 ///
 /// # Errors
 /// [`crate::Error::NonFinite`] when a centre is not finite.
@@ -109,13 +109,13 @@ pub fn pooled_vote(
     gaussians: &Gaussians,
     quarters: [&Votes; 4],
     refined: &Votes,
-    exponent: Option<f64>,
+    config: &PoolingConfig,
 ) -> Result<PooledVote> {
     let classes = refined.classes;
     let graph = SurfaceGraph::new(gaussians, NEIGHBOURS)?;
     let errors = errors_inside(quarters, &graph);
-    let pooling = exponent.map_or_else(|| errors.pooling(), |_| 1.0);
-    let exponent = match exponent {
+    let pooling = config.exponent.map_or_else(|| errors.pooling(), |_| 1.0);
+    let exponent = match config.exponent {
         Some(exponent) => exponent,
         // Hardly any errors, so nothing is divided out of what Gaussians without votes take from their superpoints either.
         None if pooling == 0.0 => 0.0,
@@ -123,7 +123,7 @@ pub fn pooled_vote(
     };
     let superpoints = SCALES.map(|scale| graph.superpoints(scale, MIN_GAUSSIANS));
     let pooled = superpoints.each_ref().map(|s| PooledVotes::new(refined, s));
-    let calibration = Calibration::fit(&pooled[FITTED], exponent);
+    let calibration = Calibration::fit(&pooled[FITTED], exponent, config.confusion);
     tracing::info!(
         "{} superpoints; {:.4} of the labels contradict their surface; these errors repeat by {:.2} and prefer frequent classes by {:.2}; pooled by {pooling:.2}, exponent {exponent:.2}",
         superpoints[FITTED].count,
@@ -138,9 +138,11 @@ pub fn pooled_vote(
         let mut own_shares = vec![0.0; classes];
         let voted = add_shares(&mut own_shares, votes);
         let mut shares: Vec<f64> = own_shares.iter().map(|share| OWN * share).collect();
-        for (pooled, superpoints) in pooled.iter().zip(&superpoints) {
-            let row = pooled.row(superpoints.of[gaussian]);
-            shares.iter_mut().zip(row).for_each(|(s, p)| *s += p);
+        if config.superpoints || !voted {
+            for (pooled, superpoints) in pooled.iter().zip(&superpoints) {
+                let row = pooled.row(superpoints.of[gaussian]);
+                shares.iter_mut().zip(row).for_each(|(s, p)| *s += p);
+            }
         }
         calibration.apply(&mut shares);
         let pooling = if voted { pooling } else { 1.0 };
@@ -180,6 +182,14 @@ mod tests {
     use super::*;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
+
+    /// Pooled, whatever the labels, and not divided by class frequencies.
+    const POOLED: PoolingConfig = PoolingConfig {
+        distance: true,
+        superpoints: true,
+        confusion: true,
+        exponent: Some(0.0),
+    };
 
     /// Two squares of 20 x 20 Gaussians side by side on one plane, the left one grey and the right one red.
     fn squares() -> Gaussians {
@@ -230,13 +240,34 @@ mod tests {
             table.extend(row);
         }
         let votes = Votes { table, classes: 3 };
-        let identities = pooled_vote(&gaussians, [&votes; 4], &votes, Some(0.0))
-            .unwrap()
-            .identities;
+        let pooled = |config: &PoolingConfig| {
+            let pooled = pooled_vote(&gaussians, [&votes; 4], &votes, config);
+            pooled.unwrap().identities
+        };
+        let identities = pooled(&POOLED);
         for (i, row) in identities.scores.chunks_exact(3).enumerate() {
             let class = usize::from(i % 40 >= 20);
             assert!(row[class] > row[1 - class] && row[2] == 0.0, "{i}: {row:?}");
             assert!((row.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{i}: {row:?}");
+        }
+        let plain = PoolingConfig {
+            confusion: false,
+            ..POOLED
+        };
+        let together = pooled(&plain);
+        let apart = pooled(&PoolingConfig {
+            superpoints: false,
+            ..plain
+        });
+        let shares = votes.shares();
+        for (i, row) in apart.scores.chunks_exact(3).enumerate() {
+            let own = shares.row(i);
+            if own.iter().any(|&share| share > 0.0) {
+                let close = |(a, b): (&f32, &f32)| (a - b).abs() < 1e-6;
+                assert!(row.iter().zip(own).all(close), "{i}: {row:?}");
+            } else {
+                assert_eq!(row, &together.scores[3 * i..][..3], "{i}");
+            }
         }
     }
 
@@ -258,9 +289,10 @@ mod tests {
         let errors = errors_inside([&votes; 4], &graph);
         assert!(errors.pooling() == 0.0 && errors.exponent() > 0.0);
 
-        let plain = pooled_vote(&gaussians, [&votes; 4], &votes, None).unwrap();
+        let plain =
+            pooled_vote(&gaussians, [&votes; 4], &votes, &PoolingConfig::default()).unwrap();
         assert_eq!(plain.exponent, 0.0);
-        let pooled = pooled_vote(&gaussians, [&votes; 4], &votes, Some(0.0)).unwrap();
+        let pooled = pooled_vote(&gaussians, [&votes; 4], &votes, &POOLED).unwrap();
         let rows = plain.identities.scores.chunks_exact(2);
         let rows = rows.zip(pooled.identities.scores.chunks_exact(2));
         for (i, (plain, pooled)) in rows.enumerate() {

@@ -123,11 +123,18 @@ pub(crate) fn pooled(inputs: &SegmentationInputs, quarters: &[Votes; 4]) -> Resu
     let gaussians = inputs.gaussians;
     let settings = &inputs.settings;
     let train = scene.split(Split::Train);
-    let mut refined = refined_vote(gaussians, train, &scene.classes, settings, inputs.device)?;
+    let pooling = &inputs.config.pooling;
+    let mut refined = refined_vote(
+        gaussians,
+        train,
+        &scene.classes,
+        pooling.distance,
+        settings,
+        inputs.device,
+    )?;
     // Corrected Gaussians vote for their labels, and so have a say in their superpoints.
     inputs.correct(&mut refined.table);
-    let exponent = inputs.config.segmentation.prior_exponent;
-    pooled_vote(gaussians, quarters.each_ref(), &refined, exponent)
+    pooled_vote(gaussians, quarters.each_ref(), &refined, pooling)
 }
 
 /// The value of `cell`, made where it has none yet.

@@ -39,8 +39,8 @@ pub fn vote<'a>(
 }
 
 /// Votes for labels with errors: as [`vote`], but labelled pixels of views with scores divide their vote among classes as the
-/// segmenter does, and the votes of a view on a Gaussian are multiplied by its distance from the camera. Near views have the most
-/// pixels of a Gaussian, but a network sees too little of an object in them.
+/// segmenter does, and with `distance` the votes of a view on a Gaussian are multiplied by its distance from the camera. Near views
+/// have the most pixels of a Gaussian, but a network sees too little of an object in them.
 ///
 /// # Errors
 /// Those of [`vote`] and of [`ViewScores::read`](crate::data::ViewScores::read).
@@ -48,10 +48,12 @@ pub fn weighted_vote<'a>(
     gaussians: &Gaussians,
     views: impl Iterator<Item = &'a View>,
     classes: &Classes,
+    distance: bool,
     settings: &Settings,
     device: &Device,
 ) -> Result<Votes> {
-    let cast = |view: &View| ViewVotes::weighted(view, classes, gaussians, device);
+    let far = distance.then_some(gaussians);
+    let cast = |view: &View| ViewVotes::of_scores(view, classes, far, device);
     collect(gaussians, views, classes, cast, None, settings, device)
 }
 
@@ -66,15 +68,17 @@ pub fn refined_vote<'a>(
     gaussians: &Gaussians,
     views: impl Iterator<Item = &'a View>,
     classes: &Classes,
+    distance: bool,
     settings: &Settings,
     device: &Device,
 ) -> Result<Votes> {
     let views: Vec<&View> = views.collect();
     let views = || views.iter().copied();
-    let mut votes = weighted_vote(gaussians, views(), classes, settings, device)?;
+    let mut votes = weighted_vote(gaussians, views(), classes, distance, settings, device)?;
+    let far = distance.then_some(gaussians);
     for _ in 0..REFINEMENTS {
         let shares = Some(votes.shares());
-        let cast = |view: &View| ViewVotes::weighted(view, classes, gaussians, device);
+        let cast = |view: &View| ViewVotes::of_scores(view, classes, far, device);
         votes = collect(gaussians, views(), classes, cast, shares, settings, device)?;
     }
     Ok(votes)

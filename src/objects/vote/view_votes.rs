@@ -25,11 +25,11 @@ impl ViewVotes {
     }
 
     /// The scores of each pixel that has a raw label, or the label itself where the view or the pixel has no scores; times the
-    /// distance of each Gaussian from the camera.
-    pub fn weighted(
+    /// distances of the Gaussians `far` from the camera.
+    pub fn of_scores(
         view: &View,
         classes: &Classes,
-        gaussians: &Gaussians,
+        far: Option<&Gaussians>,
         device: &Device,
     ) -> Result<Self> {
         let scores = view.scores.as_ref().map(|scores| scores.read(classes));
@@ -47,7 +47,7 @@ impl ViewVotes {
             votes.extend_from_slice(&found);
         });
         Ok(Self {
-            weights: Some(distances(gaussians, &view.camera, device)),
+            weights: far.map(|gaussians| distances(gaussians, &view.camera, device)),
             ..cast
         })
     }

@@ -340,8 +340,17 @@ fn pixels_divide_their_vote_by_their_scores_and_distance_weighs_it() {
         ..view.clone()
     };
     let labels = vote(&gaussians, [view].into_iter(), classes, &settings, &device).unwrap();
-    let weighted =
-        |view| weighted_vote(&gaussians, [view].into_iter(), classes, &settings, &device).unwrap();
+    let weighted = |view| {
+        weighted_vote(
+            &gaussians,
+            [view].into_iter(),
+            classes,
+            true,
+            &settings,
+            &device,
+        )
+        .unwrap()
+    };
     let (scores, weighted_labels) = (weighted(view), weighted(&hard));
     let rows = |votes: &coseg::objects::Votes| -> Vec<Vec<f32>> {
         let rows = votes.table.chunks_exact(classes.len());
