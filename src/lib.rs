@@ -25,7 +25,7 @@
 //! | paper | where |
 //! |---|---|
 //! | Eq. 1 to 4, rendering in N channels | [`raster`] |
-//! | Eq. 5, Algorithm 1, unprojection | [`segmentation::unprojection`]: [`LiftedViews::add`](segmentation::unprojection::LiftedViews::add) sums, [`Sums::normalised`](segmentation::unprojection::Sums::normalised) divides |
+//! | Eq. 5, Algorithm 1, unprojection | [`segmentation::unprojection`]: [`LiftedViews::add`](segmentation::unprojection::LiftedViews::add) sums, [`features`](segmentation::unprojection::LiftedViews::features) divides |
 //! | Eq. 6, RandLA-Net | [`segmentation::randla`] |
 //! | Eq. 7, decoder | [`Decoder`](segmentation::decoder::Decoder) |
 //! | Eq. 8, label loss | [`LabelLoss`](segmentation::loss::LabelLoss) |

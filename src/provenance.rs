@@ -13,10 +13,11 @@ use std::path::Path;
 
 /// Sections that a stage reads, of [`Config`] as JSON.
 const STAGE_ONE: &[&str] = &["seed", "building", "raster"];
-const PER_GAUSSIAN: &[&str] = &["seed", "raster", "segmentation"];
+const PER_GAUSSIAN: &[&str] = &["seed", "raster", "pooling", "segmentation"];
 const DECODER: &[&str] = &[
     "seed",
     "raster",
+    "pooling",
     "segmentation",
     "features",
     "unprojection",

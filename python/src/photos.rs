@@ -86,11 +86,8 @@ pub fn lift(
         let (photos, ply) = runs::load_both(&data, &scene, &config, &device)?;
         let gaussians = &ply.gaussians;
         let lifted = LiftedFeatures::of_views(&photos, gaussians, &config, &device, &mut Silent)?;
-        let scales = 0..lifted.lifted.len();
         let features = Features {
-            scales: scales
-                .map(|scale| lifted.of_all(scale, gaussians.len()))
-                .collect(),
+            scales: lifted.lifted,
             dimensions: lifted.dimensions,
         };
         let mut lifted = Scene::of_photos(&scene, ply, photos)?;

@@ -94,25 +94,12 @@ pub enum Normalisation {
     Weight,
 }
 
-/// At which resolution the blending weights of the unprojection are taken.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Resolution {
-    /// Cameras scaled to the feature map (the paper).
-    Feature,
-    /// Image resolution, the map read bilinearly.
-    #[default]
-    Image,
-}
-
 /// Lifting 2D features onto Gaussians (Eq. 5, Algorithm 1).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, SmartDefault)]
 #[serde(default, deny_unknown_fields)]
 pub struct UnprojectionConfig {
     /// The divisor.
     pub normalisation: Normalisation,
-    /// The resolution.
-    pub resolution: Resolution,
     /// Gaussians counted on fewer than this share of all training pixels are pruned, if they are on fewer than
     /// `attendance_pixels` too.
     #[default(1e-5)]

@@ -26,8 +26,8 @@ pub use self::building::{BuildingConfig, RasterConfig, SizeRule};
 pub(crate) use self::data::same_folder;
 pub use self::data::{DataConfig, LabelsBy, Layout, NO_MASKS, RawFormat, ScannetClasses};
 pub use self::features::{
-    Encode, FeatureConfig, FeatureSource, Normalisation, Resolution, SCALES, SpatialConfig,
-    SpatialScale, SpatialSource, UnprojectionConfig,
+    Encode, FeatureConfig, FeatureSource, Normalisation, SCALES, SpatialConfig, SpatialScale,
+    SpatialSource, UnprojectionConfig,
 };
 pub use self::pooling::PoolingConfig;
 pub use self::segmentation::{

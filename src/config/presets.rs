@@ -2,7 +2,7 @@
 
 use super::{
     Blend, Budget, Config, Encode, FeatureSource, LabelLoss, LabelSource, Normalisation, Preset,
-    Prior, Reduction, Resolution, SCALES, SizeRule,
+    Prior, Reduction, SCALES, SizeRule,
 };
 
 impl Config {
@@ -35,7 +35,6 @@ impl Config {
                 config.features.source = FeatureSource::Dino;
                 config.features.scales = Some(SCALES);
                 config.unprojection.normalisation = Normalisation::Count;
-                config.unprojection.resolution = Resolution::Feature;
                 config.unprojection.attendance_pixels = 0.0;
                 config.spatial.encode = Encode::View;
                 config.segmentation.iterations = 6_000;

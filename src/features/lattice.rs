@@ -37,12 +37,12 @@ pub struct Lattice {
 
 impl Lattice {
     /// The columns of cells over an image `width` pixels wide.
-    pub(crate) fn columns(&self, width: usize) -> Axis {
+    pub(super) fn columns(&self, width: usize) -> Axis {
         self.axis(self.width, width)
     }
 
     /// The rows of cells over an image `height` pixels high.
-    pub(crate) fn rows(&self, height: usize) -> Axis {
+    pub(super) fn rows(&self, height: usize) -> Axis {
         self.axis(self.height, height)
     }
 
@@ -60,12 +60,6 @@ impl Lattice {
     /// Image point of the centre of cell `(x, y)`, for an image of `width` x `height` pixels.
     pub fn center(&self, x: usize, y: usize, width: usize, height: usize) -> (f64, f64) {
         (self.columns(width).center(x), self.rows(height).center(y))
-    }
-
-    /// Whether the cells are the pixels of a `width` x `height` image.
-    pub fn is_of_pixels(&self, width: usize, height: usize) -> bool {
-        (self.width, self.height) == (width, height)
-            && self.steps.is_none_or(|steps| steps == Steps::new(1.0, 0.5))
     }
 
     /// `camera` with the cells for its pixels.
@@ -88,7 +82,7 @@ impl Lattice {
 
 /// One axis of a [`Lattice`] over an image.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Axis {
+pub(super) struct Axis {
     cells: usize,
     stride: f64,
     offset: f64,

@@ -20,7 +20,6 @@ mod transformer;
 
 pub use self::colors::FeatureColors;
 pub use self::extract::{FeatureReduction, PCA_CELLS, ViewFeatures};
-pub(crate) use self::lattice::Axis;
 pub use self::lattice::{Lattice, Steps};
 pub use self::map::FeatureMap;
 pub use self::pca::{Moments, Pca};

@@ -1,7 +1,7 @@
-//! Lifting of a run: image features onto Gaussians (Eq. 5), and attendance pruning (Algorithm 1, line 12).
+//! Lifting of a run: attendance pruning (Algorithm 1, line 12), and image features onto the Gaussians that remain (Eq. 5).
 
 use super::pictures::score_images;
-use crate::config::{Config, Resolution};
+use crate::config::Config;
 use crate::data::{Scene, Split};
 use crate::error::Result;
 use crate::features::{FeatureColors, FeatureReduction};
@@ -17,11 +17,9 @@ use std::time::Instant;
 /// A larger share of pruned Gaussians gives a warning; trained scenes lose a thousandth.
 const MAX_PRUNED_SHARE: f64 = 0.05;
 
-/// Image features lifted onto the Gaussians that enough pixels show.
+/// Image features lifted onto Gaussians.
 pub struct LiftedFeatures {
-    /// Indices of the Gaussians that attendance pruning keeps, ascending.
-    pub kept: Vec<u32>,
-    /// Lifted features of the kept Gaussians per scale, `[N, D]`.
+    /// Features of the Gaussians per scale, `[N, D]`.
     pub lifted: Vec<Vec<f32>>,
     /// D.
     pub dimensions: usize,
@@ -63,40 +61,22 @@ impl LiftedFeatures {
             gaussians,
             ranks::share(scene.split(Split::Train)),
             reduction.training_views(),
-            &config.unprojection,
+            config.unprojection.normalisation,
             &Settings::from(&config.raster),
             device,
             &mut || viewing.advance(1),
         )?;
         viewing.end();
-        let kept = rows_where(&lifted.keep, |keep| *keep);
-        let dimensions = features.dimensions;
-        let mut scales = lifted.sums.buffers;
-        scales
-            .iter_mut()
-            .for_each(|rows| keep_rows(rows, &kept, dimensions));
         Ok(Self {
-            lifted: scales,
-            kept,
-            dimensions,
+            lifted,
+            dimensions: features.dimensions,
             name,
             content,
             seconds: [extraction, clock.elapsed().as_secs_f64()],
         })
     }
 
-    /// Features at `scale`, counted from 0, of all `gaussians` that were lifted onto, `[gaussians, D]`; zeros where they are not kept.
-    pub fn of_all(&self, scale: usize, gaussians: usize) -> Vec<f32> {
-        let width = self.dimensions;
-        let mut all = vec![0.0; gaussians * width];
-        let kept = self.lifted[scale].chunks_exact(width);
-        for (&row, values) in self.kept.iter().zip(kept) {
-            all[row as usize * width..][..width].copy_from_slice(values);
-        }
-        all
-    }
-
-    /// Colours of the kept Gaussians by their features.
+    /// Colours of the Gaussians by their features.
     ///
     /// # Errors
     /// As [`FeatureColors::of`].
@@ -113,15 +93,6 @@ impl LiftedFeatures {
         }
         values
     }
-}
-
-/// Keeps the rows `kept` (ascending) of `values`, `[N, width]`, in place: the features of a large scene take a gigabyte.
-fn keep_rows(values: &mut Vec<f32>, kept: &[u32], width: usize) {
-    for (to, &from) in kept.iter().enumerate() {
-        let from = from as usize * width;
-        values.copy_within(from..from + width, to * width);
-    }
-    values.truncate(kept.len() * width);
 }
 
 /// What attendance pruning (Algorithm 1, line 12) removed and what it cost.
@@ -149,9 +120,9 @@ pub(crate) struct Lifted {
     pub seconds: [f64; 2],
 }
 
-/// Lifts image features of the training views onto `gaussians`, and prunes those that too few pixels show. Pruning is the same
-/// whichever variants follow, so that they compare over the same Gaussians. Features are extracted only where they are read.
-/// `test` are the held-out scores of `gaussians`.
+/// Prunes those of `gaussians` that too few pixels show, and lifts image features of the training views onto the others, where a variant
+/// reads them. Pruning is the same whichever variants follow, so that they compare over the same Gaussians. `test` are the held-out
+/// scores of `gaussians`.
 ///
 /// # Errors
 /// Those of [`LiftedFeatures::of_views`], of [`attended`] and of [`score_images`]; [`crate::Error::Stopped`].
@@ -163,21 +134,14 @@ pub(crate) fn lift(
     device: &Device,
     progress: &mut dyn Progress,
 ) -> Result<Lifted> {
-    let (features, counted, seconds) = if reads_features(config) {
-        let features = LiftedFeatures::of_views(scene, gaussians, config, device, progress)?;
-        let seconds = features.seconds;
-        (Some(features), Vec::new(), seconds)
-    } else {
-        let clock = Instant::now();
-        let counted = count(scene, gaussians, config, device, progress)?;
-        (None, counted, [0.0, clock.elapsed().as_secs_f64()])
-    };
+    let clock = Instant::now();
+    let kept = kept(scene, gaussians, config, device, progress)?;
+    let mut seconds = [0.0, clock.elapsed().as_secs_f64()];
     go_on(progress)?;
-    let kept = features.as_ref().map_or(&counted, |lifted| &lifted.kept);
     let (before, after) = (gaussians.len(), kept.len());
     let removed = before - after;
     let (gaussians, scores_after) = if removed > 0 {
-        let gaussians = gaussians.select(kept);
+        let gaussians = gaussians.select(&kept);
         let scores = score_images(&gaussians, scene, config, device)?;
         (gaussians, scores)
     } else {
@@ -190,6 +154,15 @@ pub(crate) fn lift(
             config.unprojection.attendance
         );
     }
+    let features = if reads_features(config) {
+        let features = LiftedFeatures::of_views(scene, &gaussians, config, device, progress)?;
+        let [extraction, unprojection] = features.seconds;
+        seconds = [extraction, seconds[1] + unprojection];
+        Some(features)
+    } else {
+        None
+    };
+    go_on(progress)?;
     Ok(Lifted {
         gaussians,
         features,
@@ -203,14 +176,17 @@ pub(crate) fn lift(
     })
 }
 
-/// Indices of the Gaussians that enough pixels show, counted without features.
-fn count(
+/// Indices of the Gaussians that enough pixels show, ascending.
+fn kept(
     scene: &Scene,
     gaussians: &Gaussians,
     config: &Config,
     device: &Device,
     progress: &mut dyn Progress,
 ) -> Result<Vec<u32>> {
+    if config.unprojection.attendance == 0.0 {
+        return Ok((0..gaussians.len() as u32).collect());
+    }
     let settings = &Settings::from(&config.raster);
     let views = || ranks::share(scene.split(Split::Train));
     let mut viewing = Viewing::begin(progress, "attendance", views().count());
@@ -226,44 +202,8 @@ fn count(
     Ok(rows_where(keep, |keep| keep))
 }
 
-/// Whether image features are read: by the decoder, and where pruning counts the cells of their maps.
+/// Whether any variant reads image features.
 pub(super) fn reads_features(config: &Config) -> bool {
-    let cells = config.unprojection.resolution == Resolution::Feature
-        && config.unprojection.attendance > 0.0;
     let mut variants = config.segmentation.rows().iter();
-    cells || variants.any(|variant| variant.reads_image_features())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{LiftedFeatures, keep_rows};
-
-    #[test]
-    fn rows_that_were_not_kept_are_zero() {
-        let mut lifted = LiftedFeatures {
-            kept: vec![1, 3],
-            lifted: vec![Vec::new(); 4],
-            dimensions: 2,
-            name: String::new(),
-            content: String::new(),
-            seconds: [0.0; 2],
-        };
-        lifted.lifted[2] = vec![1.0, 2.0, 3.0, 4.0];
-        let all = lifted.of_all(2, 5);
-        assert_eq!(all, [0.0, 0.0, 1.0, 2.0, 0.0, 0.0, 3.0, 4.0, 0.0, 0.0]);
-    }
-
-    #[test]
-    fn kept_rows_stay_in_order() {
-        let all: Vec<f32> = (0..12).map(|v| v as f32).collect();
-        for (kept, want) in [
-            (vec![0, 1, 2, 3], all.clone()),
-            (vec![1, 3], vec![3.0, 4.0, 5.0, 9.0, 10.0, 11.0]),
-            (vec![], vec![]),
-        ] {
-            let mut rows = all.clone();
-            keep_rows(&mut rows, &kept, 3);
-            assert_eq!(rows, want, "{kept:?}");
-        }
-    }
+    variants.any(|variant| variant.reads_image_features())
 }

@@ -1,7 +1,7 @@
 //! Features of other programs on Gaussians, all channels of them, compared with phrases.
 
 use crate::checkpoint::Checkpoint;
-use crate::config::{Config, Resolution};
+use crate::config::{Config, Normalisation};
 use crate::data::{Scene, Split, View};
 use crate::error::{Error, Result, bail, ensure};
 use crate::features::{FeatureMap, import};
@@ -17,7 +17,7 @@ use std::ops::Range;
 use std::path::Path;
 
 /// Kind of the cached files, and part of their names. Raise its number when the arithmetic changes.
-const KIND: &str = "lifted features 1";
+const KIND: &str = "lifted features 2";
 
 /// Maps of the training views of a scene, in files of a folder, to be lifted onto Gaussians.
 pub struct LiftedMaps<'a> {
@@ -100,17 +100,17 @@ impl LiftedMaps<'_> {
         advance: &mut dyn FnMut(usize),
     ) -> Result<Vec<Vec<f32>>> {
         let settings = Settings::from(&self.config.raster);
-        let resolution = self.config.unprojection.resolution;
         let parts = vec![range.len(); scales];
-        let mut lifted = LiftedViews::new(self.gaussians, &parts, self.device);
+        let normalisation = Normalisation::Weight;
+        let mut lifted = LiftedViews::new(self.gaussians, &parts, normalisation, self.device);
         for (number, view) in views.iter().enumerate() {
             let maps = self.maps(view, channels, Some(scales))?;
             let maps: Vec<FeatureMap> = maps.iter().map(|map| directions(map, range)).collect();
             let mask = view.mask.as_ref();
-            lifted.add(&view.camera, &maps, mask, resolution, &settings)?;
+            lifted.add(&view.camera, &maps, mask, &settings)?;
             advance(number + 1);
         }
-        Ok(lifted.finish()?.buffers)
+        lifted.features()
     }
 
     /// The maps of `view`, which must have `channels` channels at each scale, and `scales` scales if that is known.
@@ -132,12 +132,8 @@ impl LiftedMaps<'_> {
     /// What the lifted features depend on. Maps count by name, length and time of their files: reading them takes as long as lifting.
     fn key(&self, views: &[&View]) -> Result<String> {
         let mut hash = digest_gaussians(self.gaussians);
-        let is_image = self.config.unprojection.resolution == Resolution::Image;
         let settings = Settings::from(&self.config.raster);
-        hash.update(format!(
-            "{KIND} {is_image} {settings:?} {}\n",
-            self.folder.display()
-        ));
+        hash.update(format!("{KIND} {settings:?} {}\n", self.folder.display()));
         for view in views {
             hash.update(format!("{} {:?}\n", view.name, view.camera));
             for path in import::found(self.folder, &view.name) {

@@ -12,9 +12,7 @@ mod gpu;
 mod op;
 mod settings;
 
-pub use self::cpu::{
-    Blended, PixelGradients, Positions, Projected, Rendered, SplatGradients, TilePairs, render,
-};
+pub use self::cpu::{Blended, PixelGradients, Projected, Rendered, SplatGradients, render};
 pub(crate) use self::op::{GaussianLabels, Largest};
 pub use self::op::{RasterInput, RasterOutput, SplatTensors, SplatView, rasterize};
 pub use self::settings::{Settings, Splats};

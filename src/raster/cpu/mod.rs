@@ -21,7 +21,6 @@ mod projection;
 mod render;
 pub(super) mod sh;
 mod tile_loop;
-mod tile_map;
 mod tiles;
 mod weights;
 
@@ -29,4 +28,3 @@ pub use self::parameter_gradients::SplatGradients;
 pub use self::pixel_gradients::PixelGradients;
 pub use self::projected::{Blended, Projected};
 pub use self::render::{Rendered, render};
-pub use self::tile_map::{Positions, TilePairs};

@@ -2,8 +2,7 @@
 
 use crate::support::settings_file::{assert_names, load};
 use coseg::config::{
-    Budget, Config, Encode, FeatureSource, LabelLoss, Normalisation, Preset, Reduction, Resolution,
-    Variant,
+    Budget, Config, Encode, FeatureSource, LabelLoss, Normalisation, Preset, Reduction, Variant,
 };
 use std::path::{Path, PathBuf};
 
@@ -28,7 +27,6 @@ fn file_overrides_preset_and_set_overrides_file() {
     .unwrap();
     assert_eq!(config.preset, Preset::Paper);
     assert_eq!(config.unprojection.normalisation, Normalisation::Count);
-    assert_eq!(config.unprojection.resolution, Resolution::Feature);
     assert_eq!(config.spatial.encode, Encode::View);
     assert_eq!(config.segmentation.reduction, Reduction::Sum);
     assert_eq!(

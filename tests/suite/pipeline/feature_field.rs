@@ -19,7 +19,6 @@ fn lifted(labels: &[u16], factor: f32) -> LiftedFeatures {
     };
     let rows: Vec<f32> = labels.iter().enumerate().flat_map(row).collect();
     LiftedFeatures {
-        kept: (0..labels.len() as u32).collect(),
         lifted: vec![rows; SCALES],
         dimensions: DIMENSIONS,
         name: "made up".into(),

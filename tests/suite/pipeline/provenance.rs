@@ -2,7 +2,7 @@
 
 use crate::support::plate_runs::{StopAt, config, same, stopped, whole};
 use crate::support::plates;
-use coseg::config::{Association, Config, FeatureSource, Resolution, SpatialSource, Variant};
+use coseg::config::{Association, Config, FeatureSource, SpatialSource, Variant};
 use coseg::data::{LoadOptions, Split, load};
 use coseg::error::Error;
 use coseg::pipeline::run;
@@ -83,18 +83,6 @@ fn rows_do_not_decide_which_gaussians_are_pruned() {
     let more = whole(&rows(&config, &many), &out("run"));
     same(&more, &whole(&rows(&config, &many), &out("at once")));
     same(&before, &whole(&rows(&config, &few), &out("at once")));
-    // Where pruning counts cells of the maps, too.
-    let mut by_cells = config.clone();
-    by_cells.unprojection.resolution = Resolution::Feature;
-    let vote = whole(&rows(&by_cells, &[Variant::Vote]), &out("vote by cells"));
-    let beside = whole(
-        &rows(&by_cells, &[Variant::Vote, Variant::Ours]),
-        &out("rows by cells"),
-    );
-    assert!(
-        vote.gaussians == beside.gaussians && vote.rows[0].identities == beside.rows[0].identities
-    );
-
     // What is not segmented is not pruned, nor what is asked not to be.
     let none = whole(&rows(&config, &[]), &out("none"));
     assert_eq!((none.pruned, none.gaussians.len()), (None, all));

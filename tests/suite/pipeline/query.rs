@@ -4,12 +4,12 @@ use crate::support::devices;
 use crate::support::feature_maps::write_npy;
 use crate::support::plates::loaded;
 use crate::support::program::listed;
-use coseg::config::{Config, Resolution};
+use coseg::config::{Config, Normalisation};
 use coseg::data::Split;
 use coseg::features::FeatureMap;
 use coseg::pipeline::LiftedMaps;
 use coseg::raster::Settings;
-use coseg::segmentation::unprojection::Sums;
+use coseg::segmentation::unprojection::LiftedViews;
 
 const CHANNELS: usize = 7;
 /// Height and width of each scale.
@@ -41,7 +41,8 @@ fn parts_of_the_channels_give_what_all_of_them_give_on_every_device() {
         .map(<[f32]>::to_vec)
         .collect();
     let settings = Settings::default();
-    let mut plain = Sums::<f32>::new(n, &[CHANNELS; 2]);
+    let device = crate::support::device();
+    let mut plain = LiftedViews::new(&gaussians, &[CHANNELS; 2], Normalisation::Weight, &device);
     for (number, view) in scene.split(Split::Train).enumerate() {
         let lifted: Vec<FeatureMap> = (1..)
             .zip(SIZES)
@@ -58,17 +59,9 @@ fn parts_of_the_channels_give_what_all_of_them_give_on_every_device() {
                 }
             })
             .collect();
-        plain
-            .add(
-                &gaussians.splats(),
-                &view.camera,
-                &lifted,
-                None,
-                Resolution::Image,
-                &settings,
-            )
-            .unwrap();
+        plain.add(&view.camera, &lifted, None, &settings).unwrap();
     }
+    let plain = plain.features().unwrap();
     let config = Config::default();
     for (name, device) in devices() {
         for (bytes, files) in [(usize::MAX, 1), (4 * 2 * n * 3, 3), (0, CHANNELS)] {
@@ -96,7 +89,7 @@ fn parts_of_the_channels_give_what_all_of_them_give_on_every_device() {
             assert_eq!(first.len(), SIZES.len());
             for (scale, similarities) in first.iter().enumerate() {
                 let found = similarities.relevancy(0, &[1, 2]);
-                for (row, found) in plain.buffers[scale].chunks_exact(CHANNELS).zip(found) {
+                for (row, found) in plain[scale].chunks_exact(CHANNELS).zip(found) {
                     let dot =
                         |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
                     let length = dot(row, row).sqrt();

@@ -56,11 +56,22 @@ fn nothing_is_begun_after_a_stop() {
         ("building", 7, &["building"][..]),
         // Even where it was done.
         ("building", 40, &["building"]),
-        ("features", 0, &["building", "association", "features"]),
+        ("attendance", 0, &["building", "association", "attendance"]),
+        (
+            "features",
+            0,
+            &["building", "association", "attendance", "features"],
+        ),
         (
             "unprojection",
             0,
-            &["building", "association", "features", "unprojection"],
+            &[
+                "building",
+                "association",
+                "attendance",
+                "features",
+                "unprojection",
+            ],
         ),
     ] {
         let mut told = Told::at(stage, iteration);

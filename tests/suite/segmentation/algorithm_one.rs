@@ -4,9 +4,9 @@ use super::unprojection::Wide;
 use crate::support::feature_maps::{cloud, features, map, views};
 use crate::support::lifting::unproject;
 use crate::support::raster_reference::all_pixels;
-use coseg::config::{Normalisation, Resolution, UnprojectionConfig};
+use coseg::config::{Normalisation, UnprojectionConfig};
 use coseg::raster::{Projected, Settings};
-use coseg::segmentation::unprojection::{EPSILON, Sums};
+use coseg::segmentation::unprojection::{EPSILON, attended};
 use glam::DVec3;
 
 #[test]
@@ -25,37 +25,18 @@ fn count_is_algorithm_one_by_brute_force() {
         ]
     };
     let set = features(&views, maps);
+    let device = crate::support::device();
+    let lifted = unproject(&scene, views.iter(), &set, Normalisation::Count, &device);
+    let lifted = lifted.expect("features");
     let config = UnprojectionConfig {
-        normalisation: Normalisation::Count,
-        resolution: Resolution::Feature,
         attendance: 0.02,
         attendance_pixels: 0.0,
+        ..UnprojectionConfig::default()
     };
-    let mut exact = Sums::<f64>::new(scene.len(), &maps(0).each_ref().map(|m| m.channels));
-    for (view, features) in views.iter().zip(&set.views) {
-        exact
-            .add(
-                &wide.splats(),
-                &view.camera,
-                &features.maps,
-                None,
-                config.resolution,
-                &settings,
-            )
-            .expect("sums");
-    }
-    let exact = exact.normalised(Normalisation::Count).buffers;
-    let lifted = unproject(
-        &scene,
-        views.iter(),
-        &set,
-        &config,
-        &settings,
-        &crate::support::device(),
-    )
-    .expect("features");
+    let go_on = &mut || Ok(());
+    let kept = attended(&scene, views.iter(), &config, &settings, &device, go_on).expect("counts");
     let n = scene.len();
-    for (scale, exact) in exact.iter().enumerate() {
+    for (scale, features) in lifted.iter().enumerate() {
         let c = set.views[0].maps[scale].channels;
         let mut counter = vec![0_u64; n];
         let mut buffer = vec![0.0; n * c];
@@ -92,30 +73,20 @@ fn count_is_algorithm_one_by_brute_force() {
                 }
             }
         }
-        assert_eq!(lifted.sums.counts[scale], counter);
-        let largest = buffer
-            .iter()
-            .zip(0..)
-            .map(|(b, k)| (b / (counter[k / c] as f64 + EPSILON)).abs())
-            .fold(0.0, f64::max);
-        for (k, (&x, &single)) in exact.iter().zip(&lifted.sums.buffers[scale]).enumerate() {
-            let expected = buffer[k] / (counter[k / c] as f64 + EPSILON);
+        let expected = |k: usize| buffer[k] / (counter[k / c] as f64 + f64::from(EPSILON));
+        let largest = (0..n * c).map(|k| expected(k).abs()).fold(0.0, f64::max);
+        for (k, &feature) in features.iter().enumerate() {
+            let expected = expected(k);
             assert!(
-                (x - expected).abs() < 1e-6 * largest,
-                "{scale} {k}: {x} {expected}"
-            ); // W is rounded to f32 here
-            assert!(
-                (f64::from(single) - expected).abs() < 1e-4 * largest,
-                "{scale} {k}: {single} {expected}"
+                (f64::from(feature) - expected).abs() < 1e-4 * largest,
+                "{scale} {k}: {feature} {expected}"
             );
         }
+        // The finest map has a cell for each pixel.
         if scale == 0 {
-            let keep: Vec<bool> = counter
-                .iter()
-                .map(|&n| n as f64 >= 0.02 * pixels as f64)
-                .collect();
-            assert_eq!(lifted.keep, keep);
-            let pruned = keep.iter().filter(|k| !**k).count();
+            let is_kept = |count: &u64| *count as f64 >= 0.02 * pixels as f64;
+            assert_eq!(kept, counter.iter().map(is_kept).collect::<Vec<_>>());
+            let pruned = kept.iter().filter(|k| !**k).count();
             assert!(
                 pruned > 0 && pruned < n,
                 "{pruned} pruned of {n}: the threshold decides something"

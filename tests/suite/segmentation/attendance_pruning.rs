@@ -2,8 +2,9 @@
 
 use crate::support::feature_maps::{cloud, features, maps, views};
 use crate::support::lifting::unproject;
-use coseg::config::UnprojectionConfig;
+use coseg::config::{Normalisation, UnprojectionConfig};
 use coseg::raster::Settings;
+use coseg::segmentation::unprojection::attended;
 use coseg::splat::Gaussians;
 
 #[test]
@@ -19,24 +20,14 @@ fn of_many_large_photos_a_few_pixels_are_enough() {
     assert!((share.fewest_pixels(437 * 1600 * 1200) - 8_390.4).abs() < 1e-6);
 
     let scene = cloud(200);
-    let views = views(40, 30);
-    let set = features(&views, maps);
     let pruned = |attendance_pixels| {
         let config = UnprojectionConfig {
             attendance: 0.05,
             attendance_pixels,
             ..UnprojectionConfig::default()
         };
-        let lifted = unproject(
-            &scene,
-            views.iter(),
-            &set,
-            &config,
-            &Settings::default(),
-            &crate::support::device(),
-        );
-        let lifted = lifted.expect("features");
-        lifted.keep.iter().filter(|keep| !**keep).count()
+        let keep = kept(&scene, &config);
+        keep.iter().filter(|keep| !**keep).count()
     };
     let (by_share, by_pixels) = (pruned(0.0), pruned(9.0));
     assert!(
@@ -47,32 +38,31 @@ fn of_many_large_photos_a_few_pixels_are_enough() {
 
 #[test]
 fn no_attendance_threshold_prunes_nothing() {
-    let scene = cloud(50);
-    let views = views(40, 30);
     let config = UnprojectionConfig {
         attendance: 0.0,
         ..UnprojectionConfig::default()
     };
+    assert_eq!(kept(&cloud(50), &config), [true; 50]);
+    assert!(kept(&Gaussians::default(), &config).is_empty());
+}
+
+#[test]
+fn no_gaussians_have_no_features() {
+    let views = views(40, 30);
     let lifted = unproject(
-        &scene,
+        &Gaussians::default(),
         views.iter(),
         &features(&views, maps),
-        &config,
-        &Settings::default(),
+        Normalisation::Count,
         &crate::support::device(),
-    )
-    .expect("features");
-    assert!(lifted.keep.iter().all(|&k| k));
-    assert!(lifted.sums.buffers.iter().flatten().all(|x| x.is_finite()));
-    let empty = Gaussians::default();
-    let lifted = unproject(
-        &empty,
-        views.iter(),
-        &features(&views, maps),
-        &config,
-        &Settings::default(),
-        &crate::support::device(),
-    )
-    .expect("nothing");
-    assert!(lifted.keep.is_empty() && lifted.sums.buffers[0].is_empty());
+    );
+    assert_eq!(lifted.expect("nothing"), vec![Vec::<f32>::new(); 4]);
+}
+
+fn kept(scene: &Gaussians, config: &UnprojectionConfig) -> Vec<bool> {
+    let views = views(40, 30);
+    let settings = Settings::default();
+    let device = crate::support::device();
+    let go_on = &mut || Ok(());
+    attended(scene, views.iter(), config, &settings, &device, go_on).expect("counts")
 }

@@ -2,10 +2,10 @@
 
 use crate::support::feature_maps::{cameras, cloud, features, map, maps, views};
 use crate::support::lifting::unproject;
-use coseg::config::{Resolution, UnprojectionConfig};
+use coseg::config::{Normalisation, UnprojectionConfig};
 use coseg::data::mask::Mask;
 use coseg::raster::{Projected, Settings};
-use coseg::segmentation::unprojection::{Sums, Unprojected, attended};
+use coseg::segmentation::unprojection::{EPSILON, LiftedViews, attended};
 use coseg::splat::Gaussians;
 use coseg::splat::camera::Camera;
 
@@ -22,72 +22,56 @@ fn mask() -> Mask {
 }
 
 #[test]
-fn sums_are_the_adjoint_of_rendering_what_is_used() {
+fn features_are_of_cells_whose_centre_is_used() {
     let scene = cloud(300);
     let settings = Settings::default();
     let camera = &cameras(SIZE.0, SIZE.1)[1];
     let maps = maps(3);
     let channels = maps.each_ref().map(|map| map.channels);
-    let sums = |mask: Option<&Mask>, resolution| {
-        let mut sums = Sums::<f32>::new(scene.len(), &channels);
-        sums.add(&scene.splats(), camera, &maps, mask, resolution, &settings)
-            .expect("sums");
-        sums
+    let lifted = |normalisation| {
+        let device = crate::support::device();
+        let mut lifted = LiftedViews::new(&scene, &channels, normalisation, &device);
+        let added = lifted.add(camera, &maps, Some(&mask()), &settings);
+        added.expect("a view");
+        lifted.features().expect("features")
     };
-    for resolution in [Resolution::Image, Resolution::Feature] {
-        let (part, whole) = (sums(Some(&mask()), resolution), sums(None, resolution));
-        // What is left out makes up for the rest. Counts are divisors of the sums with `normalisation = "count"`: pixels that add
-        // nothing must not count, or they would average in as zeros.
-        let rest = sums(
-            Some(&Mask::new(SIZE.0, SIZE.1, |pixel| !used(pixel))),
-            resolution,
-        );
-        let counts = |sums: &Sums<f32>| -> Vec<u64> {
-            sums.counts
-                .concat()
-                .into_iter()
-                .chain(sums.pixels.clone())
-                .collect()
+    let by_weight = lifted(Normalisation::Weight);
+    let by_count = lifted(Normalisation::Count);
+    for (scale, map) in maps.iter().enumerate() {
+        let cells = map.lattice().camera(camera);
+        let is_used = |cell: usize| {
+            let (x, y) = (cell % map.width, cell / map.width);
+            let (u, v) = map.lattice().center(x, y, SIZE.0, SIZE.1);
+            let at = |p: f64, pixels: usize| (p.max(0.0) as usize).min(pixels - 1);
+            used(at(v, SIZE.1) * SIZE.0 + at(u, SIZE.0))
         };
-        let both = counts(&part)
-            .into_iter()
-            .zip(counts(&rest))
-            .map(|(a, b)| a + b);
-        assert!(
-            both.eq(counts(&whole)) && part.pixels != whole.pixels && part.counts != whole.counts
-        );
-        for scale in 0..maps.len() {
-            let of = |sums: &Sums<f32>| [sums.buffers[scale].clone(), sums.weights[scale].clone()];
-            for ((part, rest), whole) in of(&part).iter().zip(&of(&rest)).zip(&of(&whole)) {
-                let largest = whole.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
-                let off = part
-                    .iter()
-                    .zip(rest)
-                    .zip(whole)
-                    .map(|((a, b), c)| (a + b - c).abs())
-                    .fold(0.0, f32::max);
+        let ones: Vec<f32> = (0..map.cells())
+            .map(|cell| f32::from(u8::from(is_used(cell))))
+            .collect();
+        let c = map.channels;
+        let values: Vec<f32> = (0..map.data.len())
+            .map(|k| map.data[k] * ones[k / c])
+            .collect();
+        let view = projected(&scene, &cells, &settings);
+        let sums = view.blend_adjoint(&values, c);
+        let weights = view.blend_adjoint(&ones, 1);
+        let used_cells = Mask::new(map.width, map.height, is_used);
+        let counts = view.used_counts(Some(&used_cells));
+        let counts: Vec<f32> = counts.iter().map(|&n| n as f32 + EPSILON).collect();
+        for (found, divisors) in [(&by_weight[scale], &weights), (&by_count[scale], &counts)] {
+            let mut seen = 0;
+            for (k, &found) in found.iter().enumerate() {
+                let expected = match weights[k / c] {
+                    w if w > 0.0 => sums[k] / divisors[k / c],
+                    _ => 0.0,
+                };
+                seen += usize::from(expected != 0.0);
                 assert!(
-                    off < 1e-5 * largest,
-                    "{resolution:?} {scale}: {off} of {largest}"
-                );
-                assert!(
-                    part.iter()
-                        .zip(whole)
-                        .any(|(a, b)| (a - b).abs() > 0.1 * largest)
+                    (found - expected).abs() <= 1e-4 * (1.0 + expected.abs()),
+                    "{scale} {k}: {found} {expected}"
                 );
             }
-        }
-        // The weights are those of the pixels, or cells, whose centre is used.
-        if resolution == Resolution::Image {
-            let ones: Vec<f32> = (0..SIZE.0 * SIZE.1)
-                .map(|pixel| f32::from(u8::from(used(pixel))))
-                .collect();
-            let want = projected(&scene, camera, &settings).blend_adjoint(&ones, 1);
-            assert!(
-                want.iter()
-                    .zip(&part.weights[0])
-                    .all(|(a, b)| (a - b).abs() < 1e-4 * (1.0 + a))
-            );
+            assert!(seen > 20, "{scale}: {seen}");
         }
     }
 }
@@ -141,39 +125,19 @@ fn a_mask_of_another_size_is_refused() {
     views[1].mask = Some(Mask::new(SIZE.1, SIZE.0, |i| i > 9));
     let set = features(&views, maps);
     for device in devices() {
-        for resolution in [Resolution::Image, Resolution::Feature] {
-            let config = UnprojectionConfig {
-                resolution,
-                ..UnprojectionConfig::default()
-            };
-            let error = unproject(
-                &scene,
-                views.iter(),
-                &set,
-                &config,
-                &Settings::default(),
-                &device,
-            )
-            .unwrap_err();
-            crate::support::assert_names(&error, &["a mask of 71x97", &views[1].name, "97x71"]);
-        }
+        let error = unproject(&scene, views.iter(), &set, Normalisation::Weight, &device);
+        crate::support::assert_names(
+            &error.unwrap_err(),
+            &["a mask of 71x97", &views[1].name, "97x71"],
+        );
     }
-    let channels: Vec<usize> = set.views[1].maps.iter().map(|map| map.channels).collect();
-    let mut sums = Sums::<f32>::new(scene.len(), &channels);
-    let camera = &views[1].camera;
-    let mask = views[1].mask.as_ref();
     let maps = &set.views[1].maps;
-    let error = sums
-        .add(
-            &scene.splats(),
-            camera,
-            maps,
-            mask,
-            Resolution::Image,
-            &Settings::default(),
-        )
-        .unwrap_err();
-    crate::support::assert_names(&error, &["a mask of 71x97", "97x71"]);
+    let channels: Vec<usize> = maps.iter().map(|map| map.channels).collect();
+    let device = crate::support::device();
+    let mut lifted = LiftedViews::new(&scene, &channels, Normalisation::Weight, &device);
+    let mask = views[1].mask.as_ref();
+    let error = lifted.add(&views[1].camera, maps, mask, &Settings::default());
+    crate::support::assert_names(&error.unwrap_err(), &["a mask of 71x97", "97x71"]);
 }
 
 /// The CPU, and a GPU, if any.
@@ -195,7 +159,7 @@ fn projected(scene: &Gaussians, camera: &Camera, settings: &Settings) -> Project
 fn what_is_left_out_has_no_influence_on_features() {
     let scene = cloud(300);
     let mut views = views(SIZE.0, SIZE.1);
-    let lift = |views: &[_], salt: usize, config: &UnprojectionConfig| -> Unprojected {
+    let lift = |views: &[_], salt: usize| {
         // Maps of pixels, which differ in what is left out of the second view.
         let of = |i: usize| {
             [0, 1, 2, 3].map(|scale| {
@@ -212,67 +176,48 @@ fn what_is_left_out_has_no_influence_on_features() {
             })
         };
         let set = features(views, of);
-        unproject(
-            &scene,
-            views.iter(),
-            &set,
-            config,
-            &Settings::default(),
-            &crate::support::device(),
-        )
-        .expect("features")
+        let device = crate::support::device();
+        let lifted = unproject(&scene, views.iter(), &set, Normalisation::Weight, &device);
+        lifted.expect("features")
     };
-    for resolution in [Resolution::Image, Resolution::Feature] {
-        let config = UnprojectionConfig {
-            resolution,
-            ..UnprojectionConfig::default()
-        };
-        views[1].mask = Some(mask());
-        assert_eq!(
-            lift(&views, 0, &config),
-            lift(&views, 5, &config),
-            "{resolution:?}"
-        );
-        views[1].mask = None;
-        assert_ne!(
-            lift(&views, 0, &config),
-            lift(&views, 5, &config),
-            "{resolution:?}"
-        );
-    }
+    views[1].mask = Some(mask());
+    assert_eq!(lift(&views, 0), lift(&views, 5));
+    views[1].mask = None;
+    assert_ne!(lift(&views, 0), lift(&views, 5));
 }
 
 #[test]
-fn attendance_by_itself_is_that_of_the_unprojection() {
+fn attendance_is_of_pixels_that_are_used() {
     let scene = cloud(300);
     let settings = Settings::default();
     let device = crate::support::device();
     for masked in [false, true] {
         let mut views = views(SIZE.0, SIZE.1);
-        views
-            .iter_mut()
-            .skip(1)
-            .for_each(|view| view.mask = masked.then(mask));
-        let set = features(&views, maps);
+        let others = views.iter_mut().skip(1);
+        others.for_each(|view| view.mask = masked.then(mask));
+        let mut counts = vec![0.0; scene.len()];
+        let mut pixels = 0.0;
+        for view in &views {
+            let seen = projected(&scene, &view.camera, &settings);
+            let counted = seen.used_counts(view.mask.as_ref());
+            let sums = counts.iter_mut().zip(counted);
+            sums.for_each(|(sum, count)| *sum += f64::from(count));
+            let all = SIZE.0 * SIZE.1;
+            pixels += view.mask.as_ref().map_or(all, Mask::kept) as f64;
+        }
         for attendance in [0.0, 1e-5, 1e-3, 0.01] {
             let config = UnprojectionConfig {
                 attendance,
+                attendance_pixels: 0.0,
                 ..UnprojectionConfig::default()
             };
-            let lifted = unproject(&scene, views.iter(), &set, &config, &settings, &device)
-                .expect("features");
-            let alone = attended(
-                &scene,
-                views.iter(),
-                &config,
-                &settings,
-                &device,
-                &mut || Ok(()),
-            )
-            .expect("counts");
-            assert_eq!(alone, lifted.keep, "{attendance}, masked: {masked}");
+            let go_on = &mut || Ok(());
+            let kept = attended(&scene, views.iter(), &config, &settings, &device, go_on);
+            let kept = kept.expect("counts");
+            let expected: Vec<bool> = counts.iter().map(|n| *n >= attendance * pixels).collect();
+            assert_eq!(kept, expected, "{attendance}, masked: {masked}");
             // One is behind all cameras.
-            assert_eq!(alone.contains(&false), attendance > 0.0);
+            assert_eq!(kept.contains(&false), attendance > 0.0);
         }
     }
 }

@@ -1,12 +1,12 @@
-//! Unprojection: adjointness at both resolutions, constants, Algorithm 1 by brute force, pruning, unseen Gaussians.
+//! Unprojection: adjointness, constants, unseen Gaussians, what does not match.
 
 use crate::support::feature_maps::{cameras, cloud, features, map, maps, noise, views};
 use crate::support::lifting::{FeatureSet, unproject};
-use coseg::config::{Normalisation, Resolution, UnprojectionConfig};
+use coseg::config::Normalisation;
 use coseg::data::View;
 use coseg::features::{FeatureMap, Steps};
 use coseg::raster::{Projected, Settings, Splats};
-use coseg::segmentation::unprojection::Sums;
+use coseg::segmentation::unprojection::{EPSILON, LiftedViews};
 use coseg::splat::Gaussians;
 
 fn wide(values: &[f32]) -> Vec<f64> {
@@ -33,107 +33,57 @@ impl Wide {
 }
 
 #[test]
-fn buffers_are_the_adjoint_of_rendering() {
+fn features_are_the_adjoint_of_rendering_over_weights_or_counts() {
     let scene = cloud(300);
+    let wide = Wide::of(&scene);
     let cameras = cameras(97, 71);
     let settings = Settings::default();
-    let wide = Wide::of(&scene);
-    let n = scene.len();
-    for resolution in [Resolution::Image, Resolution::Feature] {
-        let mut sums = Sums::<f64>::new(n, &maps(0).each_ref().map(|m| m.channels));
-        let mut left = [0.0; 4];
-        let x = |i: usize| noise(i, 99);
+    let channels = maps(0).map(|map| map.channels);
+    let lifted = |normalisation| {
+        let device = crate::support::device();
+        let mut lifted = LiftedViews::new(&scene, &channels, normalisation, &device);
         for (v, camera) in cameras.iter().enumerate() {
-            let maps = maps(10 * v);
-            sums.add(&wide.splats(), camera, &maps, None, resolution, &settings)
-                .expect("sums");
-            for (scale, map) in maps.iter().enumerate() {
-                let c = map.channels;
-                let camera = match resolution {
-                    Resolution::Image => camera.clone(),
-                    Resolution::Feature => map.lattice().camera(camera),
-                };
-                let values: Vec<f64> = (0..n * c).map(x).collect();
-                let image = Projected::<f64>::new(&wide.splats(), &camera, &settings)
-                    .expect("view")
-                    .blend(&values, c)
-                    .image;
-                for (p, rendered) in image.chunks_exact(c).enumerate() {
-                    let (u, v) = (
-                        (p % camera.width) as f64 + 0.5,
-                        (p / camera.width) as f64 + 0.5,
-                    );
-                    let mut read = vec![0.0_f32; c];
-                    match resolution {
-                        Resolution::Image => {
-                            map.sample(u, v, camera.width, camera.height, &mut read)
-                        }
-                        Resolution::Feature => {
-                            read.copy_from_slice(map.cell(p % map.width, p / map.width))
-                        }
-                    }
-                    left[scale] += rendered
-                        .iter()
-                        .zip(&read)
-                        .map(|(a, &b)| a * f64::from(b))
-                        .sum::<f64>();
-                }
+            let added = lifted.add(camera, &maps(10 * v), None, &settings);
+            added.expect("a view");
+        }
+        lifted.features().expect("features")
+    };
+    let by_weight = lifted(Normalisation::Weight);
+    let by_count = lifted(Normalisation::Count);
+    for (scale, &channels) in channels.iter().enumerate() {
+        let n = scene.len();
+        let x: Vec<f64> = (0..n * channels).map(|i| noise(i, 99)).collect();
+        // <W x, F> in f64, and what divides the sums.
+        let mut left = 0.0;
+        let mut weights = vec![0.0; n];
+        let mut counts = vec![0.0; n];
+        for (v, camera) in cameras.iter().enumerate() {
+            let map = &maps(10 * v)[scale];
+            let cells = map.lattice().camera(camera);
+            let view = Projected::<f64>::new(&wide.splats(), &cells, &settings).expect("view");
+            let rendered = view.blend(&x, channels).image;
+            left += rendered
+                .iter()
+                .zip(&map.data)
+                .map(|(a, &b)| a * f64::from(b))
+                .sum::<f64>();
+            for (sum, weight) in weights.iter_mut().zip(view.weight_sums()) {
+                *sum += weight;
+            }
+            for (sum, count) in counts.iter_mut().zip(view.counts()) {
+                *sum += f64::from(count) + f64::from(EPSILON) / cameras.len() as f64;
             }
         }
-        for (scale, &left) in left.iter().enumerate() {
-            let right: f64 = sums.buffers[scale]
-                .iter()
-                .enumerate()
-                .map(|(i, b)| b * x(i))
-                .sum();
-            let size: f64 = sums.buffers[scale]
-                .iter()
-                .enumerate()
-                .map(|(i, b)| (b * x(i)).powi(2))
-                .sum::<f64>()
-                .sqrt();
+        for (features, divisors) in [(&by_weight, &weights), (&by_count, &counts)] {
+            let terms = features[scale].iter().zip(&x).enumerate();
+            let terms = terms.map(|(k, (&f, x))| f64::from(f) * x * divisors[k / channels]);
+            let (right, size) = terms.fold((0.0, 0.0), |(sum, size), t| (sum + t, size + t * t));
+            let size = f64::sqrt(size);
             assert!(size > 1.0, "the test sees something");
-            // The read is rounded to f32 in the test, the only rounding of note.
             assert!(
-                (left - right).abs() < 1e-6 * size.max(right.abs()),
-                "{resolution:?} {scale}: {left} {right}",
+                (left - right).abs() < 1e-5 * size.max(right.abs()),
+                "{scale}: {left} {right}"
             );
-        }
-    }
-}
-
-#[test]
-fn feature_resolution_is_the_adjoint_blend_of_the_scaled_camera() {
-    let scene = cloud(200);
-    let settings = Settings::default();
-    let camera = &cameras(97, 71)[1];
-    let mut sums = Sums::<f32>::new(scene.len(), &maps(0).each_ref().map(|m| m.channels));
-    sums.add(
-        &scene.splats(),
-        camera,
-        &maps(4),
-        None,
-        Resolution::Feature,
-        &settings,
-    )
-    .expect("sums");
-    for (scale, map) in maps(4).iter().enumerate() {
-        let scaled = map.lattice().camera(camera);
-        let view = Projected::<f32>::new(&scene.splats(), &scaled, &settings).expect("view");
-        let expected = view.blend_adjoint(&map.data, map.channels);
-        let largest = expected.iter().fold(0.0_f32, |a, b| a.max(b.abs()));
-        for (a, b) in sums.buffers[scale].iter().zip(&expected) {
-            assert!((a - b).abs() <= 1e-5 * largest);
-        }
-        assert_eq!(
-            sums.counts[scale],
-            view.counts()
-                .iter()
-                .map(|&c| u64::from(c))
-                .collect::<Vec<_>>()
-        );
-        for (a, b) in sums.weights[scale].iter().zip(view.weight_sums()) {
-            assert!((a - b).abs() <= 1e-5 * b.max(1.0));
         }
     }
 }
@@ -189,32 +139,17 @@ fn small_gaussians_read_the_cells_that_lie_under_them() {
             sh: vec![0.0; 3],
             sh_degree: 0,
         };
-        for resolution in [Resolution::Image, Resolution::Feature] {
-            let mut sums = Sums::<f32>::new(1, &[2; 4]);
-            sums.add(
-                &gaussian.splats(),
-                camera,
-                &maps,
-                None,
-                resolution,
-                &settings,
-            )
-            .expect("sums");
-            let features = sums.normalised(Normalisation::Weight).buffers;
-            for (stride, found) in strides.iter().zip(&features) {
-                // A splat of half a pixel (half a cell) is not an integral: a few hundredths of one are lost.
-                let tolerance = 0.03
-                    * if resolution == Resolution::Image {
-                        1.0
-                    } else {
-                        *stride
-                    };
-                let off = [f64::from(found[0]) - u, f64::from(found[1]) - v];
-                assert!(
-                    off.iter().all(|d| d.abs() < tolerance),
-                    "{resolution:?} {stride}: {found:?} for {u} {v}"
-                );
-            }
+        let device = crate::support::device();
+        let mut lifted = LiftedViews::new(&gaussian, &[2; 4], Normalisation::Weight, &device);
+        lifted.add(camera, &maps, None, &settings).expect("a view");
+        let features = lifted.features().expect("features");
+        for (stride, found) in strides.iter().zip(&features) {
+            // A splat of half a cell is not an integral: a few hundredths of one are lost.
+            let off = [f64::from(found[0]) - u, f64::from(found[1]) - v];
+            assert!(
+                off.iter().all(|d| d.abs() < 0.03 * stride),
+                "{stride}: {found:?} for {u} {v}"
+            );
         }
     }
 }
@@ -232,45 +167,24 @@ fn a_constant_map_unprojects_to_that_constant() {
             ..m
         })
     });
-    for resolution in [Resolution::Image, Resolution::Feature] {
-        let config = UnprojectionConfig {
-            normalisation: Normalisation::Weight,
-            resolution,
-            ..UnprojectionConfig::default()
-        };
-        let lifted = unproject(
-            &scene,
-            views.iter(),
-            &set,
-            &config,
-            &Settings::default(),
-            &crate::support::device(),
-        )
-        .expect("features");
-        let is_seen = |i: usize| lifted.sums.weights.iter().all(|w| w[i] > 0.0);
-        let mut seen = 0;
-        for (scale, features) in lifted.sums.buffers.iter().enumerate() {
-            let channels = features.len() / scene.len();
-            for (i, row) in features.chunks_exact(channels).enumerate() {
-                if lifted.sums.weights[scale][i] > 0.0 {
-                    seen += 1;
-                    for (c, &x) in row.iter().enumerate() {
-                        assert!(
-                            (x - constant(c)).abs() < 1e-5,
-                            "{resolution:?} {scale} {i} {c}: {x}"
-                        );
-                    }
-                } else {
-                    assert!(row.iter().all(|&x| x == 0.0) && !is_seen(i));
-                }
+    let device = crate::support::device();
+    let lifted = unproject(&scene, views.iter(), &set, Normalisation::Weight, &device);
+    let mut seen = 0;
+    for (scale, features) in lifted.expect("features").iter().enumerate() {
+        let channels = features.len() / scene.len();
+        for (i, row) in features.chunks_exact(channels).enumerate() {
+            if row.iter().all(|&x| x == 0.0) {
+                continue;
+            }
+            seen += 1;
+            for (c, &x) in row.iter().enumerate() {
+                assert!((x - constant(c)).abs() < 1e-5, "{scale} {i} {c}: {x}");
             }
         }
-        assert!(seen > 1500, "{seen}");
-        assert!(
-            !is_seen(scene.len() - 1) && !lifted.keep[scene.len() - 1],
-            "nobody sees the last one"
-        );
+        let last = &features[(scene.len() - 1) * channels..];
+        assert!(last.iter().all(|&x| x == 0.0), "nobody sees the last one");
     }
+    assert!(seen > 1500, "{seen}");
 }
 
 #[test]
@@ -284,14 +198,8 @@ fn the_same_bits_at_one_and_two_threads() {
             .build()
             .expect("threads");
         let run = || {
-            unproject(
-                &scene,
-                views.iter(),
-                &set,
-                &UnprojectionConfig::default(),
-                &Settings::default(),
-                &crate::support::device(),
-            )
+            let device = crate::support::device();
+            unproject(&scene, views.iter(), &set, Normalisation::Weight, &device)
         };
         pool.install(run).expect("features")
     };
@@ -302,18 +210,10 @@ fn the_same_bits_at_one_and_two_threads() {
 fn views_and_maps_that_do_not_match_are_refused() {
     let scene = cloud(20);
     let views = views(40, 30);
-    let config = UnprojectionConfig::default();
+    let device = crate::support::device();
     let error = |views: &[View], set: &FeatureSet| {
-        unproject(
-            &scene,
-            views.iter(),
-            set,
-            &config,
-            &Settings::default(),
-            &crate::support::device(),
-        )
-        .expect_err("refused")
-        .to_string()
+        let lifted = unproject(&scene, views.iter(), set, Normalisation::Weight, &device);
+        lifted.expect_err("refused").to_string()
     };
     let set = features(&views, maps);
     assert!(error(&views[..2], &set).contains("views of the unprojection"));

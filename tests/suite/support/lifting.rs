@@ -1,12 +1,12 @@
 //! Image features of all training views at once, and their lifting, for scenes that fit into memory.
 
 use burn::tensor::Device;
-use coseg::config::{FeatureConfig, UnprojectionConfig};
+use coseg::config::{FeatureConfig, Normalisation};
 use coseg::data::{Scene, View};
 use coseg::error::Result;
 use coseg::features::{FeatureReduction, Pca, ViewFeatures};
 use coseg::raster::Settings;
-use coseg::segmentation::unprojection::{self, Unprojected};
+use coseg::segmentation::unprojection;
 use coseg::splat::Gaussians;
 
 /// Reduced features of a scene's training views.
@@ -38,11 +38,19 @@ pub fn unproject<'a>(
     gaussians: &Gaussians,
     views: impl Iterator<Item = &'a View>,
     set: &FeatureSet,
-    config: &UnprojectionConfig,
-    settings: &Settings,
+    normalisation: Normalisation,
     device: &Device,
-) -> Result<Unprojected> {
+) -> Result<Vec<Vec<f32>>> {
     let features = set.views.iter().map(Ok);
+    let settings = &Settings::default();
     let go_on = &mut || Ok(());
-    unprojection::unproject(gaussians, views, features, config, settings, device, go_on)
+    unprojection::unproject(
+        gaussians,
+        views,
+        features,
+        normalisation,
+        settings,
+        device,
+        go_on,
+    )
 }
