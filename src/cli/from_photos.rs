@@ -11,8 +11,7 @@ use coseg::capture::Capture;
 use coseg::config::Config;
 use coseg::data::LoadOptions;
 use coseg::error::Result;
-use coseg::files::lock::Lock;
-use coseg::files::own;
+use coseg::files::lock::locked;
 use std::path::{Path, PathBuf};
 
 /// The folder of the labels, in the scene folder.
@@ -70,8 +69,7 @@ impl FromPhotosArgs {
             self.labelling.expect_none()?;
         }
         interrupt::watch();
-        let _lock = Lock::new(&self.out)?;
-        self.make().inspect_err(|_| own::remove_empty(&self.out))
+        locked(&self.out, || self.make())
     }
 
     fn make(&self) -> Result<()> {

@@ -5,7 +5,7 @@ use super::{Settings, interrupt, terminal};
 use clap::Args;
 use coseg::data::{LoadOptions, check_outputs};
 use coseg::error::{Error, Result, ensure};
-use coseg::files::lock::Lock;
+use coseg::files::lock::locked;
 use coseg::segmenter::{ClassFile, Contract, Job, Labelled, Network, label_scene};
 use std::path::{Path, PathBuf};
 
@@ -89,7 +89,6 @@ impl SegmenterArgs {
         let classes = self.classes.as_deref().map(ClassFile::read).transpose()?;
         let network = Network::load(model, contract)?;
         check_outputs("--out", &[out], Some((dir, options)))?;
-        let _lock = Lock::new(out)?;
         let job = Job {
             dir,
             options,
@@ -98,7 +97,7 @@ impl SegmenterArgs {
             best,
             out,
         };
-        label_scene(&job, &mut Bars::default())
+        locked(out, || label_scene(&job, &mut Bars::default()))
     }
 
     /// Refuses options of a segmenter that is not there.

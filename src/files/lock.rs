@@ -1,5 +1,6 @@
 //! The lock of a folder that one process at a time writes.
 
+use super::own;
 use crate::error::{Error, Result, bail, ensure};
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{Read, Seek, Write};
@@ -12,6 +13,27 @@ pub const FILE: &str = ".coseg-lock";
 #[derive(Debug)]
 pub struct Lock {
     _file: File,
+}
+
+/// Calls `work` while `folder` is locked. Where it fails, a lock file and a folder that this made are removed, the folder if nothing
+/// else is in it.
+///
+/// # Errors
+/// As [`Lock::new`]; those of `work`.
+pub fn locked<T>(folder: &Path, work: impl FnOnce() -> Result<T>) -> Result<T> {
+    let is_there = |path: &Path| fs::symlink_metadata(path).is_ok();
+    let had_folder = is_there(folder);
+    let had_file = is_there(&folder.join(FILE));
+    let _lock = Lock::new(folder)?;
+    work().inspect_err(|_| {
+        if !had_folder {
+            own::remove_empty(folder);
+        }
+        if !had_file {
+            // What stays does no harm.
+            let _ = fs::remove_file(folder.join(FILE));
+        }
+    })
 }
 
 impl Lock {

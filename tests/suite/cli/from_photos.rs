@@ -5,6 +5,7 @@ use crate::support::onnx::Onnx;
 use crate::support::plates::{HEIGHT, WIDTH};
 use crate::support::program::{fails, listed, read_json, text, utf8};
 use crate::support::programs::Sandbox;
+use crate::support::snapshot::snapshot;
 use coseg::data::{LabelMap, LoadOptions, check, load};
 use std::fs;
 use std::path::Path;
@@ -93,6 +94,29 @@ fn a_segmenter_labels_the_photos() {
         (before, sandbox.log()),
         (written(), STEPS.map(str::to_owned).to_vec())
     );
+}
+
+#[test]
+fn a_folder_that_is_refused_stays_as_it_was() {
+    let sandbox = Sandbox::new();
+    sandbox.colmap();
+    let photos = sandbox.photos();
+    let room = sandbox.path("room");
+    fs::create_dir(&room).unwrap();
+    let none = sandbox.path("none");
+    sandbox.fails(&none, &[], &["no such file or folder"]);
+    assert!(room.is_dir() && snapshot(&room).is_empty());
+    fs::write(room.join("mine.txt"), "mine").unwrap();
+    let before = snapshot(&room);
+    sandbox.fails(&photos, &[], &["--out", "mine.txt", "another folder"]);
+    assert!(snapshot(&room) == before, "{:?}", snapshot(&room));
+    // The lock of somebody else, and a folder that was not there.
+    fs::write(room.join(".coseg-lock"), "4711\n").unwrap();
+    sandbox.fails(&photos, &[], &["--out", "mine.txt"]);
+    assert!(room.join(".coseg-lock").exists());
+    fs::remove_dir_all(&room).unwrap();
+    sandbox.fails(&none, &[], &["no such file or folder"]);
+    assert!(!room.exists());
 }
 
 #[test]
