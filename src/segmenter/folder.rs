@@ -107,11 +107,15 @@ pub fn label_scene(job: &Job<'_>, progress: &mut dyn Progress) -> Result<Labelle
     let index = work.index.into_inner();
     let mut index = index.unwrap_or_else(PoisonError::into_inner);
     let mut classes = mapping.classes;
+    let mut unseen = Vec::new();
     if mapping.keeps_occurring {
         let ids = index.ids();
+        let all = classes.entries.iter().map(|class| class.id);
+        unseen.extend(all.filter(|id| !ids.contains(id)));
         classes.entries.retain(|class| ids.contains(&class.id));
     }
-    index.write(&[("classes.json".to_owned(), classes.text().into_bytes())])?;
+    let table = classes.text_with_unseen(&unseen).into_bytes();
+    index.write(&[("classes.json".to_owned(), table)])?;
     Ok(Labelled {
         photos: listing.frames.len(),
         cached,

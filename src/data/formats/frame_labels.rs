@@ -83,6 +83,7 @@ impl<'a> FrameLabels<'a> {
         let file = scores::path_of(map).filter(|file| file.is_file())?;
         Some(ViewScores {
             file,
+            map: map.clone(),
             ids,
             placement: self.geometry.placement(self.listing.geometries.of(map)),
         })

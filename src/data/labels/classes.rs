@@ -196,11 +196,26 @@ impl Classes {
         atomic::write_bytes(path, self.text().as_bytes())
     }
 
+    /// The ids that [`Classes::text_with_unseen`] was given for the file; none in other files.
+    ///
+    /// # Errors
+    /// As [`Classes::read`].
+    pub(crate) fn read_unseen(path: &Path) -> Result<Vec<u16>> {
+        let expected = "{\"unseen\": [ID, ..], ..}";
+        files::json::<Unseen>(path, expected).map(|file| file.unseen)
+    }
+
     /// The content of the file that [`Classes::write`] writes.
     pub(crate) fn text(&self) -> String {
+        self.text_with_unseen(&[])
+    }
+
+    /// [`Classes::text`] with the ids of classes that scores name but no label map.
+    pub(crate) fn text_with_unseen(&self, unseen: &[u16]) -> String {
         let file = ClassFile {
             ignore: self.ignore,
             classes: self.entries.iter().map(ClassEntry::from).collect(),
+            unseen: unseen.to_vec(),
         };
         // Plain data always has a JSON form.
         serde_json::to_string_pretty(&file).unwrap_or_default()
@@ -256,6 +271,15 @@ fn check(path: &Path, named: &[(u16, String)]) -> Result<()> {
 struct ClassFile {
     ignore: u16,
     classes: Vec<ClassEntry>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    unseen: Vec<u16>,
+}
+
+/// A part of the file's second form.
+#[derive(Deserialize)]
+struct Unseen {
+    #[serde(default)]
+    unseen: Vec<u16>,
 }
 
 #[derive(Serialize, Deserialize)]

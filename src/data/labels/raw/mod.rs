@@ -228,10 +228,10 @@ impl RawLabels {
                 expected "\"gaussians\", as raw labels are folders of masks, whose ids differ from view to view";
                 help "add --set data.association=gaussians (`coseg train`, `coseg data`), or use `coseg associate`"),
         };
-        let ids = classes.entries.iter().map(|class| (class.id, class.id));
+        let ids = classes.entries.iter().map(|class| class.id);
         let score_ids = match &source {
-            Source::Grey => Some(ids.collect()),
-            Source::Named(own) => Some(own.ids.clone()),
+            Source::Grey => Some(ScoreIds::new(classes.ignore, ids.map(|id| (id, Some(id))))),
+            Source::Named(own) => Some(own.score_ids()),
             _ => None,
         };
         let raw = Self {

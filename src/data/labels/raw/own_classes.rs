@@ -5,6 +5,7 @@ use crate::data::labels::scores::ScoreIds;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap};
 use crate::error::{Result, ensure};
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 /// The class table of a folder of maps, where it has one of its own. The maps of the scene folder `dir` itself are in the
@@ -19,7 +20,9 @@ pub(super) fn table(dir: &Path, maps: &Path) -> Option<PathBuf> {
 pub(super) struct OwnClasses {
     classes: Classes,
     /// Class id in the scene of each id of the maps, where the scene has the class.
-    pub ids: ScoreIds,
+    ids: HashMap<u16, u16>,
+    /// Ids of classes that only scores name.
+    unseen: Vec<u16>,
 }
 
 impl OwnClasses {
@@ -40,7 +43,20 @@ impl OwnClasses {
         let ids = matched
             .filter_map(|(class, id)| Some((class.id, (*id)?)))
             .collect();
-        Ok((Self { classes: own, ids }, vocabulary))
+        let own = Self {
+            classes: own,
+            ids,
+            unseen: Classes::read_unseen(file)?,
+        };
+        Ok((own, vocabulary))
+    }
+
+    /// What ids in scores beside the maps mean.
+    pub fn score_ids(&self) -> ScoreIds {
+        let seen = self.classes.entries.iter().map(|class| class.id);
+        let ids = seen.chain(self.unseen.iter().copied());
+        let in_scene = |id: u16| (id, self.ids.get(&id).copied());
+        ScoreIds::new(self.classes.ignore, ids.map(in_scene))
     }
 
     /// The map in class ids of the scene; classes that the scene lacks become `unlabelled`.

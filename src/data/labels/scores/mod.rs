@@ -6,8 +6,9 @@ pub use self::file::{ScoreGrid, ScoreMap};
 
 use crate::data::Classes;
 use crate::data::bilinear::beside;
+use crate::data::photos::image_file::ImageFile;
 use crate::data::photos::lens::Undistortion;
-use crate::error::Result;
+use crate::error::{Result, ensure, invalid};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -28,13 +29,33 @@ pub(crate) fn name_of(name: &str) -> String {
     format!("{FOLDER}/{name}.{EXTENSION}")
 }
 
-/// Class id of the scene for each id in files of scores. Classes that the scene does not have are left out.
-pub(crate) type ScoreIds = HashMap<u16, u16>;
+/// What ids in files of scores mean.
+#[derive(Debug)]
+pub(crate) struct ScoreIds {
+    /// Class id of the scene for each known id; `None` for ids that are left out.
+    known: HashMap<u16, Option<u16>>,
+    /// Classes that scores may name.
+    classes: usize,
+}
+
+impl ScoreIds {
+    /// For classes with these ids, each with its class id of the scene if it has one there. Probabilities of the id `ignored` are
+    /// left out.
+    pub fn new(ignored: u16, classes: impl IntoIterator<Item = (u16, Option<u16>)>) -> Self {
+        let mut known: HashMap<u16, Option<u16>> = classes.into_iter().collect();
+        known.remove(&ignored);
+        let classes = known.len();
+        known.insert(ignored, None);
+        Self { known, classes }
+    }
+}
 
 /// The scores of a view's raw labels, in their file.
 #[derive(Clone, Debug)]
 pub struct ViewScores {
     pub(crate) file: PathBuf,
+    /// The label map beside it.
+    pub(crate) map: PathBuf,
     pub(crate) ids: Arc<ScoreIds>,
     pub(crate) placement: Placement,
 }
@@ -72,16 +93,48 @@ impl ViewScores {
     /// Reads the file. Classes that are not in `classes`, the table of the scene, are left out.
     ///
     /// # Errors
-    /// As [`ScoreMap::read`].
+    /// As [`ScoreMap::read`]; [`crate::Error::Input`] for ids that the class table of the maps does not have, and for scores of a
+    /// photo of another size.
     pub fn read(&self, classes: &Classes) -> Result<LabelProbabilities> {
         let map = ScoreMap::read(&self.file)?;
-        let index = |id: &u16| classes.index(*self.ids.get(id)?).map(|index| index as u16);
-        let indices = map.ids.iter().map(index).collect();
+        self.check_photo(&map.grid)?;
+        let indices = self.indices(&map, classes)?;
         Ok(LabelProbabilities {
             map,
             indices,
             placement: self.placement.clone(),
         })
+    }
+
+    /// Class index of each of the map's ids.
+    fn indices(&self, map: &ScoreMap, classes: &Classes) -> Result<Vec<Option<u16>>> {
+        let index = |(id, probability): (&u16, &u8)| {
+            if *probability == 0 {
+                return Ok(None); // Ids of probability 0 mean nothing.
+            }
+            let known = self.ids.known.get(id).ok_or_else(|| {
+                invalid!(&self.file, "tensor ids"; found "class id {id}";
+                    expected "an id of the {} classes of the label maps", self.ids.classes;
+                    help "run `coseg label` again, which keeps the maps, or delete the scores of a map that has other classes")
+            })?;
+            Ok(known
+                .and_then(|id| classes.index(id))
+                .map(|index| index as u16))
+        };
+        map.ids.iter().zip(&map.probabilities).map(index).collect()
+    }
+
+    /// Refuses scores of a photo of another size, except those of a scaled copy beside the label map of that copy.
+    fn check_photo(&self, grid: &ScoreGrid) -> Result<()> {
+        let expected = self.placement.photo;
+        if grid.photo == expected {
+            return Ok(());
+        }
+        let (width, height) = ImageFile::open(&self.map)?.size;
+        ensure!(grid.photo == [width, height], &self.file, "grid"; found "scores of a photo of {}x{}", grid.photo[0], grid.photo[1];
+            expected "{}x{}, the size of its photo", expected[0], expected[1];
+            help "run `coseg label` on these photos, or delete the file");
+        Ok(())
     }
 }
 
