@@ -235,8 +235,9 @@ fn print(info: &Info) {
     say("labels", labels);
     if info.segments > 0 {
         let segments = format!(
-            "{} in the raw labels, to be joined over Gaussians",
-            info.segments
+            "{} in the raw labels, {:.2} % of their pixels, to be joined over Gaussians",
+            info.segments,
+            100.0 * info.in_segments
         );
         say("segments", segments);
     }
@@ -249,10 +250,21 @@ fn print(info: &Info) {
             "id", "true", "raw", "views"
         ));
     }
-    for class in &info.classes {
-        let (truth, raw) = (100.0 * class.truth, 100.0 * class.raw);
+    // Segments that name no class say nothing of the share of any. The last line is of unlabelled pixels.
+    let named = info
+        .classes
+        .split_last()
+        .map_or(&[][..], |(_, named)| named);
+    let are_classless = info.segments > 0 && named.iter().all(|class| class.raw == 0.0);
+    for (i, class) in info.classes.iter().enumerate() {
+        let truth = 100.0 * class.truth;
+        let raw = if are_classless && i < named.len() {
+            "-".to_owned()
+        } else {
+            format!("{:.2}%", 100.0 * class.raw)
+        };
         terminal::say(&format!(
-            "{:>14}  {truth:>6.2}% {raw:>6.2}% {:>6}  {}",
+            "{:>14}  {truth:>6.2}% {raw:>7} {:>6}  {}",
             class.id, class.views, class.name
         ));
     }

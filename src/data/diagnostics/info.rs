@@ -48,6 +48,8 @@ pub struct Info {
     pub raw_labelled: usize,
     /// Segments of all raw labels if their ids are valid only within a view (`data.association`); else 0.
     pub segments: usize,
+    /// Share of the pixels of the raw labels that lie in these segments, 0 to 1.
+    pub in_segments: f64,
     /// Views with true instances.
     pub instances: usize,
     /// The classes, and last the ignored id.
@@ -78,7 +80,7 @@ pub struct ClassShare {
     pub name: String,
     /// Share of the pixels of the true labels, 0 to 1.
     pub truth: f64,
-    /// Share of the pixels of the raw labels, 0 to 1.
+    /// Share of the pixels of the raw labels, 0 to 1. Segments without a class are of none of the classes, and not unlabelled.
     pub raw: f64,
     /// Views in whose true or raw labels it occurs.
     pub views: usize,
@@ -101,6 +103,12 @@ struct FrameInfo {
     of_classes: BTreeMap<u16, [u64; 2]>,
     /// Raw segments, where ids are not classes.
     segments: usize,
+    /// Pixels in them.
+    in_segments: u64,
+    /// Pixels in those of no known class.
+    classless: u64,
+    /// Pixels of the raw labels.
+    raw_pixels: u64,
 }
 
 /// Reads the headers of all photos and all label maps.
@@ -119,6 +127,8 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
     sizes.sort_by_key(|&(.., n)| Reverse(n));
     let left_out = frames.iter().map(|f| f.left_out);
     let pixels = frames.iter().map(|f| f.pixels);
+    let in_segments = frames.iter().map(|f| f.in_segments);
+    let raw_pixels = frames.iter().map(|f| f.raw_pixels);
     let count = |is: fn(&&Frame) -> bool| listing.frames.iter().filter(is).count();
     Ok(Info {
         name: scene_name(dir),
@@ -134,6 +144,7 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
         labelled: count(|frame| frame.truth.is_some()),
         raw_labelled: count(|frame| frame.raw.is_some()),
         segments: frames.iter().map(|frame| frame.segments).sum(),
+        in_segments: in_segments.sum::<u64>() as f64 / raw_pixels.sum::<u64>().max(1) as f64,
         instances: count(|frame| frame.instances.is_some()),
         classes: class_shares(&listing, &frames),
         notices: listing.notices,
@@ -144,6 +155,7 @@ fn class_shares(listing: &Listing, frames: &[FrameInfo]) -> Vec<ClassShare> {
     // Pixels of each class, and its views.
     let mut sums: BTreeMap<u16, ([u64; 2], usize)> = BTreeMap::new();
     let mut all = [0; 2];
+    all[RAW] = frames.iter().map(|frame| frame.classless).sum();
     for (id, count) in frames.iter().flat_map(|frame| &frame.of_classes) {
         let (sum, views) = sums.entry(*id).or_default();
         *views += 1;
@@ -198,14 +210,22 @@ impl FrameInfo {
         let Some(RawMap { map, segments }) = labels.raw()? else {
             return Ok(info);
         };
-        for (mut id, pixels) in pixels_by_id(&map) {
-            if listing.raw.are_segments {
-                info.segments += usize::from(id != 0);
+        for (id, pixels) in pixels_by_id(&map) {
+            info.raw_pixels += pixels;
+            let class = if !listing.raw.are_segments {
+                Some(id)
+            } else if id == listing.unlabelled() {
+                Some(listing.classes.ignore)
+            } else {
+                info.segments += 1;
+                info.in_segments += pixels;
                 let segment = segments.iter().find(|segment| segment.id == id);
-                let class = segment.and_then(|segment| segment.class);
-                id = class.unwrap_or(listing.classes.ignore);
+                segment.and_then(|segment| segment.class)
+            };
+            match class {
+                Some(id) => info.of_classes.entry(id).or_default()[RAW] += pixels,
+                None => info.classless += pixels,
             }
-            info.of_classes.entry(id).or_default()[RAW] += pixels;
         }
         Ok(info)
     }

@@ -130,6 +130,8 @@ fn without_a_class_table_the_categories_are_the_classes() {
         .sum();
     assert_eq!((told.segments, told.classes.len()), (segments, 5));
     assert!(told.classes.iter().any(|c| c.name == "wall" && c.raw > 0.2));
+    let unlabelled = told.classes.last().expect("unlabelled").raw;
+    assert!((told.in_segments + unlabelled - 1.0).abs() < 1e-9);
 }
 
 #[test]

@@ -72,7 +72,18 @@ fn folders_of_masks_are_one_map_each() {
     let said = succeeds(&[&["data", "check", utf8(dir)][..], &arguments].concat());
     assert!(said.contains("no problems"), "{said}");
     let said = succeeds(&[&["data", "info", utf8(dir)][..], &arguments].concat());
-    assert!(said.contains("18 in the raw labels"), "{said}");
+    // 40 x 40 pixels, and half of the mask over their rim.
+    assert!(said.contains("18 in the raw labels, 32.23 % of"), "{said}");
+    let line = |name: &str| {
+        let line = said.lines().find(|line| line.ends_with(name));
+        line.expect(name).split_whitespace().nth(2).expect("raw")
+    };
+    assert_eq!(
+        [line("red"), line("wall"), line("unlabelled")],
+        ["-", "-", "67.77%"]
+    );
+    let told = info(dir, &associated("sam")).expect("info");
+    assert_eq!(told.in_segments, 1650.0 / 5120.0);
     let message = fails(&["data", "check", utf8(dir), "--set", &raw], 1);
     assert!(message.contains("data.association"), "{message}");
     let message = fails(
