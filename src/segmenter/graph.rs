@@ -8,6 +8,8 @@ use tract_onnx::pb::{GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoPr
 use tract_onnx::pb::{tensor_proto, tensor_shape_proto, type_proto};
 use tract_onnx::prelude::{DatumType, Framework};
 
+/// The domains of the standard operators.
+const DOMAINS: [&str; 2] = ["", "ai.onnx"];
 /// Names of tensors that an error lists.
 const MAX_LISTED: usize = 12;
 /// What to do about a network that does not fit.
@@ -27,7 +29,7 @@ fn not_onnx(file: &Path, found: &str) -> Error {
 ///
 /// # Errors
 /// [`Error::Input`] for bytes that are not ONNX, weights that lie in other files or do not fill their shapes, operators that the
-/// library lacks, and an input or output of a different name or shape than the contract says.
+/// library lacks or that are of no standard domain, and an input or output of a different name or shape than the contract says.
 pub(super) fn read(
     file: &Path,
     bytes: &[u8],
@@ -37,10 +39,7 @@ pub(super) fn read(
     let mut proto = decode(file, bytes)?;
     let graph = proto.graph.as_mut();
     let graph = graph.ok_or_else(|| not_onnx(file, "a file without a graph"))?;
-    for weights in &graph.initializer {
-        check_weights(file, weights)?;
-    }
-    check_operators(file, graph)?;
+    check_parts(file, graph)?;
     check_input(file, graph, contract)?;
     tensor.map_or(Ok(()), |tensor| expose(file, graph, tensor))?;
     let name = tensor.or(contract.output.tensor.as_deref());
@@ -59,6 +58,17 @@ fn decode(file: &Path, bytes: &[u8]) -> Result<ModelProto> {
         let found = format!("{count} bytes that are damaged or cut off ({cause})");
         not_onnx(file, &found)
     })
+}
+
+/// Checks weights and operators of a graph, and of the graphs within its operators.
+fn check_parts(file: &Path, graph: &GraphProto) -> Result<()> {
+    let attributes = || graph.node.iter().flat_map(|node| &node.attribute);
+    let constants = attributes().flat_map(|attribute| attribute.t.iter().chain(&attribute.tensors));
+    let mut weights = graph.initializer.iter().chain(constants);
+    weights.try_for_each(|weights| check_weights(file, weights))?;
+    check_operators(file, graph)?;
+    let mut bodies = attributes().flat_map(|attribute| attribute.g.iter().chain(&attribute.graphs));
+    bodies.try_for_each(|body| check_parts(file, body))
 }
 
 /// Refuses weights that do not fill their shape.
@@ -98,6 +108,13 @@ fn check_weights(file: &Path, weights: &TensorProto) -> Result<()> {
 
 fn check_operators(file: &Path, graph: &GraphProto) -> Result<()> {
     let known = tract_onnx::onnx().op_register.0;
+    // The library does not read the domain: an operator of another one would run as the standard one of its name.
+    let is_foreign = |node: &&NodeProto| !DOMAINS.contains(&&*node.domain);
+    if let Some(node) = graph.node.iter().find(is_foreign) {
+        bail!(file, "operator {:?}", node.name; found "{:?} of the domain {:?}", node.op_type, node.domain;
+            expected "an operator of ONNX itself, of the domain \"\" or \"ai.onnx\"";
+            help "export the network with standard operators");
+    }
     let is_unknown = |node: &&NodeProto| !known.contains_key(&node.op_type);
     if let Some(node) = graph.node.iter().find(is_unknown) {
         bail!(file, "operator {:?}", node.name; found "{:?}", node.op_type; expected "an operator that tract implements";

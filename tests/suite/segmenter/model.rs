@@ -149,6 +149,21 @@ fn tensors_that_do_not_fit_are_named_with_their_shapes() {
 }
 
 #[test]
+fn operators_of_other_domains_are_named() {
+    let of = |domain| Onnx {
+        domain,
+        ..Onnx::new(SIZE.0, SIZE.1)
+    };
+    let contract = Onnx::contract(SIZE.0, SIZE.1);
+    load(&of("ai.onnx").bytes(), &contract).expect("a standard operator");
+    for domain in ["com.microsoft", "ai.onnx.ml", "mine"] {
+        let error = load(&of(domain).bytes(), &contract).expect_err(domain);
+        let parts = ["net.onnx", "operator \"head\"", "\"Conv\"", domain];
+        assert_names(&error, &parts);
+    }
+}
+
+#[test]
 fn cut_off_and_spoilt_files_are_errors() {
     let contract = Onnx::contract(SIZE.0, SIZE.1);
     let bytes = Onnx::new(SIZE.0, SIZE.1).bytes();

@@ -27,6 +27,14 @@ pub struct Onnx {
     /// Name of the tensor that the convolution makes.
     pub made: &'static str,
     pub operator: &'static str,
+    /// Domain of the operator.
+    pub domain: &'static str,
+    /// Type of the input, a number of ONNX's; 1 is float32.
+    pub input_type: u64,
+    /// Operators after the convolution, as [`node`] makes them.
+    pub nodes: Vec<Vec<u8>>,
+    /// More weights, as [`scalar`] and [`vector`] make them.
+    pub weights: Vec<Vec<u8>>,
     /// `[classes, 3, stride, stride]`
     pub weights_shape: Vec<u64>,
     /// Bytes that the weights lack.
@@ -46,6 +54,10 @@ impl Onnx {
             output: ("logits", vec![1, NAMES.len() as u64, h / side, w / side]),
             made: "logits",
             operator: "Conv",
+            domain: "",
+            input_type: 1,
+            nodes: vec![],
+            weights: vec![],
             weights_shape: vec![NAMES.len() as u64, 3, side, side],
             missing: 0,
             external: false,
@@ -122,6 +134,7 @@ impl Onnx {
         text(&mut node, 2, self.made);
         text(&mut node, 3, "head");
         text(&mut node, 4, self.operator);
+        text(&mut node, 7, self.domain);
         for name in ["kernel_shape", "strides"] {
             let mut attribute = vec![];
             text(&mut attribute, 1, name);
@@ -133,11 +146,16 @@ impl Onnx {
         }
         let mut graph = vec![];
         bytes(&mut graph, 1, &node);
+        self.nodes
+            .iter()
+            .for_each(|node| bytes(&mut graph, 1, node));
         text(&mut graph, 2, "graph");
         bytes(&mut graph, 5, &weights);
         bytes(&mut graph, 5, &biases);
-        bytes(&mut graph, 11, &value(&self.input));
-        bytes(&mut graph, 12, &value(&self.output));
+        let more = self.weights.iter();
+        more.for_each(|weights| bytes(&mut graph, 5, weights));
+        bytes(&mut graph, 11, &value(&self.input, self.input_type));
+        bytes(&mut graph, 12, &value(&self.output, 1));
         let mut opset = vec![];
         number(&mut opset, 2, 13);
         let mut model = vec![];
@@ -148,8 +166,65 @@ impl Onnx {
     }
 }
 
-/// Name, type f32 and shape of an input or output.
-fn value((name, shape): &(&str, Vec<u64>)) -> Vec<u8> {
+/// An operator, with attributes as [`flag`] and [`graph`] make them.
+pub fn node(operator: &str, inputs: &[&str], output: &str, attributes: &[Vec<u8>]) -> Vec<u8> {
+    let mut node = vec![];
+    inputs.iter().for_each(|name| text(&mut node, 1, name));
+    text(&mut node, 2, output);
+    text(&mut node, 3, &format!("make {output}"));
+    text(&mut node, 4, operator);
+    for attribute in attributes {
+        bytes(&mut node, 5, attribute);
+    }
+    node
+}
+
+/// An attribute that is a graph of these operators, which makes `output`.
+pub fn graph(name: &str, nodes: &[Vec<u8>], output: &str) -> Vec<u8> {
+    let mut graph = vec![];
+    nodes.iter().for_each(|node| bytes(&mut graph, 1, node));
+    text(&mut graph, 2, name);
+    let mut value = vec![];
+    text(&mut value, 1, output);
+    bytes(&mut graph, 12, &value);
+    let mut attribute = vec![];
+    text(&mut attribute, 1, name);
+    bytes(&mut attribute, 6, &graph);
+    number(&mut attribute, 20, 5);
+    attribute
+}
+
+/// An attribute that is a whole number.
+pub fn flag(name: &str, value: u64) -> Vec<u8> {
+    let mut attribute = vec![];
+    text(&mut attribute, 1, name);
+    number(&mut attribute, 3, value);
+    number(&mut attribute, 20, 2);
+    attribute
+}
+
+/// Weights that are a 64-bit whole number.
+pub fn scalar(name: &str, value: i64) -> Vec<u8> {
+    whole_numbers(name, &[], &[value])
+}
+
+/// Weights that are a vector of 64-bit whole numbers.
+pub fn vector(name: &str, values: &[i64]) -> Vec<u8> {
+    whole_numbers(name, &[values.len() as u64], values)
+}
+
+fn whole_numbers(name: &str, shape: &[u64], values: &[i64]) -> Vec<u8> {
+    let mut weights = vec![];
+    shape.iter().for_each(|side| number(&mut weights, 1, *side));
+    number(&mut weights, 2, 7);
+    text(&mut weights, 8, name);
+    let raw: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+    bytes(&mut weights, 9, &raw);
+    weights
+}
+
+/// Name, type and shape of an input or output.
+fn value((name, shape): &(&str, Vec<u64>), kind: u64) -> Vec<u8> {
     let mut sides = vec![];
     for side in shape {
         let mut dimension = vec![];
@@ -157,7 +232,7 @@ fn value((name, shape): &(&str, Vec<u64>)) -> Vec<u8> {
         bytes(&mut sides, 1, &dimension);
     }
     let mut tensor = vec![];
-    number(&mut tensor, 1, 1);
+    number(&mut tensor, 1, kind);
     bytes(&mut tensor, 2, &sides);
     let mut kind = vec![];
     bytes(&mut kind, 1, &tensor);
