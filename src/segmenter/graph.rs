@@ -29,7 +29,7 @@ fn not_onnx(file: &Path, found: &str) -> Error {
 ///
 /// # Errors
 /// [`Error::Input`] for bytes that are not ONNX, weights that lie in other files or do not fill their shapes, operators that the
-/// library lacks or that are of no standard domain, and an input or output of a different name or shape than the contract says.
+/// library lacks or that are of no standard domain, and an input or output of a different name, type or shape than the contract says.
 pub(super) fn read(
     file: &Path,
     bytes: &[u8],
@@ -137,6 +137,11 @@ fn check_input(file: &Path, graph: &GraphProto, contract: &Contract) -> Result<(
         bail!(file, "inputs"; found "{}", described(&inputs);
             expected "{expected:?}, as {} says", contract.file.display(); help "{UNFIT_HELP}");
     }
+    let kind = kind(input).filter(|kind| *kind != tensor_proto::DataType::Undefined);
+    if let Some(other) = kind.filter(|kind| *kind != tensor_proto::DataType::Float) {
+        bail!(file, "tensor {}", input.name; found "values of type {}", other.as_str_name().to_lowercase();
+            expected "float32"; help "export the network with an input of float32");
+    }
     let expected = contract.input_shape();
     let declared = shape(input);
     let fits = declared.as_ref().is_none_or(|declared| {
@@ -183,6 +188,12 @@ fn described(all: &[&ValueInfoProto]) -> String {
         .iter()
         .map(|one| format!("{} {}", one.name, shape_text(shape(one).as_deref())));
     each.collect::<Vec<_>>().join(", ")
+}
+
+/// The declared type of the values; `None` where none that ONNX knows is declared.
+fn kind(value: &ValueInfoProto) -> Option<tensor_proto::DataType> {
+    let type_proto::Value::TensorType(tensor) = value.r#type.as_ref()?.value.as_ref()?;
+    tensor_proto::DataType::try_from(tensor.elem_type).ok()
 }
 
 /// The declared dimensions; `None` for those that are open.

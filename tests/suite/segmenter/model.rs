@@ -149,6 +149,19 @@ fn tensors_that_do_not_fit_are_named_with_their_shapes() {
 }
 
 #[test]
+fn inputs_of_other_types_are_named() {
+    // Numbers of types in ONNX.
+    for (input_type, name) in [(2, "uint8"), (10, "float16"), (11, "double")] {
+        let onnx = Onnx {
+            input_type,
+            ..Onnx::new(SIZE.0, SIZE.1)
+        };
+        let error = load(&onnx.bytes(), &Onnx::contract(SIZE.0, SIZE.1)).expect_err(name);
+        assert_names(&error, &["net.onnx", "tensor image", name, "float32"]);
+    }
+}
+
+#[test]
 fn operators_of_other_domains_are_named() {
     let of = |domain| Onnx {
         domain,
