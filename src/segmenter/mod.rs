@@ -12,6 +12,7 @@ mod mapping;
 mod model;
 mod run;
 mod turned;
+mod values;
 
 pub use self::contract::Contract;
 pub use self::folder::{Job, Labelled, label_scene};

@@ -105,6 +105,11 @@ impl Network {
         }
     }
 
+    /// Name of the output.
+    pub(super) fn output_name(&self) -> &str {
+        &self.output
+    }
+
     /// Rows, columns and channels of the output.
     pub(crate) fn map_shape(&self) -> [usize; 3] {
         let [_, a, b, c] = self.shape;

@@ -46,7 +46,8 @@ impl Network {
     /// Runs the network on a photo.
     ///
     /// # Errors
-    /// [`crate::Error::Input`] where the network fails; [`crate::Error::NonFinite`].
+    /// [`crate::Error::Input`] where the network fails, and where its output is not what the contract calls it, logits or
+    /// probabilities; [`crate::Error::NonFinite`].
     pub fn run(&self, photo: &RgbImage) -> Result<Logits> {
         let (input, area) = self.contract.prepare(photo);
         let values = self.output(&input)?;
@@ -65,6 +66,7 @@ impl Network {
             let first = (row * across + columns.start) * classes;
             cut.extend_from_slice(&values[first..][..columns.len() * classes]);
         }
+        self.check_values(&cut)?;
         grid.offset[0] -= columns.start as f64;
         grid.offset[1] -= rows.start as f64;
         Ok(Logits {

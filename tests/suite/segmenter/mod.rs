@@ -7,3 +7,4 @@ mod model;
 mod parity;
 mod scene_folders;
 mod turned_photos;
+mod values;
