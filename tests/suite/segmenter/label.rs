@@ -222,7 +222,7 @@ fn scores_of_a_photo_of_another_size_are_refused() {
     // Beside the map of a smaller copy they are right.
     write([WIDTH / 2, HEIGHT / 2], 2.0);
     let map = LabelMap::read(&out.join("v0.png")).expect("map");
-    let half = (0..map.ids.len()).filter(|i| i / WIDTH % 2 == 0 && i % 2 == 0);
+    let half = (0..map.ids.len()).filter(|i| (i / WIDTH).is_multiple_of(2) && i.is_multiple_of(2));
     let half = LabelMap {
         width: WIDTH / 2,
         height: HEIGHT / 2,

@@ -179,21 +179,6 @@ pub fn node(operator: &str, inputs: &[&str], output: &str, attributes: &[Vec<u8>
     node
 }
 
-/// An attribute that is a graph of these operators, which makes `output`.
-pub fn graph(name: &str, nodes: &[Vec<u8>], output: &str) -> Vec<u8> {
-    let mut graph = vec![];
-    nodes.iter().for_each(|node| bytes(&mut graph, 1, node));
-    text(&mut graph, 2, name);
-    let mut value = vec![];
-    text(&mut value, 1, output);
-    bytes(&mut graph, 12, &value);
-    let mut attribute = vec![];
-    text(&mut attribute, 1, name);
-    bytes(&mut attribute, 6, &graph);
-    number(&mut attribute, 20, 5);
-    attribute
-}
-
 /// An attribute that is a whole number.
 pub fn flag(name: &str, value: u64) -> Vec<u8> {
     let mut attribute = vec![];
@@ -201,26 +186,6 @@ pub fn flag(name: &str, value: u64) -> Vec<u8> {
     number(&mut attribute, 3, value);
     number(&mut attribute, 20, 2);
     attribute
-}
-
-/// Weights that are a 64-bit whole number.
-pub fn scalar(name: &str, value: i64) -> Vec<u8> {
-    whole_numbers(name, &[], &[value])
-}
-
-/// Weights that are a vector of 64-bit whole numbers.
-pub fn vector(name: &str, values: &[i64]) -> Vec<u8> {
-    whole_numbers(name, &[values.len() as u64], values)
-}
-
-fn whole_numbers(name: &str, shape: &[u64], values: &[i64]) -> Vec<u8> {
-    let mut weights = vec![];
-    shape.iter().for_each(|side| number(&mut weights, 1, *side));
-    number(&mut weights, 2, 7);
-    text(&mut weights, 8, name);
-    let raw: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-    bytes(&mut weights, 9, &raw);
-    weights
 }
 
 /// Name, type and shape of an input or output.
