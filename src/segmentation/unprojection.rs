@@ -252,7 +252,10 @@ pub fn unproject<'a, F: Borrow<ViewFeatures>>(
         let expected = format!("{} or more", views.len() + 1);
         return Err(mismatch(format!("{} views", views.len()), expected));
     }
-    lifted.map_or_else(|| Ok(Vec::new()), LiftedViews::features)
+    let Some(lifted) = lifted else {
+        return Err(mismatch("none".into(), "one or more".into()));
+    };
+    lifted.features()
 }
 
 fn mismatch(found: String, expected: String) -> Error {

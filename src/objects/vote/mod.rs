@@ -52,8 +52,8 @@ pub fn weighted_vote<'a>(
     settings: &Settings,
     device: &Device,
 ) -> Result<Votes> {
-    let far = distance.then_some(gaussians);
-    let cast = |view: &View| ViewVotes::of_scores(view, classes, far, device);
+    let weighted = distance.then_some(gaussians);
+    let cast = |view: &View| ViewVotes::of_scores(view, classes, weighted, device);
     collect(gaussians, views, classes, cast, None, settings, device)
 }
 
@@ -75,10 +75,10 @@ pub fn refined_vote<'a>(
     let views: Vec<&View> = views.collect();
     let views = || views.iter().copied();
     let mut votes = weighted_vote(gaussians, views(), classes, distance, settings, device)?;
-    let far = distance.then_some(gaussians);
+    let weighted = distance.then_some(gaussians);
     for _ in 0..REFINEMENTS {
         let shares = Some(votes.shares());
-        let cast = |view: &View| ViewVotes::of_scores(view, classes, far, device);
+        let cast = |view: &View| ViewVotes::of_scores(view, classes, weighted, device);
         votes = collect(gaussians, views(), classes, cast, shares, settings, device)?;
     }
     Ok(votes)

@@ -25,11 +25,11 @@ impl ViewVotes {
     }
 
     /// The scores of each pixel that has a raw label, or the label itself where the view or the pixel has no scores; times the
-    /// distances of the Gaussians `far` from the camera.
+    /// distances of the Gaussians `weighted` from the camera, if any.
     pub fn of_scores(
         view: &View,
         classes: &Classes,
-        far: Option<&Gaussians>,
+        weighted: Option<&Gaussians>,
         device: &Device,
     ) -> Result<Self> {
         let scores = view.scores.as_ref().map(|scores| scores.read(classes));
@@ -47,7 +47,7 @@ impl ViewVotes {
             votes.extend_from_slice(&found);
         });
         Ok(Self {
-            weights: far.map(|gaussians| distances(gaussians, &view.camera, device)),
+            weights: weighted.map(|gaussians| distances(gaussians, &view.camera, device)),
             ..cast
         })
     }

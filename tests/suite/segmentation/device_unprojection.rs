@@ -275,7 +275,11 @@ fn features_are_lifted_alike() {
                 );
             }
         }
-        let config = UnprojectionConfig::default();
+        let config = UnprojectionConfig {
+            attendance: 0.02,
+            attendance_pixels: 0.0,
+            ..UnprojectionConfig::default()
+        };
         let kept = |device: &Device| {
             let settings = Settings::default();
             let go_on = &mut || Ok(());
@@ -285,6 +289,7 @@ fn features_are_lifted_alike() {
         let (got, want) = (kept(&gpu), kept(&crate::support::device()));
         let same = got.iter().zip(&want).filter(|(a, b)| a == b).count();
         assert!(same * 100 >= n * 98, "{same} of {n} kept alike");
+        assert!(want.contains(&true) && want.contains(&false));
     }
 }
 

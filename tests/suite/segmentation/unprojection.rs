@@ -217,6 +217,8 @@ fn views_and_maps_that_do_not_match_are_refused() {
     };
     let set = features(&views, maps);
     assert!(error(&views[..2], &set).contains("views of the unprojection"));
+    let none = features(&[], maps);
+    assert!(error(&[], &none).contains("one or more"));
     let mut other = views.clone();
     other.swap(0, 1);
     assert!(error(&other, &set).contains("v1"));

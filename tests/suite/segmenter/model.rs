@@ -1,7 +1,7 @@
 //! Networks that do not fit their contract, and files that are damaged: an error each, that names the tensor, and no panic.
 
 use crate::support::assert_names;
-use crate::support::onnx::{NAMES, Onnx, STRIDE};
+use crate::support::onnx::{NAMES, Onnx, STRIDE, graph, node};
 use coseg::segmenter::{Contract, Network};
 use rand::{Rng, SeedableRng};
 use std::path::Path;
@@ -174,6 +174,20 @@ fn operators_of_other_domains_are_named() {
         let parts = ["net.onnx", "operator \"head\"", "\"Conv\"", domain];
         assert_names(&error, &parts);
     }
+}
+
+#[test]
+fn operators_within_operators_are_checked() {
+    let unknown = node("Nonsense", &["cells"], "inner", &[]);
+    let branch = graph("then_branch", &[unknown]);
+    let onnx = Onnx {
+        made: "cells",
+        nodes: vec![node("If", &["cells"], "logits", &[branch])],
+        ..Onnx::new(SIZE.0, SIZE.1)
+    };
+    let error = load(&onnx.bytes(), &Onnx::contract(SIZE.0, SIZE.1));
+    let parts = ["net.onnx", "operator \"make inner\"", "\"Nonsense\""];
+    assert_names(&error.expect_err("unknown"), &parts);
 }
 
 #[test]

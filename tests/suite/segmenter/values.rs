@@ -29,7 +29,12 @@ fn run(operator: &str, values: &str) -> coseg::Result<Logits> {
 #[test]
 fn logits_that_are_called_probabilities_are_refused() {
     run("Softmax", "probabilities").expect("probabilities");
-    for operator in ["Identity", "Sigmoid", "Neg"] {
+    let beyond = "values = \"logits\"";
+    for (operator, help) in [
+        ("Identity", beyond),
+        ("Neg", beyond),
+        ("Sigmoid", "softmax"),
+    ] {
         let error = run(operator, "probabilities").err();
         let parts = [
             "net.onnx",
@@ -37,7 +42,7 @@ fn logits_that_are_called_probabilities_are_refused() {
             "values from",
             "sums",
             "net.toml",
-            "values = \"logits\"",
+            help,
         ];
         assert_names(&error.expect(operator), &parts);
     }

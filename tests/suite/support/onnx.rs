@@ -33,8 +33,6 @@ pub struct Onnx {
     pub input_type: u64,
     /// Operators after the convolution, as [`node`] makes them.
     pub nodes: Vec<Vec<u8>>,
-    /// More weights, as [`scalar`] and [`vector`] make them.
-    pub weights: Vec<Vec<u8>>,
     /// `[classes, 3, stride, stride]`
     pub weights_shape: Vec<u64>,
     /// Bytes that the weights lack.
@@ -57,7 +55,6 @@ impl Onnx {
             domain: "",
             input_type: 1,
             nodes: vec![],
-            weights: vec![],
             weights_shape: vec![NAMES.len() as u64, 3, side, side],
             missing: 0,
             external: false,
@@ -152,8 +149,6 @@ impl Onnx {
         text(&mut graph, 2, "graph");
         bytes(&mut graph, 5, &weights);
         bytes(&mut graph, 5, &biases);
-        let more = self.weights.iter();
-        more.for_each(|weights| bytes(&mut graph, 5, weights));
         bytes(&mut graph, 11, &value(&self.input, self.input_type));
         bytes(&mut graph, 12, &value(&self.output, 1));
         let mut opset = vec![];
@@ -177,6 +172,18 @@ pub fn node(operator: &str, inputs: &[&str], output: &str, attributes: &[Vec<u8>
         bytes(&mut node, 5, attribute);
     }
     node
+}
+
+/// An attribute that is a graph of these operators.
+pub fn graph(name: &str, nodes: &[Vec<u8>]) -> Vec<u8> {
+    let mut graph = vec![];
+    nodes.iter().for_each(|node| bytes(&mut graph, 1, node));
+    text(&mut graph, 2, name);
+    let mut attribute = vec![];
+    text(&mut attribute, 1, name);
+    bytes(&mut attribute, 6, &graph);
+    number(&mut attribute, 20, 5);
+    attribute
 }
 
 /// An attribute that is a whole number.
