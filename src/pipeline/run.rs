@@ -41,7 +41,7 @@ pub struct Seconds {
     pub building: f64,
     /// 2D feature extraction.
     pub features: f64,
-    /// Reducing features and lifting them onto Gaussians.
+    /// Attendance of the Gaussians; reducing features and lifting them.
     pub unprojection: f64,
     /// Stage two, the point encoder included.
     pub segmentation: f64,
