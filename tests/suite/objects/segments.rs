@@ -129,7 +129,8 @@ fn commands_say_what_they_need_for_segments() {
         assert!(message.contains(part), "{part:?} is not in: {message}");
     }
     let said = succeeds(&[&grey[..], &association].concat());
-    assert!(said.contains("in the raw labels, to be joined"), "{said}");
+    let joined = "% of their pixels, to be joined over Gaussians";
+    assert!(said.contains(joined), "{said}");
     // True labels need a table all the same.
     edit(dir, |v| {
         v["frames"][2]["label_path"] = "labels/v2.png".into()
