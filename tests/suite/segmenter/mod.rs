@@ -6,5 +6,6 @@ mod label;
 mod model;
 mod parity;
 mod scene_folders;
+mod scores;
 mod turned_photos;
 mod values;
