@@ -20,7 +20,7 @@ use naming::Naming;
 use smart_default::SmartDefault;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What counts as touching, and as an object. The defaults were chosen on two trained rooms with true instances (docs/measured.md,
+/// What counts as touching, and as an object. The defaults were chosen on two trained rooms with true instances (docs/measured-objects.md,
 /// "Things of one label").
 #[derive(Clone, Copy, Debug, PartialEq, SmartDefault)]
 pub struct Separation {
