@@ -1,9 +1,11 @@
-//! Time against error: each setting of the rasterizer changed alone, against an exact rendering in f64.
+//! Time against error: each setting of the rasterizer, the number of Gaussians and the size of the picture changed alone, against
+//! an exact rendering in f64.
 
 use super::{Bench, Figures};
 use crate::backend::device::{open_cpu, read_wide};
 use crate::error::Result;
 use crate::ops::sum_all;
+use crate::pipeline::{Keep, prune};
 use crate::raster::{RasterInput, Settings, rasterize};
 use crate::splat::Gaussians;
 use crate::splat::camera::Camera;
@@ -27,6 +29,10 @@ const ALPHA_MIN: [f64; 6] = [
 ];
 const T_MIN: [f64; 5] = [0.0, 1e-5, 1e-4, 1e-3, 1e-2];
 const ALPHA_MAX: [f64; 4] = [1.0, 0.999, 0.99, 0.95];
+/// Shares of the Gaussians that stay when the others are pruned.
+const SHARES: [f64; 2] = [0.75, 0.5];
+/// Pixels of the reference that a pixel covers in each direction.
+const PIXELS: [usize; 2] = [2, 4];
 /// Gradients of a [`Pass`].
 const GRADIENTS: [&str; 5] = ["means", "log-scales", "rotations", "opacities", "SH"];
 
@@ -34,15 +40,13 @@ const GRADIENTS: [&str; 5] = ["means", "log-scales", "rotations", "opacities", "
 struct Point {
     name: String,
     settings: Settings,
-    sh_degree: usize,
+    /// Its Gaussians, tracked by autodiff, and which of the scene's they are; all where there is none.
+    input: RasterInput,
+    rows: Option<Vec<u32>>,
+    /// A pixel of its pictures covers this many pixels of the reference in each direction.
+    pixel: usize,
     /// Milliseconds of a view, for each pass over the views: forward, and forward and backward.
     times: [Vec<f64>; 2],
-}
-
-/// The Gaussians on a device, tracked by autodiff, and the views.
-struct Subject<'a> {
-    input: RasterInput,
-    cameras: &'a [Camera],
 }
 
 /// A view and the gradients of its loss, in host memory.
@@ -54,23 +58,14 @@ struct Pass {
 /// Times and errors of each point: forward, and forward and backward.
 pub(super) fn measure(bench: &Bench, gaussians: &Gaussians) -> Result<Vec<Figures>> {
     let cameras = cameras(bench);
-    let subject = |device: &Device, dtype| Subject {
-        input: input(gaussians, device, dtype),
-        cameras: &cameras,
-    };
-    let configured = Settings::from(&bench.config.raster);
-    let exact = Settings {
-        alpha_min: NEARLY_ZERO,
-        t_min: 0.0,
-        alpha_max: 1.0,
-        ..configured
-    };
-    let mut points = points(&configured, &exact, gaussians.sh_degree);
-    let found = subject(&bench.device, DType::F32);
+    let mut points = points(bench, gaussians)?;
     // Round by round, so that a slow moment of the machine affects all points alike. The first round is the warm-up.
     for round in 0..=bench.repeats {
         for point in &mut points {
-            let seconds = [found.seconds(point, false)?, found.seconds(point, true)?];
+            let seconds = [
+                point.seconds(&cameras, false)?,
+                point.seconds(&cameras, true)?,
+            ];
             for (times, seconds) in point.times.iter_mut().zip(seconds) {
                 if round > 0 {
                     times.push(1e3 * seconds / cameras.len() as f64);
@@ -78,11 +73,12 @@ pub(super) fn measure(bench: &Bench, gaussians: &Gaussians) -> Result<Vec<Figure
             }
         }
     }
-    let reference = subject(&open_cpu()?, DType::F64);
-    let truth = reference.passes(&exact, gaussians.sh_degree, None)?;
+    let settings = exact(&Settings::from(&bench.config.raster));
+    let reference = Point::new("f64", settings, input(gaussians, &open_cpu()?, DType::F64));
+    let truth = reference.passes(&cameras, None, gaussians.len())?;
     let mut figures = tables(gaussians.len(), cameras.len());
     for point in &points {
-        let passes = found.passes(&point.settings, point.sh_degree, Some(&truth))?;
+        let passes = point.passes(&cameras, Some(&truth), gaussians.len())?;
         let errors = [
             image_errors(&passes, &truth),
             gradient_errors(&passes, &truth),
@@ -108,13 +104,14 @@ fn tables(gaussians: usize, views: usize) -> [Figures; 2] {
         ),
         "errors: absolute, of RGB, against f64 with alpha_min 1e-14, t_min 0, alpha_max 1"
             .to_owned(),
-        "each line changes one of the configured settings".to_owned(),
+        "each line changes one of the configured settings, or the Gaussians or pixels themselves".to_owned(),
+        "shares of the Gaussians: those that `coseg prune --keep` leaves; image scales: each pixel shown as a square".to_owned(),
     ];
     let mut backward = Figures::new("curve of gradients", gaussians);
     backward.error_names = &GRADIENTS;
     backward.notes = vec![
         "the same views, forward and backward; the loss is half the squared distance of RGB from grey".to_owned(),
-        "errors: of each gradient, root mean square over that of the gradient in f64".to_owned(),
+        "errors: of each gradient, root mean square over that of the gradient in f64; 0 for Gaussians left out".to_owned(),
     ];
     [forward, backward]
 }
@@ -154,20 +151,28 @@ fn input(gaussians: &Gaussians, device: &Device, dtype: DType) -> RasterInput {
     }
 }
 
-impl Subject<'_> {
-    fn image(&self, camera: &Camera, settings: &Settings, sh_degree: usize) -> Result<Tensor<3>> {
-        let input = RasterInput {
-            active_sh_degree: sh_degree,
-            ..self.input.clone()
-        };
-        Ok(rasterize(input, camera, settings, [0.0; 3])?.image)
+impl Point {
+    fn new(name: impl Into<String>, settings: Settings, input: RasterInput) -> Self {
+        Self {
+            name: name.into(),
+            settings,
+            input,
+            rows: None,
+            pixel: 1,
+            times: Default::default(),
+        }
+    }
+
+    fn image(&self, camera: &Camera) -> Result<Tensor<3>> {
+        let camera = camera.with_size(SIZE[0] / self.pixel, SIZE[1] / self.pixel);
+        Ok(rasterize(self.input.clone(), &camera, &self.settings, [0.0; 3])?.image)
     }
 
     /// Seconds of the views, or of the views and their gradients.
-    fn seconds(&self, point: &Point, with_gradients: bool) -> Result<f64> {
+    fn seconds(&self, cameras: &[Camera], with_gradients: bool) -> Result<f64> {
         let start = Instant::now();
-        for camera in self.cameras {
-            let image = self.image(camera, &point.settings, point.sh_degree)?;
+        for camera in cameras {
+            let image = self.image(camera)?;
             let found = image.clone().inner();
             if with_gradients {
                 let mut gradients = loss(image, found).backward();
@@ -181,40 +186,78 @@ impl Subject<'_> {
         Ok(start.elapsed().as_secs_f64())
     }
 
-    /// All views with their gradients. The loss is that of the images of `truth`, where it is given, so that gradients differ by
-    /// the backward pass alone.
+    /// All views, and the gradients of the scene's `count` Gaussians. The loss is that of the images of `truth`, where it is given,
+    /// so that gradients differ by the backward pass alone.
     fn passes(
         &self,
-        settings: &Settings,
-        sh_degree: usize,
+        cameras: &[Camera],
         truth: Option<&[Pass]>,
+        count: usize,
     ) -> Result<Vec<Pass>> {
         let pass = |(i, camera): (usize, &Camera)| {
-            let image = self.image(camera, settings, sh_degree)?;
+            let image = self.image(camera)?;
             let found = image.clone().inner();
             let at = match truth {
                 Some(truth) => {
-                    let data = TensorData::new(truth[i].image.clone(), found.dims());
-                    Tensor::from_data(data, (&found.device(), found.dtype()))
+                    let data = TensorData::new(truth[i].image.clone(), [SIZE[1], SIZE[0], 3]);
+                    let truth = Tensor::from_data(data, (&found.device(), found.dtype()));
+                    coarser(truth, self.pixel)
                 }
                 None => found.clone(),
             };
-            let mut gradients = loss(image, at).backward();
+            // Each pixel stands for as many terms of the loss as it covers pixels.
+            let weight = (self.pixel * self.pixel) as f64;
+            let mut gradients = (loss(image, at) * weight).backward();
             let input = &self.input;
             let sh = input.sh.as_ref().map(|sh| gradient(sh, &mut gradients));
+            let own = [
+                gradient(&input.means, &mut gradients)?,
+                gradient(&input.log_scales, &mut gradients)?,
+                gradient(&input.rotations, &mut gradients)?,
+                gradient(&input.opacity_logits, &mut gradients)?,
+                sh.transpose()?.unwrap_or_default(),
+            ];
             Ok(Pass {
-                image: values(found)?,
-                gradients: [
-                    gradient(&input.means, &mut gradients)?,
-                    gradient(&input.log_scales, &mut gradients)?,
-                    gradient(&input.rotations, &mut gradients)?,
-                    gradient(&input.opacity_logits, &mut gradients)?,
-                    sh.transpose()?.unwrap_or_default(),
-                ],
+                image: values(finer(found, self.pixel))?,
+                gradients: own.map(|own| self.of_the_scene(own, count)),
             })
         };
-        self.cameras.iter().enumerate().map(pass).collect()
+        cameras.iter().enumerate().map(pass).collect()
     }
+
+    /// `own` has a gradient for each Gaussian of this point; of those that it leaves out the gradient is 0.
+    fn of_the_scene(&self, own: Vec<f64>, count: usize) -> Vec<f64> {
+        let Some(rows) = self.rows.as_ref().filter(|rows| !rows.is_empty()) else {
+            return own;
+        };
+        let width = own.len() / rows.len();
+        let mut all = vec![0.0; count * width];
+        for (&row, own) in rows.iter().zip(own.chunks(width.max(1))) {
+            all[row as usize * width..][..width].copy_from_slice(own);
+        }
+        all
+    }
+}
+
+/// The mean of each square of `pixel` x `pixel` pixels.
+fn coarser(image: Tensor<3>, pixel: usize) -> Tensor<3> {
+    let [height, width, channels] = image.dims();
+    let (rows, columns) = (height / pixel, width / pixel);
+    image
+        .reshape([rows, pixel, columns, pixel * channels])
+        .mean_dim(1)
+        .reshape([rows, columns, pixel, channels])
+        .mean_dim(2)
+        .reshape([rows, columns, channels])
+}
+
+/// Each pixel as a square of `pixel` x `pixel` pixels.
+fn finer(image: Tensor<3>, pixel: usize) -> Tensor<3> {
+    let [height, width, channels] = image.dims();
+    image
+        .reshape([height, 1, width, channels])
+        .repeat(&[1, pixel, 1, pixel])
+        .reshape([height * pixel, width * pixel, channels])
 }
 
 /// Has the gradient of half the squared distance between `at` and grey.
@@ -258,8 +301,55 @@ fn gradient_errors(found: &[Pass], truth: &[Pass]) -> Vec<f64> {
     (0..GRADIENTS.len()).map(of).collect()
 }
 
-/// The settings to try: the configured ones, then each setting from exact to coarse, then all exact.
-fn points(configured: &Settings, exact: &Settings, sh_degree: usize) -> Vec<Point> {
+/// Without cut-offs and cap.
+fn exact(configured: &Settings) -> Settings {
+    Settings {
+        alpha_min: NEARLY_ZERO,
+        t_min: 0.0,
+        alpha_max: 1.0,
+        ..*configured
+    }
+}
+
+/// The configured point; then each setting from exact to coarse, and all exact; then lower degrees, rounded coefficients, fewer
+/// Gaussians and coarser pictures.
+fn points(bench: &Bench, gaussians: &Gaussians) -> Result<Vec<Point>> {
+    let c = Settings::from(&bench.config.raster);
+    let all = input(gaussians, &bench.device, DType::F32);
+    let point = |(name, settings)| Point::new(name, settings, all.clone());
+    let first = ("as configured".to_owned(), c);
+    let mut points: Vec<Point> = [first].into_iter().chain(tried(&c)).map(point).collect();
+    let degree = gaussians.sh_degree;
+    points.extend((0..degree).map(|lower| {
+        let mut point = point((format!("SH degree {lower} of {degree}"), c));
+        point.input.active_sh_degree = lower;
+        point
+    }));
+    let mut rounded = gaussians.clone();
+    rounded
+        .sh
+        .iter_mut()
+        .for_each(|sh| *sh = half::f16::from_f32(*sh).to_f32());
+    let rounded = input(&rounded, &bench.device, DType::F32);
+    points.push(Point::new("SH rounded to f16", c, rounded));
+    for share in SHARES {
+        let keep = Keep::Share(share);
+        let rows = prune(gaussians, &bench.scene, keep, &bench.config, &bench.device)?.kept;
+        let left = input(&gaussians.select(&rows), &bench.device, DType::F32);
+        points.push(Point {
+            rows: Some(rows),
+            ..Point::new(format!("{share} of the Gaussians"), c, left)
+        });
+    }
+    points.extend(PIXELS.map(|pixel| Point {
+        pixel,
+        ..point((format!("image scale 1/{pixel}"), c))
+    }));
+    Ok(points)
+}
+
+/// Each setting changed alone, and all of them.
+fn tried(configured: &Settings) -> Vec<(String, Settings)> {
     let c = *configured;
     let alpha_min = ALPHA_MIN.map(|v| {
         (
@@ -269,22 +359,14 @@ fn points(configured: &Settings, exact: &Settings, sh_degree: usize) -> Vec<Poin
     });
     let t_min = T_MIN.map(|v| (format!("t_min {}", number(v)), Settings { t_min: v, ..c }));
     let alpha_max = ALPHA_MAX.map(|v| (format!("alpha_max {v}"), Settings { alpha_max: v, ..c }));
-    let tried = alpha_min.into_iter().chain(t_min).chain(alpha_max);
-    let tried = tried.chain([("all exact".to_owned(), *exact)]);
-    let tried = tried.filter(|(_, settings)| settings != configured);
-    let point = |(name, settings)| Point {
-        name,
-        settings,
-        sh_degree,
-        times: Default::default(),
-    };
-    let first = ("as configured".to_owned(), c);
-    let mut points: Vec<Point> = [first].into_iter().chain(tried).map(point).collect();
-    points.extend((0..sh_degree).map(|degree| Point {
-        sh_degree: degree,
-        ..point((format!("SH degree {degree} of {sh_degree}"), c))
-    }));
-    points
+    let mut tried: Vec<_> = alpha_min
+        .into_iter()
+        .chain(t_min)
+        .chain(alpha_max)
+        .collect();
+    tried.push(("all exact".to_owned(), exact(&c)));
+    tried.retain(|(_, settings)| settings != configured);
+    tried
 }
 
 /// A number as `1/255` where it is the reciprocal of a whole number, else as `1e-5` where it is small.

@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 
 const HELP: &str = "\
 Sections
-  curve   each setting of the rasterizer changed alone: times of forward and backward, and the errors of the picture and of
-          each gradient against exact f64
+  curve   each setting of the rasterizer, the number of Gaussians and the size of the picture changed alone: times of forward
+          and backward, and the errors of the picture and of each gradient against exact f64
   stages  a step of stage one, image features and their lifting from all views, a step of stage two where the scene has
           raw labels; the peak memory of each stage
 

@@ -6,6 +6,7 @@
 mod operations;
 
 use super::Real;
+pub(crate) use operations::places;
 use operations::{Operations, compressed, sign_bits};
 use pulp::{Scalar512b, Simd};
 

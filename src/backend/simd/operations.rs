@@ -36,6 +36,16 @@ impl Operations for pulp::x86::V4 {
                 ._mm512_maskz_compress_ps(bits as u16, pulp::cast(x)),
         )
     }
+
+    /// Halves are added, then as with half the lanes; the additions are those of `reduce_sum_f32s`.
+    #[inline(always)]
+    fn totals_f32s(self, a: [Self::f32s; 8]) -> [f32; 8] {
+        let halves = a.map(|a| {
+            let [low, high] = pulp::cast::<_, [std::arch::x86_64::__m256; 2]>(a);
+            pulp::cast(self.avx._mm256_add_ps(low, high))
+        });
+        (*self).totals_f32s(halves)
+    }
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -47,7 +57,7 @@ impl Operations for pulp::x86::V3 {
 
     #[inline(always)]
     fn compress_f32s(self, x: Self::f32s, bits: u32) -> Self::f32s {
-        let from = pulp::cast(MEMBERS[bits as usize % MEMBERS.len()]);
+        let from = pulp::cast(places(bits).map(i32::from));
         let permuted = (self.avx2)._mm256_permutevar8x32_ps(pulp::cast(x), from);
         pulp::cast(permuted)
     }
@@ -129,24 +139,28 @@ pub(super) fn compressed<E: Copy, const L: usize>(lanes: [E; L], bits: u32) -> [
     out
 }
 
-/// For every set of eight lanes its members in order, and then zeros.
-#[cfg(target_arch = "x86_64")]
-static MEMBERS: [[i32; 8]; 256] = {
-    let mut members = [[0; 8]; 256];
-    let mut set = 0;
-    while set < members.len() {
-        let mut lane = 0;
+/// Which of the low eight bits are set, in order, and then zeros.
+#[inline(always)]
+pub(crate) fn places(bits: u32) -> [u8; 8] {
+    PLACES[bits as usize % PLACES.len()]
+}
+
+static PLACES: [[u8; 8]; 256] = {
+    let mut places = [[0; 8]; 256];
+    let mut bits = 0;
+    while bits < places.len() {
+        let mut place = 0;
         let mut count = 0;
-        while lane < 8 {
-            if set >> lane & 1 == 1 {
-                members[set][count] = lane;
+        while place < 8 {
+            if bits >> place & 1 == 1 {
+                places[bits][count] = place;
                 count += 1;
             }
-            lane += 1;
+            place += 1;
         }
-        set += 1;
+        bits += 1;
     }
-    members
+    places
 };
 
 #[cfg(test)]

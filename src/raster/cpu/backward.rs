@@ -10,8 +10,9 @@
 use super::blend::tile_image;
 use super::channel_blocks;
 use super::footprint::{Buffer, Footprint, Rule, Splat2, Tile, fresh_transmittance};
+use super::moments::{Moments, drift};
 use super::parameter_gradients::SplatGradients;
-use super::pixel_gradients::{PixelGradients, drift, geometry_sums};
+use super::pixel_gradients::{PixelGradients, geometry_sums};
 use super::projected::Projected;
 use super::tile_loop::{LIVE_CHECK_INTERVAL, Pass, gather_rows, sum_over_tiles, walk};
 use crate::backend::Real;
@@ -100,10 +101,14 @@ impl<E: Real, S: Lanes<E>, const C: usize, const ABSOLUTE: bool> Pass<E>
         let width = geometry_sums(ABSOLUTE) + C;
         let d_value = self.share_out(next, footprint);
         // A second loop, because the sums of both do not fit into 16 registers.
-        let (moments, absolute) = self.moments(next, footprint);
+        let Moments {
+            moments,
+            minus_absolute,
+            ..
+        } = self.moments(next, footprint);
         let s = self.rule.s;
         let mut registers = [s.splat(E::zero()); MAX_SUMS];
-        let all = moments.into_iter().chain(d_value).chain(absolute);
+        let all = moments.into_iter().chain(d_value).chain(minus_absolute);
         registers
             .iter_mut()
             .zip(all)
@@ -136,41 +141,21 @@ impl<E: Real, S: Lanes<E>, const C: usize, const ABSOLUTE: bool>
             let own = s.mul(weight, d);
             let rest = s.sub(self.rest.get::<S>(strip), own);
             self.rest.set::<S>(strip, rest);
-            let odds = s.div(alpha, s.sub(self.rule.one, alpha));
-            let g = s.neg_mul_add(rest, odds, own);
-            self.g.set::<S>(strip, self.rule.below_cap(alpha, g));
+            self.g
+                .set::<S>(strip, self.rule.alpha_gradient(alpha, own, rest));
         });
         d_value
     }
 
-    /// Sums of `g` times 1, u, v, u^2, u v, v^2. Then, negated, the sums of each pixel's absolute contribution to the gradient of
-    /// the centre.
     #[inline(always)]
-    fn moments(&self, next: usize, footprint: &Footprint<E>) -> ([S::V; 6], [S::V; 2]) {
+    fn moments(&self, next: usize, footprint: &Footprint<E>) -> Moments<E, S, ABSOLUTE> {
         let s = self.rule.s;
-        let mut moments = [s.splat(E::zero()); 6];
-        let mut minus_absolute = [s.splat(E::zero()); 2];
-        let [u_x, u_y, v_y] = self.drifts[next].map(|drift| s.splat(drift));
+        let mut moments = Moments::new(s, self.drifts[next]);
         footprint.for_each(|strip| {
-            let g = self.g.get::<S>(strip);
-            let u = footprint.u(s, strip);
             let v = s.splat(footprint.v(strip));
-            let gu = s.mul(g, u);
-            let gv = s.mul(g, v);
-            let [one, m_u, m_v, m_uu, m_uv, m_vv] = &mut moments;
-            *one = s.add(*one, g);
-            *m_u = s.add(*m_u, gu);
-            *m_v = s.add(*m_v, gv);
-            *m_uu = s.mul_add(gu, u, *m_uu);
-            *m_uv = s.mul_add(gu, v, *m_uv);
-            *m_vv = s.mul_add(gv, v, *m_vv);
-            if ABSOLUTE {
-                let [x, y] = &mut minus_absolute;
-                *x = s.add(*x, s.minus_abs(s.mul(gu, u_x)));
-                *y = s.add(*y, s.minus_abs(s.mul_add(gv, v_y, s.mul(gu, u_y))));
-            }
+            moments.add(self.g.get::<S>(strip), footprint.u(s, strip), v);
         });
-        (moments, minus_absolute)
+        moments
     }
 }
 

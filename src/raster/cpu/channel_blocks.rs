@@ -2,9 +2,10 @@
 //! with channel lanes inside.
 
 use super::blend::write_tile;
-use super::footprint::{PIXELS, Tile};
+use super::footprint::{Buffer, PIXELS, Rule, Tile};
+use super::moments::{Moments, drift};
 use super::pairs::Pairs;
-use super::pixel_gradients::{PixelGradients, drift, geometry_sums};
+use super::pixel_gradients::{PixelGradients, geometry_sums};
 use super::projected::{Blended, Projected};
 use super::tile_loop::{for_each_tile_row, sum_over_tiles};
 use crate::backend::Real;
@@ -60,10 +61,50 @@ impl<'a, E, const GEOMETRY: bool> Block<'a, E, GEOMETRY> {
     }
 }
 
-/// `out[pixel] += weight value`; `out` is `[PIXELS, K]`.
+/// `K` channels of every pixel of a tile.
+#[repr(align(64))]
+struct TileChannels<E, const K: usize>([[E; K]; PIXELS]);
+
+impl<E: Real, const K: usize> TileChannels<E, K> {
+    fn zeros() -> Self {
+        Self([[E::zero(); K]; PIXELS])
+    }
+
+    /// Channels from `channel` on of the tile's part of `image` `[H, W, channels]`.
+    fn of_image(
+        image: &[E],
+        tile: Tile<'_>,
+        size: [usize; 2],
+        channels: usize,
+        channel: usize,
+    ) -> Self {
+        let mut out = Self::zeros();
+        let used = K.min(channels - channel);
+        for (to, from, len) in tile.rows(size) {
+            for (x, pixel) in out.0[to..to + len].iter_mut().enumerate() {
+                let values = &image[(from + x) * channels + channel..][..used];
+                pixel[..used].copy_from_slice(values);
+            }
+        }
+        out
+    }
+
+    #[inline(always)]
+    fn pixel(&self, pixel: u16) -> &[E; K] {
+        // The remainder spares a check of bounds.
+        &self.0[pixel as usize % PIXELS]
+    }
+
+    #[inline(always)]
+    fn pixel_mut(&mut self, pixel: u16) -> &mut [E; K] {
+        &mut self.0[pixel as usize % PIXELS]
+    }
+}
+
+/// `out[pixel] += weight value`.
 struct BlendBlock<'a, E, const K: usize> {
     block: Block<'a, E, false>,
-    out: &'a mut [E],
+    out: &'a mut TileChannels<E, K>,
 }
 
 impl<E: Real, const K: usize> Kernel<E> for BlendBlock<'_, E, K> {
@@ -80,7 +121,7 @@ impl<E: Real, const K: usize> Kernel<E> for BlendBlock<'_, E, K> {
             let pixels = pairs.pixels[range.clone()].iter();
             for (&pixel, &weight) in pixels.zip(&pairs.weights[range]) {
                 let weight = s.splat(weight);
-                let out = S::registers_mut(&mut self.out[pixel as usize * K..][..K]);
+                let out = S::registers_mut(self.out.pixel_mut(pixel));
                 for (out, &value) in out.iter_mut().zip(&*value) {
                     *out = s.mul_add(weight, value, *out);
                 }
@@ -92,8 +133,7 @@ impl<E: Real, const K: usize> Kernel<E> for BlendBlock<'_, E, K> {
 /// `sums[i] += weight * image[pixel]`, and with `GEOMETRY` `projections[pair] += value[i] . image[pixel]`.
 struct AdjointBlock<'a, E, const K: usize, const GEOMETRY: bool> {
     block: Block<'a, E, GEOMETRY>,
-    /// `[PIXELS, K]`.
-    image: &'a [E],
+    image: &'a TileChannels<E, K>,
     /// `[entries, stride]`, the block's channels from `at` on.
     sums: &'a mut [E],
     stride: usize,
@@ -118,18 +158,35 @@ impl<E: Real, const K: usize, const GEOMETRY: bool> Kernel<E> for AdjointBlock<'
             if GEOMETRY {
                 value.copy_from_slice(S::registers(self.block.values_of(i, K)));
             }
-            for pair in pairs.range(i) {
-                let image = S::registers(&self.image[pairs.pixels[pair] as usize * K..][..K]);
-                let weight = s.splat(pairs.weights[pair]);
-                for (sum, &image) in sum.iter_mut().zip(image) {
+            let range = pairs.range(i);
+            // Adds a pair to the sums. The lanes of the result add up to its projection.
+            let mut add = |(&pixel, &weight): (&u16, &E)| {
+                let image = S::registers(self.image.pixel(pixel));
+                let weight = s.splat(weight);
+                let mut projection = zero;
+                for ((sum, &image), &value) in sum.iter_mut().zip(image).zip(&*value) {
                     *sum = s.mul_add(weight, image, *sum);
+                    projection = s.mul_add(value, image, projection);
                 }
-                if GEOMETRY {
-                    let mut part = zero;
-                    for (&value, &image) in value.iter().zip(image) {
-                        part = s.mul_add(value, image, part);
+                projection
+            };
+            let mut pairs = pairs.pixels[range.clone()]
+                .iter()
+                .zip(&pairs.weights[range.clone()]);
+            if !GEOMETRY {
+                pairs.for_each(|pair| {
+                    add(pair);
+                });
+            } else {
+                let (eights, rest) = self.projections[range].as_chunks_mut::<8>();
+                for eight in eights {
+                    let parts = std::array::from_fn(|_| pairs.next().map_or(zero, &mut add));
+                    for (projection, total) in eight.iter_mut().zip(s.totals(parts)) {
+                        *projection += total;
                     }
-                    self.projections[pair] += s.total(part);
+                }
+                for (projection, pair) in rest.iter_mut().zip(pairs) {
+                    *projection += s.total(add(pair));
                 }
             }
             let mut lanes = [E::zero(); K];
@@ -151,37 +208,17 @@ pub(super) fn blend<E: Real>(p: &Projected<E>, values: &[E], channels: usize) ->
         write_tile(tile, size, &pairs.t, &[], &mut [], transmittance);
         for_each_block!(&pairs, tile.ranks, &values, width; |block, K| {
             let channel = block.channel;
-            let mut out = vec![E::zero(); PIXELS * K];
+            let mut out = TileChannels::zeros();
             E::dispatch(BlendBlock::<E, K> { block, out: &mut out });
             let used = K.min(channels - channel);
             for (from, to, len) in tile.rows(size) {
                 for x in 0..len {
                     image[(to - first + x) * channels + channel..][..used]
-                        .copy_from_slice(&out[(from + x) * K..][..used]);
+                        .copy_from_slice(&out.0[from + x][..used]);
                 }
             }
         });
     })
-}
-
-/// A tile's part of channels `channel..channel + used` of `image` `[H, W, channels]`, as `[PIXELS, k]`.
-fn tile_channels<E: Real>(
-    image: &[E],
-    tile: Tile<'_>,
-    size: [usize; 2],
-    channels: usize,
-    channel: usize,
-    k: usize,
-) -> Vec<E> {
-    let mut out = vec![E::zero(); PIXELS * k];
-    let used = k.min(channels - channel);
-    for (to, from, len) in tile.rows(size) {
-        for x in 0..len {
-            out[(to + x) * k..][..used]
-                .copy_from_slice(&image[(from + x) * channels + channel..][..used]);
-        }
-    }
-    out
 }
 
 /// `W^T image`, `[visible, channels]` front to back; `image` is `[H, W, channels]`.
@@ -192,7 +229,7 @@ pub(super) fn adjoint<E: Real>(p: &Projected<E>, image: &[E], channels: usize) -
         let pairs = Pairs::<E, false>::gather(p, tile, |_| true);
         for_each_block!(&pairs, tile.ranks, &[], width; |block, K| {
             let at = block.channel;
-            let image = tile_channels(image, tile, size, channels, at, K);
+            let image = TileChannels::of_image(image, tile, size, channels, at);
             let used = K.min(channels - at);
             E::dispatch(AdjointBlock::<E, K, false> {
                 block, image: &image, sums, stride: channels, at, used, projections: &mut [],
@@ -218,48 +255,98 @@ pub(super) fn backward<E: Real, const ABSOLUTE: bool>(
         let mut projections = vec![E::zero(); pairs.pixels.len()];
         for_each_block!(&pairs, tile.ranks, &values, width; |block, K| {
             let channel = block.channel;
-            let image = tile_channels(pixels.d_image, tile, size, channels, channel, K);
+            let image = TileChannels::of_image(pixels.d_image, tile, size, channels, channel);
             let used = K.min(channels - channel);
             let at = 6 + channel;
             E::dispatch(AdjointBlock::<E, K, true> {
                 block, image: &image, sums, stride, at, used, projections: &mut projections,
             });
         });
-        let alpha_max = E::of(p.settings.alpha_max);
-        let mut budget = [E::zero(); PIXELS];
+        let mut rest = Buffer::zeros();
         for (to, from, len) in tile.rows(size) {
             for x in 0..len {
-                budget[to + x] = pixels.budget(from + x, channels);
+                rest.0[to + x] = pixels.budget(from + x, channels);
             }
         }
-        for (i, sums) in (0..pairs.ends.len()).zip(sums.chunks_exact_mut(stride)) {
-            let mut m = [E::zero(); 6];
-            let mut absolute = [E::zero(); 2];
-            let [u_x, u_y, v_y] = if ABSOLUTE {
-                drift(&p.splats[tile.ranks[i] as usize])
+        E::dispatch(GeometryOfTile::<E, ABSOLUTE> {
+            p,
+            ranks: tile.ranks,
+            pairs,
+            projections,
+            rest,
+            sums,
+            stride,
+        });
+    })
+}
+
+/// Moments of the Gaussians of a tile, once all channels are projected.
+struct GeometryOfTile<'a, E, const ABSOLUTE: bool> {
+    p: &'a Projected<E>,
+    ranks: &'a [u32],
+    pairs: Pairs<E, true>,
+    /// `d` of each pair.
+    projections: Vec<E>,
+    /// `R` of every pixel.
+    rest: Buffer<E>,
+    /// `[entries, stride]`: moments first, sums of absolute values last.
+    sums: &'a mut [E],
+    stride: usize,
+}
+
+impl<E: Real, const ABSOLUTE: bool> Kernel<E> for GeometryOfTile<'_, E, ABSOLUTE> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Lanes<E>>(mut self, s: S) {
+        let rule = Rule::new(s, &self.p.settings);
+        let entries = self.sums.chunks_exact_mut(self.stride);
+        for (i, sums) in (0..self.pairs.ends.len()).zip(entries) {
+            let range = self.pairs.range(i);
+            let own = &mut self.pairs.weights[range.clone()];
+            let rest = &mut self.projections[range.clone()];
+            // From weights and projections to `w d` and `R`.
+            let pixels = &self.pairs.pixels[range.clone()];
+            for ((own, rest), &pixel) in own.iter_mut().zip(&mut *rest).zip(pixels) {
+                *own *= *rest;
+                let left = &mut self.rest.0[pixel as usize % PIXELS];
+                *left -= *own;
+                *rest = *left;
+            }
+            let drift = if ABSOLUTE {
+                drift(&self.p.splats[self.ranks[i] as usize])
             } else {
                 [E::zero(); 3]
             };
-            for pair in pairs.range(i) {
-                let [alpha, u, v] = pairs.geometry[pair];
-                let own = pairs.weights[pair] * projections[pair];
-                let rest = &mut budget[pairs.pixels[pair] as usize];
-                *rest -= own;
-                if alpha < alpha_max {
-                    let g = own - *rest * alpha / (E::one() - alpha);
-                    for (m, x) in m.iter_mut().zip([E::one(), u, v, u * u, u * v, v * v]) {
-                        *m += g * x;
-                    }
-                    if ABSOLUTE {
-                        absolute[0] += (g * u * u_x).abs();
-                        absolute[1] += (g * (v * v_y + u * u_y)).abs();
-                    }
-                }
-            }
-            sums[..6].copy_from_slice(&m);
+            let mut moments = Moments::<E, S, ABSOLUTE>::new(s, drift);
+            let [alpha, u, v] = self.pairs.geometry.each_ref().map(|x| &x[range.clone()]);
+            for_each_register(s, [alpha, own, rest, u, v], |[alpha, own, rest, u, v]| {
+                moments.add(rule.alpha_gradient(alpha, own, rest), u, v);
+            });
+            let [x, y] = moments.minus_absolute;
+            let [a, b, c, d, e, f] = moments.moments;
+            let [geometry @ .., minus_x, minus_y] = s.totals([a, b, c, d, e, f, x, y]);
+            sums[..geometry.len()].copy_from_slice(&geometry);
             if ABSOLUTE {
-                sums[6 + channels..].copy_from_slice(&absolute);
+                let last = sums.len() - 2;
+                sums[last..].copy_from_slice(&[-minus_x, -minus_y]);
             }
         }
-    })
+    }
+}
+
+/// Calls `f` with the registers of five slices of one length, the last ones filled up with zeros.
+#[inline(always)]
+fn for_each_register<E: Real, S: Lanes<E>>(_: S, slices: [&[E]; 5], mut f: impl FnMut([S::V; 5])) {
+    let whole = slices[0].len() / S::LANES * S::LANES;
+    for at in (0..whole).step_by(S::LANES) {
+        f(slices.map(|x| S::registers(&x[at..at + S::LANES])[0]));
+    }
+    if whole < slices[0].len() {
+        f(slices.map(|x| {
+            let mut filled = [E::zero(); NARROW];
+            filled[..x.len() - whole].copy_from_slice(&x[whole..]);
+            S::registers(&filled)[0]
+        }));
+    }
 }

@@ -237,7 +237,7 @@ pub(super) struct Rule<E, S: Lanes<E>> {
     alpha_max: S::V,
     alpha_min: S::V,
     t_min: S::V,
-    pub one: S::V,
+    one: S::V,
 }
 
 impl<E: Real, S: Lanes<E>> Rule<E, S> {
@@ -279,10 +279,13 @@ impl<E: Real, S: Lanes<E>> Rule<E, S> {
         (alpha, s.mul(alpha, t))
     }
 
-    /// `g` where alpha' is below the cap, else 0.
+    /// `dL/dalpha' alpha'` where alpha' is below the cap, else 0. `own` is `w d` of the Gaussian, `rest` is `R` behind it.
     #[inline(always)]
-    pub fn below_cap(&self, alpha: S::V, g: S::V) -> S::V {
-        self.s.keep(self.s.greater(self.alpha_max, alpha), g)
+    pub fn alpha_gradient(&self, alpha: S::V, own: S::V, rest: S::V) -> S::V {
+        let s = self.s;
+        let odds = s.div(alpha, s.sub(self.one, alpha));
+        let gradient = s.neg_mul_add(rest, odds, own);
+        s.keep(s.greater(self.alpha_max, alpha), gradient)
     }
 }
 

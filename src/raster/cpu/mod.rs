@@ -12,6 +12,7 @@ pub(super) mod footprint;
 pub(super) mod geometry;
 mod labels;
 mod linear_map;
+mod moments;
 mod outline;
 mod pairs;
 mod parameter_gradients;

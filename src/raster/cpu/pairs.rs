@@ -1,11 +1,11 @@
 //! The contributing pairs of a tile as a list, for many channels and for the matrix `W` itself. The weight of a pair is computed
 //! once, over pixel lanes.
 
-use super::footprint::{Buffer, Footprint, Rule, TILE, Tile, fresh_transmittance};
+use super::footprint::{Buffer, Footprint, Rule, Tile, fresh_transmittance};
 use super::projected::Projected;
 use super::tile_loop::{Pass, walk};
 use crate::backend::Real;
-use crate::backend::simd::{Kernel, Lanes};
+use crate::backend::simd::{Kernel, Lanes, places};
 
 /// Initial capacity of the lists: pairs of one Gaussian in a tile.
 const INITIAL_CAPACITY: usize = 24;
@@ -21,7 +21,7 @@ pub(super) struct Pairs<E, const GEOMETRY: bool> {
     /// alpha' T.
     pub weights: Vec<E>,
     /// alpha' and the kernels' u, v of each pair when `GEOMETRY`.
-    pub geometry: Vec<[E; 3]>,
+    pub geometry: [Vec<E>; 3],
 }
 
 impl<E: Real, const GEOMETRY: bool> Pairs<E, GEOMETRY> {
@@ -40,7 +40,9 @@ impl<E: Real, const GEOMETRY: bool> Pairs<E, GEOMETRY> {
         self.pixels.resize(len, 0);
         self.weights.resize(len, E::zero());
         if GEOMETRY {
-            self.geometry.resize(len, [E::zero(); 3]);
+            for values in &mut self.geometry {
+                values.resize(len, E::zero());
+            }
         }
     }
 
@@ -68,7 +70,7 @@ impl<E: Real, const GEOMETRY: bool> Kernel<E> for Gather<'_, E, GEOMETRY> {
             ends: Vec::with_capacity(self.tile.ranks.len()),
             pixels: Vec::new(),
             weights: Vec::new(),
-            geometry: Vec::new(),
+            geometry: [const { Vec::new() }; 3],
         };
         pairs.resize(INITIAL_CAPACITY * self.tile.ranks.len());
         let mut pass = PairPass {
@@ -103,39 +105,33 @@ impl<E: Real, S: Lanes<E>, const GEOMETRY: bool> Pass<E> for PairPass<E, S, GEOM
         let mut len = self.len;
         footprint.for_each(|strip| {
             let (alpha, weight) = self.rule.absorb(footprint, &mut pairs.t, strip);
-            if len + S::LANES > pairs.pixels.len() {
-                pairs.resize(2 * len + S::LANES);
+            // Whole registers and whole bytes of bits are written.
+            let room = S::LANES.max(8);
+            if len + room > pairs.pixels.len() {
+                pairs.resize(2 * len + room);
             }
             let members = s.bits(s.greater(weight, s.splat(E::zero())));
             // Lanes that contribute come first. The next pairs overwrite the rest.
             let to = len..len + S::LANES;
             S::registers_mut(&mut pairs.weights[to.clone()])[0] = s.compress(weight, members);
-            let pixels = &mut pairs.pixels[to.clone()];
-            let mut count = 0;
-            // As many steps for every strip: a loop over the members alone would be mispredicted.
-            for lane in 0..S::LANES {
-                pixels[count % S::LANES] = (strip * S::LANES + lane) as u16;
-                count += (members >> lane & 1) as usize;
-            }
             if GEOMETRY {
-                let alphas = lanes::<E, S>(s.compress(alpha, members));
-                let us = lanes::<E, S>(s.compress(footprint.u(s, strip), members));
-                let v = footprint.v(strip);
-                for ((to, alpha), u) in pairs.geometry[to].iter_mut().zip(alphas).zip(us) {
-                    *to = [alpha, u, v];
+                let v = s.splat(footprint.v(strip));
+                let u = s.compress(footprint.u(s, strip), members);
+                let geometry = [s.compress(alpha, members), u, v];
+                for (values, register) in pairs.geometry.iter_mut().zip(geometry) {
+                    S::registers_mut(&mut values[to.clone()])[0] = register;
                 }
             }
-            len += count;
+            for eight in 0..room / 8 {
+                let bits = members >> (8 * eight) & 0xff;
+                let first = (strip * S::LANES + 8 * eight) as u16;
+                if let Some(pixels) = pairs.pixels[len..].first_chunk_mut() {
+                    *pixels = places(bits).map(|place| first + u16::from(place));
+                }
+                len += bits.count_ones() as usize;
+            }
         });
         self.len = len;
         pairs.ends.push(len as u32);
     }
-}
-
-/// The numbers of a register, which are [`TILE`] at most.
-#[inline(always)]
-fn lanes<E: Real, S: Lanes<E>>(x: S::V) -> [E; TILE] {
-    let mut out = [E::zero(); TILE];
-    S::registers_mut(&mut out)[0] = x;
-    out
 }

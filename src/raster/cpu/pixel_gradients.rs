@@ -1,17 +1,10 @@
 //! What the backward passes over tiles read of the pixels, and the rows of sums that they write.
 
-use super::footprint::{Splat2, UNIT};
 use crate::backend::Real;
 
 /// Sums of a row besides those of the values, for each Gaussian: moments, and the two of absolute values.
 pub(in crate::raster) const fn geometry_sums(absolute: bool) -> usize {
     if absolute { 8 } else { 6 }
-}
-
-/// Change of the kernels' `u` and `v` as the centre moves by a pixel: `u` along x, `u` along y, `v` along y.
-#[inline(always)]
-pub(in crate::raster) fn drift<E: Real>(s: &Splat2) -> [E; 3] {
-    [UNIT * s.du, -UNIT * s.du * s.slope, UNIT * s.dv].map(E::of)
 }
 
 /// The output of a forward pass and the gradients of a loss by it.

@@ -114,6 +114,9 @@ fn coarser_settings_err_more_and_exact_ones_least() {
     );
     assert!(error("t_min 0.01") > error("t_min 1e-3"));
     assert!(error("all exact") < 1e-6, "{}", error("all exact"));
+    assert!(error("0.5 of the Gaussians") > error("0.75 of the Gaussians"));
+    assert!(error("image scale 1/4") > error("image scale 1/2"));
+    assert!(error("SH rounded to f16") > 0.0);
     let gradients = figures(&json, "curve of gradients", 300);
     // Initial Gaussians are round, so their rotations have no gradient to compare with.
     for kind in [0, 1, 3, 4] {
