@@ -131,6 +131,8 @@ fn a_scene_a_million_units_from_the_origin_trains_as_well() {
         let scene = load(folder.path(), &LoadOptions::default()).expect("a scene");
         let building = BuildingConfig {
             iterations: 200,
+            // Growth turns the last bits of numbers into other Gaussians, and those into hundredths of a decibel.
+            densify_until: 0.0,
             ..BuildingConfig::default()
         };
         let config = Config {
@@ -144,7 +146,7 @@ fn a_scene_a_million_units_from_the_origin_trains_as_well() {
     };
     let (near, far) = (trained(0.0), trained(1e6));
     println!("held-out PSNR {near:.3} dB, a million units away {far:.3} dB");
-    assert!(near > 15.0 && (near - far).abs() < 0.05, "{near} {far}");
+    assert!(near > 15.0 && (near - far).abs() < 0.01, "{near} {far}");
 }
 
 #[test]
