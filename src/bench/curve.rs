@@ -31,7 +31,7 @@ const T_MIN: [f64; 5] = [0.0, 1e-5, 1e-4, 1e-3, 1e-2];
 const ALPHA_MAX: [f64; 4] = [1.0, 0.999, 0.99, 0.95];
 /// Shares of the Gaussians that stay when the others are pruned.
 const SHARES: [f64; 2] = [0.75, 0.5];
-/// Pixels of the reference that a pixel covers in each direction.
+/// Pixels of the reference that a pixel covers in each direction; divisors of [`SIZE`].
 const PIXELS: [usize; 2] = [2, 4];
 /// Gradients of a [`Pass`].
 const GRADIENTS: [&str; 5] = ["means", "log-scales", "rotations", "opacities", "SH"];
@@ -40,8 +40,9 @@ const GRADIENTS: [&str; 5] = ["means", "log-scales", "rotations", "opacities", "
 struct Point {
     name: String,
     settings: Settings,
-    /// Its Gaussians, tracked by autodiff, and which of the scene's they are; all where there is none.
+    /// Its Gaussians, tracked by autodiff.
     input: RasterInput,
+    /// Which of the scene's they are; all if `None`.
     rows: Option<Vec<u32>>,
     /// A pixel of its pictures covers this many pixels of the reference in each direction.
     pixel: usize,
@@ -111,7 +112,7 @@ fn tables(gaussians: usize, views: usize) -> [Figures; 2] {
     backward.error_names = &GRADIENTS;
     backward.notes = vec![
         "the same views, forward and backward; the loss is half the squared distance of RGB from grey".to_owned(),
-        "errors: of each gradient, root mean square over that of the gradient in f64; 0 for Gaussians left out".to_owned(),
+        "errors: of each gradient, root mean square over that of the gradient in f64; a Gaussian left out has the gradient 0".to_owned(),
     ];
     [forward, backward]
 }
@@ -186,8 +187,8 @@ impl Point {
         Ok(start.elapsed().as_secs_f64())
     }
 
-    /// All views, and the gradients of the scene's `count` Gaussians. The loss is that of the images of `truth`, where it is given,
-    /// so that gradients differ by the backward pass alone.
+    /// All views, and the gradients of the scene's `count` Gaussians. The loss is that of the images of `truth`, where it is given:
+    /// errors of the picture do not change it.
     fn passes(
         &self,
         cameras: &[Camera],

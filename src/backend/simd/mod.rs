@@ -215,7 +215,8 @@ pub trait Kernel<E> {
     fn run<S: Lanes<E>>(self, s: S) -> Self::Output;
 }
 
-/// Runs `kernel` with the widest instructions that this processor has.
+/// Runs `kernel` with the widest instructions that this processor has, in a stack frame of its own.
+#[inline(never)]
 pub(super) fn dispatch_f32<K: Kernel<f32>>(kernel: K) -> K::Output {
     #[cfg(all(target_arch = "x86_64", feature = "avx512"))]
     if let Some(s) = pulp::x86::V4::try_new() {
@@ -239,6 +240,7 @@ pub(super) fn dispatch_f32<K: Kernel<f32>>(kernel: K) -> K::Output {
 }
 
 /// Runs `kernel` with baseline instructions: `f64` is the precision of references, and every copy costs build time.
+#[inline(never)]
 pub(super) fn dispatch_f64<K: Kernel<f64>>(kernel: K) -> K::Output {
     kernel.run(Scalar512b)
 }

@@ -10,7 +10,7 @@
 use super::blend::tile_image;
 use super::channel_blocks;
 use super::footprint::{Buffer, Footprint, Rule, Splat2, Tile, fresh_transmittance};
-use super::moments::{Moments, drift};
+use super::moments::{MOMENTS, Moments, drift};
 use super::parameter_gradients::SplatGradients;
 use super::pixel_gradients::{PixelGradients, geometry_sums};
 use super::projected::Projected;
@@ -116,7 +116,7 @@ impl<E: Real, S: Lanes<E>, const C: usize, const ABSOLUTE: bool> Pass<E>
         let sums = &mut self.sums[entry * width..][..width];
         s.write_totals(&registers[..width], sums);
         if ABSOLUTE {
-            sums[6 + C..].iter_mut().for_each(|sum| *sum = -*sum);
+            sums[MOMENTS + C..].iter_mut().for_each(|sum| *sum = -*sum);
         }
     }
 }

@@ -2,8 +2,8 @@
 //! with channel lanes inside.
 
 use super::blend::write_tile;
-use super::footprint::{Buffer, PIXELS, Rule, Tile};
-use super::moments::{Moments, drift};
+use super::footprint::{Buffer, PIXELS, Rule, TILE, Tile};
+use super::moments::{MOMENTS, Moments, drift};
 use super::pairs::Pairs;
 use super::pixel_gradients::{PixelGradients, geometry_sums};
 use super::projected::{Blended, Projected};
@@ -18,19 +18,13 @@ const WIDE: usize = 32;
 /// Registers of a block, at most: they hold four numbers or more.
 const REGISTERS: usize = WIDE / 4;
 
-/// Runs `$body` for each [`Block`] of the channels, the widest that fits, with the constant `$k` for its number of channels.
+/// Runs `$body` for each [`Block`] of the channels from `$first` on, the widest that fits, with the constant `$k` for its number
+/// of channels.
 macro_rules! for_each_block {
-    ($pairs:expr, $ranks:expr, $values:expr, $width:expr; |$block:ident, $k:ident| $body:expr) => {
-        let mut channel = 0;
-        while channel < $width {
-            let $block = Block {
-                pairs: $pairs,
-                ranks: $ranks,
-                values: $values,
-                width: $width,
-                channel,
-            };
-            channel += if $width - channel >= WIDE {
+    ($first:expr; |$block:ident, $k:ident| $body:expr) => {
+        let mut $block = $first;
+        while $block.channel < $block.channels {
+            $block.channel += if $block.channels - $block.channel > NARROW {
                 const $k: usize = WIDE;
                 $body;
                 $k
@@ -43,13 +37,15 @@ macro_rules! for_each_block {
     };
 }
 
-/// `K` channels from `channel` on of one tile.
+/// Channels from `channel` on of one tile.
 struct Block<'a, E, const GEOMETRY: bool> {
     pairs: &'a Pairs<E, GEOMETRY>,
-    ranks: &'a [u32],
-    /// `[visible, width]`.
+    tile: Tile<'a>,
+    /// Of the image.
+    size: [usize; 2],
+    channels: usize,
+    /// Rows of the visible Gaussians, padded to a multiple of [`NARROW`] channels.
     values: &'a [E],
-    width: usize,
     channel: usize,
 }
 
@@ -57,36 +53,51 @@ impl<'a, E, const GEOMETRY: bool> Block<'a, E, GEOMETRY> {
     /// Values of the tile's `i`-th Gaussian, `k` channels.
     #[inline(always)]
     fn values_of(&self, i: usize, k: usize) -> &'a [E] {
-        &self.values[self.ranks[i] as usize * self.width + self.channel..][..k]
+        let width = self.channels.next_multiple_of(NARROW);
+        &self.values[self.tile.ranks[i] as usize * width + self.channel..][..k]
+    }
+
+    /// Those of `k` channels that are not padding.
+    #[inline(always)]
+    fn used(&self, k: usize) -> usize {
+        k.min(self.channels - self.channel)
     }
 }
 
-/// `K` channels of every pixel of a tile.
+/// `K` channels of every pixel of a tile, in whole cache lines. It is large, so kernels make it themselves: their frames are not
+/// part of those that split the work.
 #[repr(align(64))]
 struct TileChannels<E, const K: usize>([[E; K]; PIXELS]);
 
 impl<E: Real, const K: usize> TileChannels<E, K> {
+    #[inline(always)]
     fn zeros() -> Self {
         Self([[E::zero(); K]; PIXELS])
     }
 
-    /// Channels from `channel` on of the tile's part of `image` `[H, W, channels]`.
-    fn of_image(
-        image: &[E],
-        tile: Tile<'_>,
-        size: [usize; 2],
-        channels: usize,
-        channel: usize,
-    ) -> Self {
-        let mut out = Self::zeros();
-        let used = K.min(channels - channel);
-        for (to, from, len) in tile.rows(size) {
-            for (x, pixel) in out.0[to..to + len].iter_mut().enumerate() {
-                let values = &image[(from + x) * channels + channel..][..used];
+    /// Reads the block's channels of `image`, `[H, W, channels]`.
+    #[inline(always)]
+    fn read<const G: bool>(&mut self, block: &Block<'_, E, G>, image: &[E]) {
+        let used = block.used(K);
+        for (to, from, len) in block.tile.rows(block.size) {
+            for (x, pixel) in self.0[to..to + len].iter_mut().enumerate() {
+                let values = &image[(from + x) * block.channels + block.channel..][..used];
                 pixel[..used].copy_from_slice(values);
             }
         }
-        out
+    }
+
+    /// Writes the block's channels of `image`, `[rows of the tile, W, channels]`.
+    #[inline(always)]
+    fn write<const G: bool>(&self, block: &Block<'_, E, G>, image: &mut [E]) {
+        let used = block.used(K);
+        let first = block.tile.origin[1] * block.size[0];
+        for (from, to, len) in block.tile.rows(block.size) {
+            for (x, pixel) in self.0[from..from + len].iter().enumerate() {
+                image[(to - first + x) * block.channels + block.channel..][..used]
+                    .copy_from_slice(&pixel[..used]);
+            }
+        }
     }
 
     #[inline(always)]
@@ -101,10 +112,11 @@ impl<E: Real, const K: usize> TileChannels<E, K> {
     }
 }
 
-/// `out[pixel] += weight value`.
+/// `image[pixel] = sum of weight value`.
 struct BlendBlock<'a, E, const K: usize> {
-    block: Block<'a, E, false>,
-    out: &'a mut TileChannels<E, K>,
+    block: &'a Block<'a, E, false>,
+    /// `[rows of the tile, W, channels]`.
+    image: &'a mut [E],
 }
 
 impl<E: Real, const K: usize> Kernel<E> for BlendBlock<'_, E, K> {
@@ -113,6 +125,7 @@ impl<E: Real, const K: usize> Kernel<E> for BlendBlock<'_, E, K> {
     #[inline(always)]
     fn run<S: Lanes<E>>(self, s: S) {
         let pairs = self.block.pairs;
+        let mut sums = TileChannels::<E, K>::zeros();
         for i in 0..pairs.ends.len() {
             let mut value = [s.splat(E::zero()); REGISTERS];
             let value = &mut value[..K / S::LANES];
@@ -121,25 +134,24 @@ impl<E: Real, const K: usize> Kernel<E> for BlendBlock<'_, E, K> {
             let pixels = pairs.pixels[range.clone()].iter();
             for (&pixel, &weight) in pixels.zip(&pairs.weights[range]) {
                 let weight = s.splat(weight);
-                let out = S::registers_mut(self.out.pixel_mut(pixel));
-                for (out, &value) in out.iter_mut().zip(&*value) {
-                    *out = s.mul_add(weight, value, *out);
+                let sums = S::registers_mut(sums.pixel_mut(pixel));
+                for (sum, &value) in sums.iter_mut().zip(&*value) {
+                    *sum = s.mul_add(weight, value, *sum);
                 }
             }
         }
+        sums.write(self.block, self.image);
     }
 }
 
 /// `sums[i] += weight * image[pixel]`, and with `GEOMETRY` `projections[pair] += value[i] . image[pixel]`.
 struct AdjointBlock<'a, E, const K: usize, const GEOMETRY: bool> {
-    block: Block<'a, E, GEOMETRY>,
-    image: &'a TileChannels<E, K>,
-    /// `[entries, stride]`, the block's channels from `at` on.
+    block: &'a Block<'a, E, GEOMETRY>,
+    /// `[H, W, channels]`.
+    image: &'a [E],
+    /// `[entries, stride]`; with `GEOMETRY` the channels follow the moments.
     sums: &'a mut [E],
     stride: usize,
-    at: usize,
-    /// Channels of the block that are not padding.
-    used: usize,
     projections: &'a mut [E],
 }
 
@@ -149,6 +161,10 @@ impl<E: Real, const K: usize, const GEOMETRY: bool> Kernel<E> for AdjointBlock<'
     #[inline(always)]
     fn run<S: Lanes<E>>(self, s: S) {
         let pairs = self.block.pairs;
+        let mut tile = TileChannels::<E, K>::zeros();
+        tile.read(self.block, self.image);
+        let used = self.block.used(K);
+        let at = if GEOMETRY { MOMENTS } else { 0 } + self.block.channel;
         let zero = s.splat(E::zero());
         for i in 0..pairs.ends.len() {
             let mut sum = [zero; REGISTERS];
@@ -161,7 +177,7 @@ impl<E: Real, const K: usize, const GEOMETRY: bool> Kernel<E> for AdjointBlock<'
             let range = pairs.range(i);
             // Adds a pair to the sums. The lanes of the result add up to its projection.
             let mut add = |(&pixel, &weight): (&u16, &E)| {
-                let image = S::registers(self.image.pixel(pixel));
+                let image = S::registers(tile.pixel(pixel));
                 let weight = s.splat(weight);
                 let mut projection = zero;
                 for ((sum, &image), &value) in sum.iter_mut().zip(image).zip(&*value) {
@@ -191,32 +207,28 @@ impl<E: Real, const K: usize, const GEOMETRY: bool> Kernel<E> for AdjointBlock<'
             }
             let mut lanes = [E::zero(); K];
             S::registers_mut(&mut lanes).copy_from_slice(sum);
-            self.sums[i * self.stride + self.at..][..self.used]
-                .copy_from_slice(&lanes[..self.used]);
+            self.sums[i * self.stride + at..][..used].copy_from_slice(&lanes[..used]);
         }
     }
 }
 
 /// Blends `values`, `[N, channels]`.
 pub(super) fn blend<E: Real>(p: &Projected<E>, values: &[E], channels: usize) -> Blended<E> {
-    let width = channels.next_multiple_of(NARROW);
-    let values = p.in_depth_order(values, channels, width);
+    let values = &p.in_depth_order(values, channels, channels.next_multiple_of(NARROW));
     let size = p.size();
     for_each_tile_row(p, channels, |tile, image, transmittance| {
-        let pairs = Pairs::<E, false>::gather(p, tile, |_| true);
-        let first = tile.origin[1] * size[0];
+        let pairs = &Pairs::<E, false>::gather(p, tile, |_| true);
         write_tile(tile, size, &pairs.t, &[], &mut [], transmittance);
-        for_each_block!(&pairs, tile.ranks, &values, width; |block, K| {
-            let channel = block.channel;
-            let mut out = TileChannels::zeros();
-            E::dispatch(BlendBlock::<E, K> { block, out: &mut out });
-            let used = K.min(channels - channel);
-            for (from, to, len) in tile.rows(size) {
-                for x in 0..len {
-                    image[(to - first + x) * channels + channel..][..used]
-                        .copy_from_slice(&out.0[from + x][..used]);
-                }
-            }
+        let first = Block {
+            pairs,
+            tile,
+            size,
+            channels,
+            values,
+            channel: 0,
+        };
+        for_each_block!(first; |block, K| {
+            E::dispatch(BlendBlock::<E, K> { block: &block, image });
         });
     })
 }
@@ -224,21 +236,25 @@ pub(super) fn blend<E: Real>(p: &Projected<E>, values: &[E], channels: usize) ->
 /// `W^T image`, `[visible, channels]` front to back; `image` is `[H, W, channels]`.
 pub(super) fn adjoint<E: Real>(p: &Projected<E>, image: &[E], channels: usize) -> Vec<E> {
     let size = p.size();
-    let width = channels.next_multiple_of(NARROW);
     sum_over_tiles(p, channels, |tile, sums| {
-        let pairs = Pairs::<E, false>::gather(p, tile, |_| true);
-        for_each_block!(&pairs, tile.ranks, &[], width; |block, K| {
-            let at = block.channel;
-            let image = TileChannels::of_image(image, tile, size, channels, at);
-            let used = K.min(channels - at);
+        let pairs = &Pairs::<E, false>::gather(p, tile, |_| true);
+        let first = Block {
+            pairs,
+            tile,
+            size,
+            channels,
+            values: &[],
+            channel: 0,
+        };
+        for_each_block!(first; |block, K| {
             E::dispatch(AdjointBlock::<E, K, false> {
-                block, image: &image, sums, stride: channels, at, used, projections: &mut [],
+                block: &block, image, sums, stride: channels, projections: &mut [],
             });
         });
     })
 }
 
-/// Moments (6), channel gradients and, when `ABSOLUTE`, the two sums of absolute values of every visible Gaussian,
+/// Moments, channel gradients and, when `ABSOLUTE`, the two sums of absolute values of every visible Gaussian,
 /// `[visible, geometry_sums + channels]` front to back. `values` is `[N, channels]`.
 pub(super) fn backward<E: Real, const ABSOLUTE: bool>(
     p: &Projected<E>,
@@ -247,19 +263,26 @@ pub(super) fn backward<E: Real, const ABSOLUTE: bool>(
     pixels: PixelGradients<'_, E>,
 ) -> Vec<E> {
     let size = p.size();
-    let width = channels.next_multiple_of(NARROW);
     let stride = geometry_sums(ABSOLUTE) + channels;
-    let values = p.in_depth_order(values, channels, width);
+    let values = &p.in_depth_order(values, channels, channels.next_multiple_of(NARROW));
     sum_over_tiles(p, stride, |tile, sums| {
         let pairs = Pairs::<E, true>::gather(p, tile, |_| true);
         let mut projections = vec![E::zero(); pairs.pixels.len()];
-        for_each_block!(&pairs, tile.ranks, &values, width; |block, K| {
-            let channel = block.channel;
-            let image = TileChannels::of_image(pixels.d_image, tile, size, channels, channel);
-            let used = K.min(channels - channel);
-            let at = 6 + channel;
+        let first = Block {
+            pairs: &pairs,
+            tile,
+            size,
+            channels,
+            values,
+            channel: 0,
+        };
+        for_each_block!(first; |block, K| {
             E::dispatch(AdjointBlock::<E, K, true> {
-                block, image: &image, sums, stride, at, used, projections: &mut projections,
+                block: &block,
+                image: pixels.d_image,
+                sums,
+                stride,
+                projections: &mut projections,
             });
         });
         let mut rest = Buffer::zeros();
@@ -335,7 +358,7 @@ impl<E: Real, const ABSOLUTE: bool> Kernel<E> for GeometryOfTile<'_, E, ABSOLUTE
     }
 }
 
-/// Calls `f` with the registers of five slices of one length, the last ones filled up with zeros.
+/// Calls `f` with the registers of five slices of one length, the last one filled up with zeros; none holds more than [`TILE`] numbers.
 #[inline(always)]
 fn for_each_register<E: Real, S: Lanes<E>>(_: S, slices: [&[E]; 5], mut f: impl FnMut([S::V; 5])) {
     let whole = slices[0].len() / S::LANES * S::LANES;
@@ -344,7 +367,7 @@ fn for_each_register<E: Real, S: Lanes<E>>(_: S, slices: [&[E]; 5], mut f: impl 
     }
     if whole < slices[0].len() {
         f(slices.map(|x| {
-            let mut filled = [E::zero(); NARROW];
+            let mut filled = [E::zero(); TILE];
             filled[..x.len() - whole].copy_from_slice(&x[whole..]);
             S::registers(&filled)[0]
         }));

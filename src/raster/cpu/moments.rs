@@ -4,11 +4,14 @@ use super::footprint::{Splat2, UNIT};
 use crate::backend::Real;
 use crate::backend::simd::Lanes;
 
+/// Moments of a Gaussian.
+pub(super) const MOMENTS: usize = 6;
+
 /// Sums of `g = dL/dalpha' alpha'` times 1, u, v, u^2, u v, v^2. With `ABSOLUTE` also, negated, the sums of each pixel's absolute
 /// contribution to the gradient of the centre.
 pub(super) struct Moments<E, S: Lanes<E>, const ABSOLUTE: bool> {
     s: S,
-    pub moments: [S::V; 6],
+    pub moments: [S::V; MOMENTS],
     pub minus_absolute: [S::V; 2],
     /// [`drift`].
     drift: [S::V; 3],
@@ -21,7 +24,7 @@ impl<E: Real, S: Lanes<E>, const ABSOLUTE: bool> Moments<E, S, ABSOLUTE> {
         let zero = s.splat(E::zero());
         Self {
             s,
-            moments: [zero; 6],
+            moments: [zero; MOMENTS],
             minus_absolute: [zero; 2],
             drift: drift.map(|drift| s.splat(drift)),
         }

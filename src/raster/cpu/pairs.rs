@@ -125,9 +125,8 @@ impl<E: Real, S: Lanes<E>, const GEOMETRY: bool> Pass<E> for PairPass<E, S, GEOM
             for eight in 0..room / 8 {
                 let bits = members >> (8 * eight) & 0xff;
                 let first = (strip * S::LANES + 8 * eight) as u16;
-                if let Some(pixels) = pairs.pixels[len..].first_chunk_mut() {
-                    *pixels = places(bits).map(|place| first + u16::from(place));
-                }
+                let pixels = places(bits).map(|place| first + u16::from(place));
+                pairs.pixels[len..len + 8].copy_from_slice(&pixels);
                 len += bits.count_ones() as usize;
             }
         });

@@ -1,10 +1,11 @@
 //! What the backward passes over tiles read of the pixels, and the rows of sums that they write.
 
+use super::moments::MOMENTS;
 use crate::backend::Real;
 
 /// Sums of a row besides those of the values, for each Gaussian: moments, and the two of absolute values.
 pub(in crate::raster) const fn geometry_sums(absolute: bool) -> usize {
-    if absolute { 8 } else { 6 }
+    if absolute { MOMENTS + 2 } else { MOMENTS }
 }
 
 /// The output of a forward pass and the gradients of a loss by it.
