@@ -49,7 +49,25 @@ struct Block<'a, E, const GEOMETRY: bool> {
     channel: usize,
 }
 
-impl<'a, E, const GEOMETRY: bool> Block<'a, E, GEOMETRY> {
+impl<'a, E: Real, const GEOMETRY: bool> Block<'a, E, GEOMETRY> {
+    /// The channels from the first on.
+    fn first(
+        p: &Projected<E>,
+        tile: Tile<'a>,
+        pairs: &'a Pairs<E, GEOMETRY>,
+        values: &'a [E],
+        channels: usize,
+    ) -> Self {
+        Self {
+            pairs,
+            tile,
+            size: p.size(),
+            channels,
+            values,
+            channel: 0,
+        }
+    }
+
     /// Values of the tile's `i`-th Gaussian, `k` channels.
     #[inline(always)]
     fn values_of(&self, i: usize, k: usize) -> &'a [E] {
@@ -219,14 +237,7 @@ pub(super) fn blend<E: Real>(p: &Projected<E>, values: &[E], channels: usize) ->
     for_each_tile_row(p, channels, |tile, image, transmittance| {
         let pairs = &Pairs::<E, false>::gather(p, tile, |_| true);
         write_tile(tile, size, &pairs.t, &[], &mut [], transmittance);
-        let first = Block {
-            pairs,
-            tile,
-            size,
-            channels,
-            values,
-            channel: 0,
-        };
+        let first = Block::first(p, tile, pairs, values, channels);
         for_each_block!(first; |block, K| {
             E::dispatch(BlendBlock::<E, K> { block: &block, image });
         });
@@ -235,17 +246,9 @@ pub(super) fn blend<E: Real>(p: &Projected<E>, values: &[E], channels: usize) ->
 
 /// `W^T image`, `[visible, channels]` front to back; `image` is `[H, W, channels]`.
 pub(super) fn adjoint<E: Real>(p: &Projected<E>, image: &[E], channels: usize) -> Vec<E> {
-    let size = p.size();
     sum_over_tiles(p, channels, |tile, sums| {
         let pairs = &Pairs::<E, false>::gather(p, tile, |_| true);
-        let first = Block {
-            pairs,
-            tile,
-            size,
-            channels,
-            values: &[],
-            channel: 0,
-        };
+        let first = Block::first(p, tile, pairs, &[], channels);
         for_each_block!(first; |block, K| {
             E::dispatch(AdjointBlock::<E, K, false> {
                 block: &block, image, sums, stride: channels, projections: &mut [],
@@ -268,14 +271,7 @@ pub(super) fn backward<E: Real, const ABSOLUTE: bool>(
     sum_over_tiles(p, stride, |tile, sums| {
         let pairs = Pairs::<E, true>::gather(p, tile, |_| true);
         let mut projections = vec![E::zero(); pairs.pixels.len()];
-        let first = Block {
-            pairs: &pairs,
-            tile,
-            size,
-            channels,
-            values,
-            channel: 0,
-        };
+        let first = Block::first(p, tile, &pairs, values, channels);
         for_each_block!(first; |block, K| {
             E::dispatch(AdjointBlock::<E, K, true> {
                 block: &block,
