@@ -16,6 +16,8 @@ pub struct Look {
     pub backend: Option<BackendName>,
     pub alpha_max: Option<f64>,
     pub background: Option<[f32; 3]>,
+    /// Label of the pixels that hardly any Gaussian covers.
+    pub unlabelled: u16,
 }
 
 /// The renderer of the last view of a scene.
@@ -53,5 +55,9 @@ fn renderer(source: &Path, ply: &PlyScene, look: Look) -> Result<Renderer> {
     let device = device::open(look.backend)?;
     let gaussians = ply.gaussians.clone();
     let labels = ply.labels.clone();
-    Renderer::new(gaussians, labels, RenderOptions::from(&config), &device)
+    let options = RenderOptions {
+        unlabelled: look.unlabelled,
+        ..RenderOptions::from(&config)
+    };
+    Renderer::new(gaussians, labels, options, &device)
 }

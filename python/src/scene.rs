@@ -315,6 +315,7 @@ impl Scene {
             backend,
             alpha_max,
             background,
+            unlabelled: self.classes.ignore,
         };
         let render = || {
             self.renderer

@@ -1,12 +1,12 @@
 //! `coseg compare`: a table of variants on the same Gaussians, from a plan.
 
 use super::progress::Bars;
-use super::train::{command_line, quoted};
+use super::train::command_line;
 use super::{BackendArgs, interrupt, terminal};
 use clap::Args;
 use coseg::compare::{Options, Plan, Tables, run};
 use coseg::error::Result;
-use coseg::files::{absolute, own};
+use coseg::files::{absolute, own, shell_word};
 use coseg::runs::scene_path;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -105,7 +105,7 @@ impl CompareArgs {
         let empty = cells - finished.cells.len();
         terminal::say(&format!("{empty} of {cells} cells are empty"));
         if finished.stopped {
-            let folder = quoted(self.out.display().to_string());
+            let folder = shell_word(&self.out);
             let how = format!("the same command with --out {folder} continues");
             return Ok(interrupt::stopped(&how));
         }

@@ -46,9 +46,11 @@ impl EvalArgs {
     /// Scores the run.
     pub fn run(self) -> Result<()> {
         let run = RunFolder::existing(&self.run)?;
-        let mut config = run.config(&[])?;
+        if let Some(command) = run.unfinished() {
+            terminal::note(&format!("the run was stopped; continue it: {command}"));
+        }
+        let config = run.config_for(self.data.as_deref(), &[])?;
         let is_elsewhere = self.data.is_some();
-        config.data.dir = self.data.or(config.data.dir);
         let ply = ply::read(&run.file(SCENE))?;
         let mut scene = load_scene(&config)?.with_origin(ply.origin);
         let classes = run.classes()?;

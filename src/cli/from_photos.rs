@@ -3,7 +3,6 @@
 use super::data::check;
 use super::label::{BEST, SegmenterArgs};
 use super::progress::Bars;
-use super::train::quoted;
 use super::{interrupt, terminal};
 use clap::Args;
 use clap::builder::RangedU64ValueParser;
@@ -12,6 +11,7 @@ use coseg::config::Config;
 use coseg::data::LoadOptions;
 use coseg::error::Result;
 use coseg::files::lock::locked;
+use coseg::files::shell_word;
 use std::path::{Path, PathBuf};
 
 /// The folder of the labels, in the scene folder.
@@ -106,7 +106,7 @@ impl FromPhotosArgs {
 
 /// Prints the commands that may follow.
 fn next(out: &Path, labelled: bool) {
-    let data = quoted(out.display().to_string());
+    let data = shell_word(out);
     let train = format!("coseg train --data {data}");
     let lines = if labelled {
         vec![format!("{train} --set data.raw_labels={LABELS}")]

@@ -6,6 +6,7 @@ use clap::Args;
 use coseg::data::{LoadOptions, check_outputs};
 use coseg::error::{Error, Result, ensure};
 use coseg::files::lock::locked;
+use coseg::files::shell_word;
 use coseg::segmenter::{ClassFile, Contract, Job, Labelled, Network, label_scene};
 use std::path::{Path, PathBuf};
 
@@ -46,7 +47,7 @@ pub struct LabelArgs {
     #[arg(long, value_name = "DIR")]
     data: PathBuf,
     /// The segmenter
-    #[arg(long, value_name = "FILE.onnx")]
+    #[arg(long, visible_alias = "segmenter", value_name = "FILE.onnx")]
     model: PathBuf,
     #[command(flatten)]
     segmenter: SegmenterArgs,
@@ -118,14 +119,13 @@ impl LabelArgs {
         let scene = (self.data.as_path(), &options);
         let best = usize::from(self.best);
         let done = self.segmenter.label(scene, &self.model, best, &self.out)?;
-        let folder = self.out.canonicalize().unwrap_or(self.out.clone());
+        let folder = shell_word(self.out.canonicalize().unwrap_or(self.out.clone()));
         terminal::say(&format!(
-            "{}: {} photos, {} labelled before; {} classes; use it with --set data.raw_labels={}",
+            "{}: {} photos, {} labelled before; {} classes; use it with --set data.raw_labels={folder}",
             self.out.display(),
             done.photos,
             done.cached,
             done.classes,
-            folder.display()
         ));
         Ok(())
     }

@@ -31,8 +31,8 @@ For each frame, with STEM its file name without extension, the output folder get
                  STEM.alpha.npy  [H, W] float32, how much of the background is covered (1 - transmittance)
   --format png   STEM.rgb.png    8 bits a channel
                  STEM.alpha.png  8-bit grey
-  --labels       STEM.label.png  the label with the largest blended weight, 0 where alpha is below the run's
-                                 segmentation.min_coverage, or 0.5; 8-bit grey, or 16-bit where ids exceed 255
+  --labels       STEM.label.png  the label with the largest blended weight; the id that classes.json ignores, or 0, where alpha
+                                 is below the run's segmentation.min_coverage, or 0.5; 8-bit grey, 16-bit for ids above 255
                  STEM.label_color.png  the same in colours, with a legend, where classes.json is beside the scene
   --features pca STEM.features.png (npy: [H, W, 3] float32)  the three main components of the image features that
                  `coseg train` lifted onto the Gaussians, as red, green and blue, blended over the background: similar
@@ -186,7 +186,10 @@ impl RenderArgs {
         let mut annotations =
             Annotations::new(&self.annotations, &categories, &classes, &self.out, photos);
         annotations.check(&cameras)?;
-        let options = RenderOptions::from(&config);
+        let options = RenderOptions {
+            unlabelled: classes.ignore,
+            ..RenderOptions::from(&config)
+        };
         let device = self.backend.open()?;
         let features = self.feature_renderer(&path, &scene.gaussians, options, &device)?;
         let renderer = Renderer::new(scene.gaussians, labels, options, &device)?;

@@ -8,7 +8,7 @@ use clap::Args;
 use coseg::config::{Config, FeatureSource};
 use coseg::data::LoadOptions;
 use coseg::error::{Error, Result, bail, ensure};
-use coseg::files::own;
+use coseg::files::{own, shell_word};
 use coseg::pipeline::{Outcome, VariantOutcome};
 use coseg::progress::{Event, Progress};
 use coseg::ranks;
@@ -257,7 +257,11 @@ impl TrainArgs {
         if let Some(name) = self.backend.backend {
             option("--backend", name.to_string());
         }
-        words.into_iter().map(quoted).collect::<Vec<_>>().join(" ")
+        words
+            .into_iter()
+            .map(shell_word)
+            .collect::<Vec<_>>()
+            .join(" ")
     }
 }
 
@@ -278,7 +282,7 @@ fn viewer_line(run: &RunFolder, page_bytes: usize) -> String {
         return format!("viewer: {}", run.file(VIEWER).display());
     }
     let megabytes = page_bytes / 1_000_000;
-    let folder = quoted(run.path().display().to_string());
+    let folder = shell_word(run.path());
     format!("viewer: left out, as it takes {megabytes} MB; `coseg view --scene {folder}` writes it")
 }
 
@@ -286,19 +290,9 @@ fn viewer_line(run: &RunFolder, page_bytes: usize) -> String {
 pub fn command_line() -> String {
     let words = std::env::args_os().skip(1);
     std::iter::once("coseg".to_owned())
-        .chain(words.map(|word| quoted(word.to_string_lossy().into_owned())))
+        .chain(words.map(shell_word))
         .collect::<Vec<_>>()
         .join(" ")
-}
-
-/// A word of a command line as a shell takes it.
-pub fn quoted(word: String) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=,:+".contains(c);
-    if word.chars().all(plain) {
-        word
-    } else {
-        format!("'{}'", word.replace('\'', "'\\''"))
-    }
 }
 
 /// The headline figures, for those who do not open the page.

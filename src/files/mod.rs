@@ -13,6 +13,7 @@ use crate::error::{Error, Result, bail, ensure, invalid};
 use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -74,6 +75,17 @@ pub(crate) fn without_mark(text: &str) -> &str {
 /// [`Error::Io`] when the working folder is gone.
 pub fn absolute(path: &Path) -> Result<PathBuf> {
     std::path::absolute(path).map_err(|e| Error::io(path, "find", e))
+}
+
+/// A word of a command line as a shell takes it. What is not Unicode becomes U+FFFD.
+pub fn shell_word(word: impl AsRef<OsStr>) -> String {
+    let word = word.as_ref().to_string_lossy();
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./=,:+".contains(c);
+    if word.chars().all(is_plain) {
+        word.into_owned()
+    } else {
+        format!("'{}'", word.replace('\'', "'\\''"))
+    }
 }
 
 /// SHA-256 of the content of a file, 64 hexadecimal digits in lower case.

@@ -23,7 +23,8 @@ pub struct Frame {
     pub rgb: Vec<f32>,
     /// What covers the background, 1 - T, `[H, W]`.
     pub alpha: Vec<f32>,
-    /// The label with the largest summed alpha' T at each pixel, 0 where alpha is too low; `None` for a scene without labels.
+    /// The label with the largest summed alpha' T at each pixel, [`RenderOptions::unlabelled`] where alpha is too low; `None` for a
+    /// scene without labels.
     pub labels: Option<LabelMap>,
 }
 
@@ -34,9 +35,11 @@ pub struct RenderOptions {
     pub settings: Settings,
     /// Colour behind the scene, sRGB in 0..1.
     pub background: [f32; 3],
-    /// Smallest alpha at which a pixel has a label. At 0 every pixel with a contributing Gaussian has one; above 1 no pixel has.
+    /// Smallest alpha at which a pixel has a label. At 0 all pixels that any Gaussian shows in have one; above 1 no pixel has.
     #[default(0.5)]
     pub min_coverage: f32,
+    /// Id of the pixels without a label: [`Classes::ignore`](crate::data::Classes::ignore) of the scene's table.
+    pub unlabelled: u16,
 }
 
 impl RenderOptions {
@@ -56,6 +59,7 @@ impl From<&Config> for RenderOptions {
             settings: Settings::from(&config.raster),
             background: config.raster.background,
             min_coverage: config.segmentation.min_coverage as f32,
+            ..Self::default()
         }
     }
 }
@@ -129,9 +133,14 @@ impl Renderer {
         let alpha: Vec<f32> = transmittance.iter().map(|t| 1.0 - t).collect();
         let (width, height) = (camera.width, camera.height);
         let labels = labels.map(|mut ids| {
-            let uncovered = |alpha: &f32| *alpha < self.options.min_coverage;
-            for (id, _) in ids.iter_mut().zip(&alpha).filter(|(_, a)| uncovered(a)) {
-                *id = 0;
+            let least = self.options.min_coverage;
+            let is_uncovered = |alpha: f32| alpha < least || alpha == 0.0;
+            for (id, _) in ids
+                .iter_mut()
+                .zip(&alpha)
+                .filter(|(_, a)| is_uncovered(**a))
+            {
+                *id = self.options.unlabelled;
             }
             LabelMap { width, height, ids }
         });

@@ -67,9 +67,9 @@ pub fn compare_with_photos(
         Pictures::new(gaussians, config, device)?.score(views.into_iter().step_by(every))?;
     if let Some(psnr) = scores.psnr.filter(|psnr| *psnr < MIN_PSNR) {
         tracing::warn!(
-            "the Gaussians of {} show the training photos at {psnr:.1} dB: they look misplaced. Their positions have to be in the \
-             units and axes of the cameras of this scene. nerfstudio changes these: name the dataparser_transforms.json of its run \
-             with --set data.dataparser_transforms=FILE",
+            "the Gaussians of {} show the training photos at {psnr:.1} dB: they look misplaced. They have to show this scene, \
+             in the units and axes of its cameras. nerfstudio changes these: the setting data.dataparser_transforms names the \
+             dataparser_transforms.json of its run",
             path.display()
         );
     }

@@ -1,22 +1,21 @@
 //! The files of a run folder.
 
-use super::scene_file::{CAMERAS, CLASSES, CONFIG, FEATURE_COLORS, SCENE, VIEWER, classes_beside};
+use super::scene_file::{
+    CAMERAS, CLASSES, COMMANDS, CONFIG, FEATURE_COLORS, METRICS, SCENE, VIEWER, classes_beside,
+    unfinished_run,
+};
 use crate::config::Config;
 use crate::data::Classes;
 use crate::data::blocks::BLOCK;
 use crate::error::{Error, Result, ensure};
 use crate::files::lock::Lock;
-use crate::files::{self, atomic, own};
+use crate::files::{self, atomic, own, shell_word};
 use crate::objects::Identities;
 use crate::report::{Command, Metrics};
 use std::path::{Path, PathBuf};
 
-/// The command lines of a run.
-const COMMANDS: &str = "commands.json";
 /// The scores of each Gaussian for each class.
 pub const IDENTITIES: &str = "identities.safetensors";
-/// The figures for programs.
-const METRICS: &str = "metrics.json";
 /// The figures on a page.
 pub const REPORT: &str = "report.html";
 /// The folder of held-out views.
@@ -73,7 +72,7 @@ impl RunFolder {
         };
         let run = Self(dir.to_owned());
         ensure!(!run.is_used(), dir, "{CONFIG}"; found "a run"; expected "no run there yet";
-            help "continue it (--resume {}) or choose another folder", dir.display());
+            help "continue it (--resume {}) or choose another folder", shell_word(dir));
         Ok(run)
     }
 
@@ -155,6 +154,31 @@ impl RunFolder {
     /// As [`Config::load`].
     pub fn config(&self, sets: &[String]) -> Result<Config> {
         Config::load(Some(&self.file(CONFIG)), sets)
+    }
+
+    /// The same for the scene folder `data`, where one is given.
+    ///
+    /// # Errors
+    /// As [`Config::load`]; [`Error::Missing`] where the run's own scene folder is not there any more.
+    pub fn config_for(&self, data: Option<&Path>, sets: &[String]) -> Result<Config> {
+        let mut config = self.config(sets)?;
+        match (data, &config.data.dir) {
+            (Some(data), _) => config.data.dir = Some(data.to_owned()),
+            (None, Some(dir)) if !dir.exists() => {
+                return Err(Error::missing(
+                    "folder",
+                    dir,
+                    "add --data DIR if the scene has moved",
+                ));
+            }
+            (None, _) => {}
+        }
+        Ok(config)
+    }
+
+    /// The command that continues the run, if it was stopped before its end.
+    pub fn unfinished(&self) -> Option<String> {
+        unfinished_run(&self.0)
     }
 
     /// The class table; empty for runs without labels.

@@ -1,7 +1,7 @@
 //! A labelled scene with the names of its labels, and where such a scene may be written.
 
 use super::scene_file::{
-    CLASSES, FEATURE_COLORS, SCENE, classes_beside, copy_beside, copy_cameras,
+    CLASSES, FEATURE_COLORS, SCENE, classes_beside, copy_beside, copy_cameras, unfinished_run,
 };
 use crate::data::{Classes, check_outputs};
 use crate::error::{Error, Result, bail, ensure, invalid};
@@ -309,6 +309,10 @@ impl ObjectScene {
 
 /// The error of a scene that needs a label column.
 pub fn without_labels(path: &Path) -> Error {
+    if let Some(command) = path.parent().and_then(unfinished_run) {
+        return invalid!(path, "column label"; found "nothing, as the run was stopped"; expected "one label for each Gaussian";
+            help "continue it: {command}");
+    }
     const HELP: &str = "give the scene labels with `coseg vote` or `coseg train`";
     let (field, help) = if has_labels_beside(path) {
         let beside = label_path(path);

@@ -4,7 +4,7 @@ use crate::config::Config;
 use crate::data::{Classes, LoadOptions, NamedCamera, ViewPhoto, locate, view_photos};
 use crate::error::{Error, Result, ensure, invalid};
 use crate::features::FeatureColors;
-use crate::files::{self, atomic, extension, own};
+use crate::files::{self, atomic, extension, own, shell_word};
 use crate::splat::formats;
 use crate::splat::ply::PlyScene;
 use std::collections::BTreeMap;
@@ -12,6 +12,10 @@ use std::path::{Path, PathBuf};
 
 /// The settings of a run folder.
 pub const CONFIG: &str = "config.toml";
+/// The command lines of a run.
+pub(super) const COMMANDS: &str = "commands.json";
+/// The figures of a run for programs, the last file that it writes.
+pub(super) const METRICS: &str = "metrics.json";
 /// The class table of a run folder.
 pub const CLASSES: &str = "classes.json";
 /// The scene of a run folder.
@@ -110,6 +114,12 @@ pub fn read_scene(path: &Path) -> Result<PlyScene> {
     Ok(scene)
 }
 
+/// The command that continues the run in `folder`, if there is one that was stopped before its end.
+pub(super) fn unfinished_run(folder: &Path) -> Option<String> {
+    let is_unfinished = folder.join(COMMANDS).is_file() && !folder.join(METRICS).is_file();
+    is_unfinished.then(|| format!("coseg train --resume {}", shell_word(folder)))
+}
+
 /// What `--cameras` names, or else the cameras beside the scene `scene` or in its model folder of graphdeco's 3DGS.
 ///
 /// # Errors
@@ -129,8 +139,13 @@ pub fn cameras_path(cameras: Option<&Path>, scene: &Path) -> Result<PathBuf> {
     above
         .filter(|file| is_graphdeco && file.is_file())
         .ok_or_else(|| {
-            invalid!(argument "--cameras"; found "nothing"; expected "cameras: {} does not exist", beside.display();
-                help "give a file of cameras, a scene folder or a run folder")
+            const HELP: &str = "give a file of cameras, a scene folder or a run folder";
+            let command = scene.parent().and_then(unfinished_run);
+            let help = command.map_or_else(
+                || HELP.to_owned(),
+                |command| format!("{HELP}; the run was stopped, and {command} continues it"),
+            );
+            invalid!(argument "--cameras"; found "nothing"; expected "cameras: {} does not exist", beside.display(); help "{help}")
         })
 }
 

@@ -1,10 +1,12 @@
 //! A run of both stages into a run folder.
 
-use super::{CAMERAS, FEATURE_COLORS, IDENTITIES, RENDERS, RunFolder, SCENE, VIEWER, scene_path};
+use super::{
+    CAMERAS, CONFIG, FEATURE_COLORS, IDENTITIES, RENDERS, RunFolder, SCENE, VIEWER, scene_path,
+};
 use crate::config::Config;
 use crate::data::formats::transforms;
 use crate::data::{self, LoadOptions, Split};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, ensure};
 use crate::files::{absolute, atomic, sha256};
 use crate::pipeline::{self, Outcome};
 use crate::progress::Progress;
@@ -50,11 +52,13 @@ impl RunOptions {
         sets.extend_from_slice(&self.sets);
         if let Some(dir) = &self.resume {
             let run = RunFolder::existing(dir)?;
-            let mut config = run.config(&sets)?;
-            config.data.dir = self.data.clone().or(config.data.dir);
+            let config = run.config_for(self.data.as_deref(), &sets)?;
             return Ok((run, config.with_absolute_paths()?));
         }
         let mut config = Config::load_for(self.data.as_deref(), self.config.as_deref(), &sets)?;
+        if let (Some(scene), None) = (&self.scene, &config.data.dir) {
+            expect_built_in(scene)?;
+        }
         config.seed = self.seed.unwrap_or(config.seed);
         if ranks::count() > 1 {
             config.building.batch.get_or_insert(ranks::count());
@@ -64,6 +68,15 @@ impl RunOptions {
         let run = RunFolder::new(self.out.as_deref(), &scene_name(&config))?;
         Ok((run, config.with_absolute_paths()?))
     }
+}
+
+/// Refuses `scene`, which comes without a scene folder, unless a run on the built-in room wrote it.
+fn expect_built_in(scene: &Path) -> Result<()> {
+    let config = Config::rendering_of(&scene_path(scene)?.with_file_name(CONFIG));
+    ensure!(config.is_ok_and(|config| config.data.dir.is_none()),
+        argument "--scene"; found "Gaussians without a scene folder";
+        expected "the photos that they show and their label maps"; help "add --data DIR");
+    Ok(())
 }
 
 /// Settings by which a run labels all Gaussians of `scene` and builds none.

@@ -227,6 +227,19 @@ fn folders_that_are_no_scenes_are_found_before_anything_is_begun() {
 }
 
 #[test]
+fn gaussians_without_photos_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = scene(folder.path());
+    let out = folder.path().join("run");
+    let message = fails(&["train", "--scene", utf8(&scene), "--out", utf8(&out)], 1);
+    assert!(
+        message.contains("--scene") && message.contains("add --data DIR"),
+        "{message}"
+    );
+    assert!(!out.exists());
+}
+
+#[test]
 fn a_run_is_not_resumed_with_other_settings() {
     let folder = tempfile::tempdir().unwrap();
     scene(folder.path());

@@ -241,12 +241,14 @@ fn labels_from_end_to_end_and_any_coverage() {
         let map = |min_coverage| {
             let options = RenderOptions {
                 min_coverage,
+                unlabelled: 9,
                 ..options()
             };
             let renderer =
                 Renderer::new(gaussians.clone(), Some(labels.clone()), options, &device).unwrap();
             renderer.frame(&camera).unwrap().labels.expect("labels").ids
         };
+        assert!(map(1.1).iter().all(|&id| id == 9), "{device:?}");
         let count = |ids: Vec<u16>| ids.iter().filter(|&&id| id == u16::MAX).count();
         let (all, some, none) = (count(map(0.0)), count(map(0.5)), count(map(1.1)));
         assert!(
@@ -262,13 +264,18 @@ fn a_scene_without_gaussians_shows_the_background() {
     for device in extra_device().into_iter().chain([crate::support::device()]) {
         for labels in [None, Some(Vec::new())] {
             let with_labels = labels.is_some();
-            let renderer = Renderer::new(empty.clone(), labels, options(), &device).unwrap();
+            let options = RenderOptions {
+                unlabelled: 9,
+                min_coverage: 0.0,
+                ..options()
+            };
+            let renderer = Renderer::new(empty.clone(), labels, options, &device).unwrap();
             let frame = renderer.frame(&camera(20, 15)).unwrap();
-            assert_eq!(frame.rgb, options().background.repeat(300), "{device:?}");
+            assert_eq!(frame.rgb, options.background.repeat(300), "{device:?}");
             assert!(frame.alpha.iter().all(|&alpha| alpha == 0.0));
             assert_eq!(
                 frame.labels.map(|map| map.ids),
-                with_labels.then(|| vec![0; 300]),
+                with_labels.then(|| vec![9; 300]),
                 "{device:?}"
             );
         }

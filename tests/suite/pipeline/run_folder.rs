@@ -1,8 +1,10 @@
 //! A run folder that is resumed.
 
-use crate::support::plates::scene;
-use crate::support::program::{fails, read_json, succeeds, utf8};
+use crate::support::plates::{plates, scene};
+use crate::support::program::{fails, read_json, succeeds, utf8, warnings};
 use crate::support::short_runs::short_run;
+use coseg::splat::ply;
+use glam::DVec3;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -82,6 +84,42 @@ fn a_finished_run_is_gone_on_with_and_keeps_what_it_knew() {
         read_json(&run.join("metrics.json"))["test"],
         metrics["test"]
     );
+}
+
+#[test]
+fn a_run_that_was_stopped_or_whose_scene_moved_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    scene(folder.path());
+    let run = folder.path().join("a run");
+    short_run(folder.path(), &run);
+    let eval = ["eval", utf8(&run)];
+    assert!(!warnings(&eval).contains("--resume"));
+
+    // The figures come last.
+    std::fs::remove_file(run.join("metrics.json")).unwrap();
+    let resume = format!("coseg train --resume '{}'", utf8(&run));
+    let said = warnings(&eval);
+    assert!(said.contains(&resume), "{said}");
+    std::fs::remove_file(run.join("cameras.json")).unwrap();
+    let out = folder.path().join("out");
+    let message = fails(&["render", "--scene", utf8(&run), "--out", utf8(&out)], 1);
+    assert!(message.contains(&resume), "{message}");
+    let (gaussians, _) = plates();
+    ply::write(&run.join("scene.ply"), &gaussians, DVec3::ZERO, None).unwrap();
+    let message = fails(&["objects", "--scene", utf8(&run)], 1);
+    assert!(message.contains(&resume), "{message}");
+
+    let file = run.join("config.toml");
+    let config = std::fs::read_to_string(&file).unwrap();
+    let moved = config.replace(utf8(folder.path()), "/elsewhere");
+    std::fs::write(&file, moved).unwrap();
+    for command in [&eval[..], &["train", "--resume", utf8(&run)]] {
+        let message = fails(command, 1);
+        assert!(
+            message.contains("/elsewhere") && message.contains("add --data DIR"),
+            "{message}"
+        );
+    }
 }
 
 #[test]
