@@ -2,7 +2,7 @@
 
 mod cli;
 
-use clap::{CommandFactory, FromArgMatches};
+use clap::FromArgMatches;
 use coseg::ranks;
 use std::process::ExitCode;
 
@@ -10,7 +10,7 @@ fn main() -> ExitCode {
     cli::allocator::keep_freed_memory();
     cli::terminal::report_panics();
     cli::quiet::silence_drivers();
-    let matches = cli::Cli::command().get_matches();
+    let matches = cli::arguments();
     let name = matches.subcommand_name().unwrap_or_default();
     let cli = cli::Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     cli::terminal::show_warnings(cli.verbose);

@@ -39,14 +39,14 @@ mod view;
 mod vote;
 
 use burn::tensor::Device;
-use clap::error::ErrorKind;
-use clap::{ArgMatches, Args, Parser, Subcommand};
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{ArgMatches, Args, CommandFactory, Parser, Subcommand};
 use coseg::backend::device;
 use coseg::backend::device::BackendName;
 use coseg::config::Config;
 use coseg::error::{Error, Result};
 use coseg::files::own;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::LazyLock;
 
@@ -190,6 +190,21 @@ impl Command {
             done => done,
         }
     }
+}
+
+/// The arguments of this program. Without options that fit, this ends it.
+pub fn arguments() -> ArgMatches {
+    Cli::command().try_get_matches().unwrap_or_else(|mut error| {
+        let is_folder = match error.get(ContextKind::InvalidArg) {
+            Some(ContextValue::String(word)) => Path::new(word).is_dir(),
+            _ => false,
+        };
+        if error.kind() == ErrorKind::UnknownArgument && is_folder {
+            let tip = "'--data DIR' names a scene folder, '--scene DIR' a run".into();
+            error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip]));
+        }
+        error.exit()
+    })
 }
 
 /// Arguments that name what a command reads.

@@ -25,7 +25,7 @@ pub struct Bars {
 fn figures(point: &CurvePoint) -> String {
     let psnr = point.held_out.psnr.map(|v| format!(" PSNR {v:.2} dB"));
     let ssim = point.held_out.ssim.map(|v| format!(" SSIM {v:.3}"));
-    let miou = point.miou.map(|v| format!(" mIoU {:.1} %", 100.0 * v));
+    let miou = point.miou.map(|v| format!(" mIoU {v:.3}"));
     let all: String = psnr.into_iter().chain(ssim).chain(miou).collect();
     if all.is_empty() {
         all
@@ -148,7 +148,7 @@ impl Progress for Bars {
             }
             Event::Begun(what) => terminal::note(what),
             Event::Stored { cell, miou } => {
-                let miou = miou.map(|miou| format!("mIoU {:.1} %", 100.0 * miou));
+                let miou = miou.map(|miou| format!("mIoU {miou:.3}"));
                 terminal::note(&format!("{cell}: {}", miou.unwrap_or("no score".into())));
             }
             _ => {}

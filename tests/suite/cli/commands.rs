@@ -72,6 +72,8 @@ fn help_names_every_command_and_shows_examples() {
 fn mistakes_on_the_command_line_exit_with_2() {
     fails(&["train", "--bogus"], 2);
     fails(&["paint"], 2);
+    let message = fails(&["train", "."], 2);
+    assert!(message.contains("'--data DIR'"), "{message}");
     fails(&["render", "--scene", "x.ply"], 2);
     fails(&["train", "--resume", "a", "--out", "b"], 2);
     fails(&["train", "--set", "building.iterations"], 2);
