@@ -194,17 +194,19 @@ impl Command {
 
 /// The arguments of this program. Without options that fit, this ends it.
 pub fn arguments() -> ArgMatches {
-    Cli::command().try_get_matches().unwrap_or_else(|mut error| {
-        let is_folder = match error.get(ContextKind::InvalidArg) {
-            Some(ContextValue::String(word)) => Path::new(word).is_dir(),
-            _ => false,
-        };
-        if error.kind() == ErrorKind::UnknownArgument && is_folder {
-            let tip = "'--data DIR' names a scene folder, '--scene DIR' a run".into();
-            error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip]));
-        }
-        error.exit()
-    })
+    Cli::command()
+        .try_get_matches()
+        .unwrap_or_else(|mut error| {
+            let is_folder = match error.get(ContextKind::InvalidArg) {
+                Some(ContextValue::String(word)) => Path::new(word).is_dir(),
+                _ => false,
+            };
+            if error.kind() == ErrorKind::UnknownArgument && is_folder {
+                let tip = "'--data DIR' names a scene folder, '--scene DIR' a run".into();
+                error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip]));
+            }
+            error.exit()
+        })
 }
 
 /// Arguments that name what a command reads.

@@ -87,7 +87,8 @@ pub(super) fn write_cell(out: &Path, cell: Cell, provenance: Provenance) -> Resu
     atomic::write_json(&path, &CellFile { cell, provenance })
 }
 
-/// The finished cell `id` in the folder `out`. It has to have `provenance`, and be of `commit` unless that is `None`.
+/// The finished cell `id` in the folder `out`. Its provenance has to equal `provenance`, and its commit has to equal `commit` if that
+/// is given.
 ///
 /// # Errors
 /// [`crate::Error::Input`] and [`crate::Error::Config`] naming the file and what differs.

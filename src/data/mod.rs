@@ -23,6 +23,7 @@ pub use self::formats::points::Points;
 pub use self::labels::classes::{Class, Classes, ObjectOf};
 pub use self::labels::label_map::LabelMap;
 pub use self::labels::label_runs::LabelRuns;
+pub(crate) use self::labels::largest::{first_largest, winner};
 pub use self::labels::map_geometry::MapGeometry;
 pub use self::labels::palette::class_color;
 pub use self::labels::scores::{LabelProbabilities, ScoreGrid, ScoreMap, ViewScores};

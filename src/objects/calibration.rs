@@ -10,7 +10,7 @@
 //!    shares s has the probabilities p_y ~ prod_c theta_yc^s_c.
 
 use super::PooledVotes;
-use super::largest::first_largest;
+use crate::data::winner;
 
 /// Weight of the confusion matrix without preferred pairs, in shares of the scene.
 const SHRINKAGE: f64 = 0.03;
@@ -95,11 +95,6 @@ fn prior(votes: &PooledVotes) -> Vec<f64> {
     }
     normalise(&mut prior);
     prior
-}
-
-/// Class of the largest value, none where all are zero. Ties go to the lower index.
-pub(super) fn winner(row: &[f64]) -> Option<usize> {
-    first_largest(row).filter(|&best| row[best] > 0.0)
 }
 
 pub(super) fn normalise(row: &mut [f64]) {

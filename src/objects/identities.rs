@@ -1,7 +1,6 @@
 //! Segmentation identities stored on the Gaussians (`s_i` of Eq. 3).
 
-use super::largest::first_largest;
-use crate::data::Classes;
+use crate::data::{Classes, first_largest};
 use crate::error::{Result, bail};
 use crate::weights::{HostTensor, WeightFile};
 use std::path::Path;

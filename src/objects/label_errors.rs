@@ -5,7 +5,8 @@
 //! disagree about the Gaussians that the other two disagree about.
 
 use super::Votes;
-use super::calibration::{Flux, normalise, winner};
+use super::calibration::{Flux, normalise};
+use crate::data::winner;
 
 /// Exponent of class frequencies, unless settings give another.
 const EXPONENT: f64 = 0.5;

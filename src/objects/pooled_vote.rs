@@ -4,23 +4,17 @@
 //! scales: a superpoint that reaches across two objects costs little then. [`Calibration`] corrects them for systematic errors.
 
 use super::label_errors::LabelErrors;
-use super::superpoints::{Superpoints, SurfaceGraph};
+use super::superpoints::{NEIGHBOURS, Superpoints, SurfaceGraph};
 use super::{Calibration, Identities, Votes};
 use crate::config::PoolingConfig;
 use crate::error::Result;
 use crate::splat::Gaussians;
 use rayon::prelude::*;
 
-/// Nearest neighbours of each Gaussian in the graph of superpoints.
-pub(super) const NEIGHBOURS: usize = 12;
-/// Scales of the superpoints. The calibration is fitted on those of [`FITTED`].
-const SCALES: [f64; 3] = [0.1, 0.3, 1.0];
 /// Weight of a Gaussian's own votes beside those of the superpoints of each scale: as much as all of them.
 const OWN: f64 = 3.0;
-/// Index of the scale in the middle.
+/// Index of the scale that the calibration is fitted on: the middle one.
 const FITTED: usize = 1;
-/// Least number of Gaussians of a superpoint.
-const MIN_GAUSSIANS: usize = 5;
 
 /// Votes of superpoints.
 #[derive(Clone, Debug, PartialEq)]
@@ -77,16 +71,6 @@ impl PooledVotes {
     }
 }
 
-/// The superpoints of `graph` at the smallest scale of the pooled vote.
-pub(super) fn finest(graph: &SurfaceGraph) -> Superpoints {
-    graph.superpoints(SCALES[0], MIN_GAUSSIANS)
-}
-
-/// The superpoints of `graph` at the scale in the middle.
-pub(super) fn middle(graph: &SurfaceGraph) -> Superpoints {
-    graph.superpoints(SCALES[FITTED], MIN_GAUSSIANS)
-}
-
 /// The pooled vote of a scene.
 #[derive(Clone, Debug)]
 pub struct PooledVote {
@@ -121,7 +105,7 @@ pub fn pooled_vote(
         None if pooling == 0.0 => 0.0,
         None => errors.exponent(),
     };
-    let superpoints = SCALES.map(|scale| graph.superpoints(scale, MIN_GAUSSIANS));
+    let superpoints = graph.all_scales();
     let pooled = superpoints.each_ref().map(|s| PooledVotes::new(refined, s));
     let calibration = Calibration::fit(&pooled[FITTED], exponent, config.confusion);
     tracing::info!(

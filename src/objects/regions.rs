@@ -5,8 +5,7 @@
 //! edges of the neighbour graph between them, and P all edges that leave the one with fewer. So a part joins the thing that
 //! surrounds it before it joins one that it only stands on.
 
-use super::pooled_vote::{NEIGHBOURS, finest};
-use super::superpoints::{Superpoints, SurfaceGraph};
+use super::superpoints::{NEIGHBOURS, Superpoints, SurfaceGraph};
 use crate::error::{Result, ensure};
 use crate::splat::Gaussians;
 use std::cmp::Reverse;
@@ -48,7 +47,7 @@ impl Regions {
         ensure!(features.is_empty() || features.len() == gaussians.len(), argument "features"; found "{} of them", features.len();
             expected "one for each of {} Gaussians, or none", gaussians.len(); help "give those that were lifted onto these Gaussians");
         let graph = SurfaceGraph::new(gaussians, NEIGHBOURS)?;
-        let superpoints = finest(&graph);
+        let superpoints = graph.fine();
         let appearances = appearances(gaussians, features, &graph);
         let mut merging = Merging::new(&appearances, &graph, &superpoints);
         merging.merge_all();

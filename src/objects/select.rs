@@ -1,8 +1,8 @@
 //! Selection of one thing by a few of its Gaussians: it grows over the tree of [`Regions`].
 
 use super::inventory::shares_of_pixel;
-use super::largest::first_largest;
 use super::regions::Regions;
+use crate::data::first_largest;
 use crate::raster::Projected;
 use crate::splat::rows_where;
 use std::collections::BTreeSet;

@@ -1,7 +1,7 @@
 //! Smoothing over surfaces: a Gaussian that hardly any labelled pixel shows takes the scores of its superpoint.
 
-use super::pooled_vote::{NEIGHBOURS, PooledVotes, middle};
-use super::superpoints::SurfaceGraph;
+use super::pooled_vote::PooledVotes;
+use super::superpoints::{NEIGHBOURS, SurfaceGraph};
 use super::{Identities, Votes};
 use crate::error::Result;
 use crate::splat::Gaussians;
@@ -25,7 +25,7 @@ pub fn smoothed(
         size,
         "one score for each Gaussian and class"
     );
-    let superpoints = middle(&SurfaceGraph::new(gaussians, NEIGHBOURS)?);
+    let superpoints = SurfaceGraph::new(gaussians, NEIGHBOURS)?.middle();
     let probabilities = Votes {
         table: identities.scores.clone(),
         classes: identities.classes,

@@ -12,6 +12,13 @@ use nalgebra::{Matrix3, SymmetricEigen};
 use rayon::prelude::*;
 use union_find::{QuickUnionUf, UnionBySize, UnionFind};
 
+/// Nearest neighbours of each Gaussian in the graph of a scene.
+pub(super) const NEIGHBOURS: usize = 12;
+/// Scales of fine, middle and coarse superpoints.
+const SCALES: [f64; 3] = [0.1, 0.3, 1.0];
+/// Least number of Gaussians of such a superpoint.
+const LEAST: usize = 5;
+
 /// The superpoint of each Gaussian.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Superpoints {
@@ -91,6 +98,21 @@ impl SurfaceGraph {
             }
         }
         alike
+    }
+
+    /// Fine, middle and coarse superpoints.
+    pub(super) fn all_scales(&self) -> [Superpoints; 3] {
+        SCALES.map(|scale| self.superpoints(scale, LEAST))
+    }
+
+    /// The fine superpoints alone.
+    pub(super) fn fine(&self) -> Superpoints {
+        self.superpoints(SCALES[0], LEAST)
+    }
+
+    /// The middle superpoints alone.
+    pub(super) fn middle(&self) -> Superpoints {
+        self.superpoints(SCALES[1], LEAST)
     }
 
     /// The superpoints at `scale`: k of the paper, in edge weight times Gaussians. A larger one gives larger superpoints. Those of

@@ -11,8 +11,8 @@ use std::cell::OnceCell;
 /// confident votes uncertain, and the decoder learns to be certain again at the expense of rare classes.
 pub(super) const VOTE_FLOOR: f32 = 0.002;
 
-/// Pixels that are taken to vote for every class of a Gaussian, before any do (additive smoothing). With shares instead of pixels, a
-/// hundredth of a pixel would make a Gaussian as sure as a hundred pixels do. Chosen on house_living with six labelled photos.
+/// Votes, in pixels, that every class of a Gaussian has from the start (additive smoothing). A Gaussian that a hundredth of a pixel shows
+/// is then less sure than one that a hundred pixels show. Chosen on house_living with six labelled photos.
 const PSEUDO_VOTES: f32 = 0.3;
 
 /// The votes of a scene, counted when they are first asked for.

@@ -21,14 +21,14 @@ const OPACITY: f32 = 0.95;
 pub struct Suggestion {
     /// File name of the photo, or the name of its view where it lies in no file.
     pub photo: String,
-    /// Share of the scene that it adds to the photos before it, 0 to 1.
+    /// Share of the scene that this photo shows and those before it do not, 0 to 1.
     pub adds: f64,
-    /// Share of the scene that it shows together with them.
+    /// Share of the scene that this photo and those before it show.
     pub together: f64,
 }
 
-/// Names up to `count` training photos of `scene`. Each photo adds most to those before it (greedy maximum coverage, which reaches at
-/// least 63 % of the best choice). There are fewer where the others add nothing.
+/// Names up to `count` training photos of `scene`, each the one that adds most to those before it. This greedy choice covers at least
+/// 63 % of what the best choice would. The list ends early once no other photo adds anything.
 ///
 /// The photos cover `gaussians`, relative to the origin of the scene. Without them, an opaque Gaussian stands at each initial
 /// point, or at points that photos agree on where the scene has none. A photo shows a Gaussian where the sum of alpha' T reaches

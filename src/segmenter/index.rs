@@ -50,7 +50,7 @@ impl Index {
     pub fn open(folder: &Path) -> Result<Self> {
         let path = folder.join(FILE);
         let content = if path.is_file() {
-            // The index itself tells which files are own, after a copy too.
+            // A copy of the folder lacks the list of files that this program wrote. The index says as much.
             own::allow(folder);
             own::allow(folder.join("scores"));
             files::json(&path, "the index of a folder that `coseg label` wrote")?

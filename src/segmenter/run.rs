@@ -5,9 +5,8 @@ use super::mapping::Mapping;
 use super::model::Network;
 use crate::backend::elementary::exp;
 use crate::data::bilinear::beside;
-use crate::data::{LabelMap, ScoreGrid, ScoreMap};
+use crate::data::{LabelMap, ScoreGrid, ScoreMap, first_largest};
 use crate::error::Result;
-use crate::objects::first_largest;
 use image::RgbImage;
 
 /// Cells of scores on the longer side, at most: outputs that are finer are averaged over blocks.

@@ -14,29 +14,33 @@ use image::RgbImage;
 use image::imageops::{grayscale, thumbnail};
 use rayon::prelude::*;
 
-/// Neighbouring pairs that are compared, at most. They are chosen evenly. Fewer pairs than the second number give no verdict.
+/// Most pairs of neighbouring photos that are compared. They are chosen evenly.
 const MAX_PAIRS: usize = 12;
+/// Fewer pairs than this give no verdict.
 const MIN_PAIRS: usize = 4;
-/// Pixels across a small photo, and across a block.
+/// Width of a small photo, pixels.
 const PHOTO_PIXELS: u32 = 96;
+/// Width of a block, pixels.
 const BLOCK_PIXELS: usize = 8;
-/// Depths, from infinity evenly in their inverse to the nearest one, in distances between the two cameras.
+/// Number of depths. Their inverses are evenly spaced, from 0 (infinitely far) on.
 const DEPTHS: usize = 24;
+/// The nearest depth, in distances between the two cameras.
 const NEAREST_DEPTH: f64 = 1.5;
 /// Standard deviation of a block, as a share of white, below which it looks like any other.
 const MIN_DEVIATION: f64 = 0.02;
 /// Correlation from which two blocks are alike.
 const MIN_CORRELATION: f64 = 0.8;
 
-/// A convention is reported when the share of blocks that it finds again is above the first number and above the second number
-/// times the share of the layout's convention. The next photo must also show at least the third share of the blocks.
+/// Share of the blocks that a convention has to find again before it is reported.
 ///
 /// Measured on two captures of objects and three of rooms: the right convention finds 0.47 to 0.82 of the blocks, a wrong one 0.07
 /// to 0.56, at most 0.69 of the right share. With every 2nd, 4th and 12th photo the right one finds 0.08 to 0.78, and a wrong one
 /// never more than the first bound: sparse captures give no answer. Neither does a video whose camera hardly moves: its frames are
 /// alike in every convention.
 const MIN_FOUND: f64 = 0.45;
+/// It also has to find this many times the share that the layout's own convention finds.
 const MIN_FOUND_RATIO: f64 = 1.4;
+/// Share of the blocks that the next photo has to show in that convention.
 const MIN_SHOWN: f64 = 0.25;
 
 /// A notice if neighbouring photos fit better in a different convention than in that of the layout.

@@ -4,6 +4,7 @@ pub mod annotations;
 pub(crate) mod classes;
 pub(crate) mod label_map;
 pub(crate) mod label_runs;
+pub(crate) mod largest;
 pub(crate) mod map_geometry;
 pub(crate) mod palette;
 pub(crate) mod raw;

@@ -3,7 +3,7 @@
 use super::groups::{Category, Groups};
 use super::ownership::group_sightings;
 use super::segments::{SegmentWeights, ViewSegments};
-use crate::objects::largest::first_largest;
+use crate::data::first_largest;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 

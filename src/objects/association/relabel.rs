@@ -2,9 +2,9 @@
 
 use super::groups::Assigned;
 use super::segments::{BAND_PIXELS, NO_SEGMENT};
+use crate::data::first_largest;
 use crate::data::{LabelMap, LabelRuns, View};
 use crate::error::Result;
-use crate::objects::largest::first_largest;
 use crate::raster::{Projected, Settings};
 use crate::splat::{Gaussians, rows_where};
 use rayon::prelude::*;

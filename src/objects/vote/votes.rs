@@ -1,7 +1,8 @@
 //! Votes of each Gaussian for each class, and what they say.
 
 use crate::backend::device::upload;
-use crate::objects::{Identities, first_largest};
+use crate::data::winner;
+use crate::objects::Identities;
 use burn::tensor::{Device, Tensor};
 
 /// Summed weights of each class on each Gaussian.
@@ -68,10 +69,8 @@ impl Votes {
 
     /// Class index of each Gaussian's largest vote; `None` where nothing was voted. Ties go to the lower index.
     pub fn winners(&self) -> Vec<Option<u16>> {
-        self.rows()
-            .map(|row| first_largest(row).filter(|&c| row[c] > 0.0))
-            .map(|best| best.map(|c| c as u16))
-            .collect()
+        let class = |row| winner(row).map(|class| class as u16);
+        self.rows().map(class).collect()
     }
 
     /// One-hot identities of the winners; zero where nothing was voted.

@@ -3,9 +3,9 @@
 use super::sampling::stratified_sample;
 use crate::backend::device::{read, upload};
 use crate::config::{Blend, SegmentationConfig};
-use crate::data::{Classes, LabelProbabilities, LabelRuns, View, ViewCache};
+use crate::data::{Classes, LabelProbabilities, LabelRuns, View, ViewCache, winner};
 use crate::error::Result;
-use crate::objects::{Identities, first_largest};
+use crate::objects::Identities;
 use crate::ops::select;
 use crate::raster::Settings;
 use crate::segmentation::loss::Scores;
@@ -305,10 +305,7 @@ fn largest_scores(blended: Tensor<2>, own: &[u16]) -> Result<Vec<u16>> {
     let classes = blended.dims()[1];
     let blended = read("labels of pixels", blended)?;
     let rows = blended.chunks_exact(classes.max(1)).zip(own);
-    let label = |(row, &own): (&[f32], &u16)| {
-        let best = first_largest(row);
-        best.filter(|&c| row[c] > 0.0).map_or(own, |c| c as u16)
-    };
+    let label = |(row, &own): (&[f32], &u16)| winner(row).map_or(own, |class| class as u16);
     Ok(rows.map(label).collect())
 }
 

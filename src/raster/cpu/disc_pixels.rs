@@ -2,8 +2,10 @@
 
 use crate::backend::elementary::floor;
 
-/// The pixels of an image of `size` whose centres lie in the disc around `center`. With `before`, those of them that are used: it
-/// has for each row of pixels how many of them are used before each pixel, and then their total, `[height, width + 1]`.
+/// Number of pixels of an image `[width, height]` whose centres lie within `radius` of the point [x, y].
+///
+/// `before` leaves out pixels that are not used. It is `[height, width + 1]`: in each row, the number of used pixels before each
+/// column, and at the end the number in the whole row.
 pub(super) fn count(
     [x, y]: [f64; 2],
     radius: u32,

@@ -129,7 +129,7 @@ pub fn read(path: &Path) -> Result<PlyScene> {
     })
 }
 
-/// The cells of a row with a finite logit of the opacity: other programs write an opacity of 0 or 1 as an infinite one.
+/// The cells of a row. An infinite logit of the opacity becomes a finite one: some programs write it for an opacity of 0 or 1.
 fn checked_row(
     path: &Path,
     row: usize,
