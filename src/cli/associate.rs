@@ -46,10 +46,7 @@ impl AssociateArgs {
         let (mut scene, ply) = self.input.read(&config, &device, &["labels"])?;
         let Associated { counts, semantics } =
             associate(&ply.gaussians, &mut scene, &config, &mut Bars::default())?;
-        terminal::say(&format!(
-            "{} segments of training views: {} objects; {} segments are in no object, {} are divided",
-            counts.segments, counts.objects, counts.dropped, counts.divided
-        ));
+        terminal::say(&counts.to_string());
         let out = &self.input.out;
         let classes = &scene.classes;
         let folder = out.join("labels");

@@ -313,17 +313,14 @@ fn summary(outcome: &Outcome) {
             traffic.segmentation_bytes as f64 / 1e6,
         ));
     }
-    if let Some(a) = &outcome.association {
+    if let Some(counts) = &outcome.association {
         let mut scores = outcome.rows.iter().map(|row| &row.scores);
         let scored = if scores.any(|scores| scores.instances.is_some()) {
             "; scores are against true instances"
         } else {
             ""
         };
-        terminal::say(&format!(
-            "{} segments joined into {} objects; {} segments are in no object, {} are divided{scored}",
-            a.segments, a.objects, a.dropped, a.divided
-        ));
+        terminal::say(&format!("{counts}{scored}"));
     }
     if outcome.rows.is_empty() {
         return;

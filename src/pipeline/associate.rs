@@ -8,6 +8,7 @@ use crate::progress::{Progress, Viewing};
 use crate::raster::Settings;
 use crate::splat::Gaussians;
 use serde::{Deserialize, Serialize};
+use std::fmt;
 use std::time::Instant;
 
 /// Numbers of an association, as metrics.json stores them.
@@ -23,6 +24,16 @@ pub struct AssociationCounts {
     pub divided: usize,
     /// Seconds of the association.
     pub seconds: f64,
+}
+
+impl fmt::Display for AssociationCounts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{} segments of training views joined into {} objects; {} segments are in no object, {} are divided among several",
+            self.segments, self.objects, self.dropped, self.divided
+        )
+    }
 }
 
 /// The result of [`associate`].

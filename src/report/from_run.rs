@@ -187,11 +187,9 @@ fn notes_of_labels(outcome: &Outcome, config: &Config) -> Vec<String> {
             serde_json::json!(s.loss())
         ));
     }
-    if let Some(a) = &outcome.association {
+    if let Some(counts) = &outcome.association {
         notes.push(format!(
-            "The ids of the raw labels are valid only within a view. Association joined the {} segments of the training \
-             views into {} objects; {} segments are in no object, {} were divided among several.",
-            a.segments, a.objects, a.dropped, a.divided
+            "The ids of the raw labels are valid only within a view. By association, {counts}."
         ));
     }
     if let Some(corrections) = &outcome.corrections
