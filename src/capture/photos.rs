@@ -3,7 +3,7 @@
 use crate::data::photos::image_file::{ImageFile, proportional};
 use crate::data::photos::{HEIC_HELP, is_heic, is_photo, is_video};
 use crate::error::{Error, Result, bail, ensure, in_order};
-use crate::files::names;
+use crate::files::{folder, names};
 use image::metadata::Orientation;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
@@ -105,9 +105,7 @@ impl Photos {
         }
         let counts = counts.iter().map(|((w, h), n)| format!("{n} of {w}x{h}"));
         let counts = counts.collect::<Vec<_>>().join(", ");
-        let first = &all[0].path;
-        let dir = first.parent().unwrap_or(first);
-        bail!(dir, "photos"; found "{counts} pixels"; expected "photos of one size, by one lens at one zoom";
+        bail!(folder(&all[0].path), "photos"; found "{counts} pixels"; expected "photos of one size, by one lens at one zoom";
             help "move the others to another folder");
     }
 

@@ -6,7 +6,7 @@ use super::terminal;
 use clap::{Args, ValueEnum};
 use coseg::data::Classes;
 use coseg::error::{Result, bail, ensure};
-use coseg::files::{extension, names, own, sha256};
+use coseg::files::{extension, folder, names, own, sha256};
 use coseg::runs::{
     CAMERAS, CLASSES, ObjectScene, check_output, copy_cameras, has_table, read_scene, scene_path,
     write_classes,
@@ -204,7 +204,7 @@ impl ExportArgs {
         let Some((out, _)) = parts.first() else {
             return Ok(false);
         };
-        let folder = out.parent().unwrap_or(Path::new(""));
+        let folder = folder(out);
         let is_other = |name: &str, path: &Path| {
             FileFormat::of(Path::new(name)).is_some() && parts.iter().all(|(file, _)| file != path)
         };

@@ -2,6 +2,7 @@
 
 use super::terminal;
 use coseg::Error;
+use coseg::files;
 use std::mem::{Discriminant, discriminant};
 use std::path::Path;
 
@@ -61,8 +62,7 @@ fn kind(fault: &Error) -> FaultKind {
 
 /// Its folder. Masks have a folder for each photo, which are usually numbered.
 fn folder(path: &Path) -> String {
-    let folder = path.parent().unwrap_or(path);
-    folder.display().to_string()
+    files::folder(path).display().to_string()
 }
 
 /// `text` without numbers and names in brackets: `frames[3] (images/a.png).file_path` is the field of many frames.

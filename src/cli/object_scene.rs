@@ -4,7 +4,7 @@ use super::terminal;
 use clap::Args;
 use coseg::data::Classes;
 use coseg::error::Result;
-use coseg::files::extension;
+use coseg::files::{extension, folder};
 use coseg::objects::Edited;
 use coseg::runs::{ObjectScene, read_scene, scene_output, scene_path};
 use std::path::PathBuf;
@@ -55,7 +55,7 @@ impl EditedSceneArgs {
         if self.out.is_dir() || extension(&self.out).is_empty() {
             return self.out.clone();
         }
-        self.out.with_file_name("")
+        folder(&self.out).to_owned()
     }
 
     /// The .ply file to write, where a scene with labels of `classes` may be written there, see [`scene_output`].

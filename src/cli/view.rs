@@ -5,7 +5,7 @@ use super::values::{alpha_max, numbers};
 use clap::Args;
 use coseg::data::read_cameras;
 use coseg::error::{Result, ensure};
-use coseg::files::{extension, file_name, own, sha256};
+use coseg::files::{extension, file_name, folder, own, sha256};
 use coseg::runs::{
     SCENE, VIEWER, cameras_path, classes_beside, features_beside, rendering_beside, scene_path,
 };
@@ -161,7 +161,6 @@ fn parse_direction(text: &str) -> std::result::Result<DVec3, String> {
 /// The name of the folder for a scene.ply, of the file for others.
 fn title(scene: &Path) -> String {
     let name = file_name(scene).unwrap_or_else(|| "scene".to_owned());
-    let folder = scene.parent().and_then(|folder| folder.canonicalize().ok());
-    let folder = folder.filter(|_| name == SCENE);
+    let folder = folder(scene).canonicalize().ok().filter(|_| name == SCENE);
     folder.and_then(|folder| file_name(&folder)).unwrap_or(name)
 }

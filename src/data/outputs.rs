@@ -6,6 +6,7 @@ use super::formats::layout;
 use super::formats::listing::Cloud;
 use super::{Classes, LoadOptions};
 use crate::error::{Result, ensure};
+use crate::files;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -71,7 +72,7 @@ fn folders_read(dir: &Path, options: &LoadOptions) -> BTreeSet<PathBuf> {
     let paths = || files.iter().map(PathBuf::as_path);
     // Raw labels may be folders themselves.
     let folders = paths().filter(|file| file.is_dir());
-    let parents = paths().filter_map(Path::parent);
+    let parents = paths().map(files::folder);
     folders.chain(parents).map(absolute).collect()
 }
 

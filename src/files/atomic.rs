@@ -1,5 +1,6 @@
 //! Atomic writes: a file is written under a temporary name, synced and renamed.
 
+use super::folder;
 use super::own::{self, Hashed, TEMPORARY};
 use crate::error::{Error, Result};
 use serde::Serialize;
@@ -22,7 +23,7 @@ pub fn write(
 ) -> Result<()> {
     let path = path.as_ref();
     let failed = |action| move |source| Error::io(path, action, source);
-    let parent = own::folder(path);
+    let parent = folder(path);
     if path.file_name().is_none() {
         let source = io::Error::new(io::ErrorKind::InvalidInput, "not a file name");
         return Err(Error::io(path, "create", source));

@@ -141,6 +141,14 @@ pub fn file_name(path: &Path) -> Option<String> {
     Some(path.file_name()?.to_string_lossy().into_owned())
 }
 
+/// The folder that `path` is in, by a path that can be read: `.` for a bare name, whose parent is empty.
+pub fn folder(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
 /// The extension of a path in lower case; empty where it has none.
 pub fn extension(path: &Path) -> String {
     let extension = path.extension().unwrap_or_default();

@@ -4,7 +4,7 @@
 //! into has a record, [`RECORD`]: a line for each file with the SHA-256 of its content, the command, and its name. A file is own
 //! as long as its content is what such a line says.
 
-use super::lock;
+use super::{folder, lock};
 use crate::error::{Error, Result, bail, ensure};
 use sha2::{Digest, Sha256};
 use std::cell::RefCell;
@@ -256,14 +256,6 @@ fn line(path: &Path, digest: &str, command: &str) -> String {
     // Escaped, because a name may have line ends.
     let name = super::file_name(path).unwrap_or_default();
     format!("{digest} {command} {}", name.escape_debug())
-}
-
-/// The folder that `path` is in.
-pub(crate) fn folder(path: &Path) -> &Path {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    }
 }
 
 /// Passes bytes on to a file and hashes them.

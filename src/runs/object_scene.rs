@@ -5,7 +5,7 @@ use super::scene_file::{
 };
 use crate::data::{Classes, check_outputs};
 use crate::error::{Error, Result, bail, ensure, invalid};
-use crate::files::{atomic, extension, own, sha256};
+use crate::files::{self, atomic, extension, own, sha256};
 use crate::objects::{Edited, Editing, Edits, Object, color_apart, inventory};
 use crate::splat::formats::{has_labels_beside, label_path};
 use crate::splat::ply::PlyScene;
@@ -74,7 +74,7 @@ pub fn check_output(
     }
     ensure!(force || !atomic::same_file(path, out), argument "--out"; found "{}", out.display();
         expected "a file other than the scene"; help "name a new file, or write over the scene with --force");
-    check_outputs("--out", &[own::folder(out)], None)?;
+    check_outputs("--out", &[files::folder(out)], None)?;
     if force {
         own::allow(out);
         own::allow(&names);

@@ -156,7 +156,7 @@ pub fn photos_of(cameras: &Path) -> BTreeMap<String, ViewPhoto> {
     let folder = if cameras.is_dir() {
         cameras
     } else {
-        own::folder(cameras)
+        files::folder(cameras)
     };
     let photos = view_photos(folder, &LoadOptions::default());
     if !photos.is_empty() {

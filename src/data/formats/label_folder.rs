@@ -98,7 +98,7 @@ pub(super) fn stray_drawings(
     let drawn = || frames.iter().filter_map(|frame| frame.drawn.as_deref());
     let raw = || frames.iter().filter_map(|frame| frame.raw.as_deref());
     let used: HashSet<&Path> = drawn().chain(raw()).collect();
-    let parents = drawn().filter_map(|file| Some(file.parent()?.to_owned()));
+    let parents = drawn().map(|file| files::folder(file).to_owned());
     let usual = || raw().next().is_none().then_some(LABELS_RAW);
     let folder = options.raw_labels.as_deref().or_else(usual);
     let folders: BTreeSet<PathBuf> = parents.chain(folder.map(|name| dir.join(name))).collect();

@@ -55,7 +55,7 @@ pub(crate) struct MapGeometries(HashMap<PathBuf, MapGeometry>);
 impl MapGeometries {
     /// Reads the geometry of each folder that `maps` lie in. `fault` receives the errors in their files.
     pub fn read<'a>(maps: impl Iterator<Item = &'a PathBuf>, mut fault: impl FnMut(Error)) -> Self {
-        let folders: BTreeSet<&Path> = maps.filter_map(|map| map.parent()).collect();
+        let folders: BTreeSet<&Path> = maps.map(|map| files::folder(map)).collect();
         let files = folders
             .into_iter()
             .filter(|folder| folder.join(MapGeometry::FILE).is_file());
@@ -68,6 +68,6 @@ impl MapGeometries {
 
     /// The camera of a map, or of a photo's folder of masks, where its folder says so.
     pub fn of(&self, map: &Path) -> Option<MapGeometry> {
-        self.0.get(map.parent()?).copied()
+        self.0.get(files::folder(map)).copied()
     }
 }

@@ -1,7 +1,7 @@
 //! `coseg export` of plates.
 
 use crate::support::plates::plates;
-use crate::support::program::{fails, listed, succeeds, text, utf8};
+use crate::support::program::{coseg_in, fails, listed, succeeds, text, utf8};
 use coseg::data::Classes;
 use coseg::splat::{formats, ply};
 use glam::DVec3;
@@ -271,6 +271,18 @@ fn names_and_cameras_of_earlier_exports_stay() {
         "{message}"
     );
     assert!(!third.exists());
+    // The same for a name without a folder.
+    let mut bare = other.clone();
+    bare[6] = "third.ply";
+    let output = coseg_in(&path("out"), &bare);
+    assert_eq!(output.status.code(), Some(1));
+    let message = text(&output.stderr);
+    assert!(
+        message.contains("classes: found those of cloud.ply"),
+        "{message}"
+    );
+    assert!(!third.exists());
+    assert_eq!(std::fs::read(path("out/classes.json")).unwrap(), table);
     other.push("--force");
     succeeds(&other);
     assert_ne!(std::fs::read(path("out/classes.json")).unwrap(), table);

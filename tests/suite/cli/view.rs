@@ -4,7 +4,7 @@ use crate::support::browser::inside;
 #[cfg(feature = "serve")]
 use crate::support::client::Client;
 use crate::support::plates::scene as plates_scene;
-use crate::support::program::{fails, listed, succeeds, utf8};
+use crate::support::program::{coseg_in, fails, listed, succeeds, utf8};
 use coseg::data::formats::transforms::write_cameras;
 use coseg::data::read_cameras;
 #[cfg(feature = "serve")]
@@ -31,6 +31,15 @@ fn the_command_writes_a_page_beside_the_scene() {
     let header: serde_json::Value = serde_json::from_str(inside(&html, "header")).unwrap();
     assert_eq!(header["cameras"].as_array().unwrap().len(), 6);
     assert_eq!(header["path"], utf8(&scene));
+    // A scene.ply has the name of its folder, also where it is given without one.
+    let room = dir.path().join("room");
+    std::fs::create_dir(&room).unwrap();
+    std::fs::copy(&scene, room.join("scene.ply")).unwrap();
+    let output = coseg_in(&room, &["view", "--scene", "scene.ply"]);
+    assert!(output.status.success());
+    let html = std::fs::read_to_string(room.join("viewer.html")).unwrap();
+    let header: serde_json::Value = serde_json::from_str(inside(&html, "header")).unwrap();
+    assert_eq!(header["title"], "room");
     let other = dir.path().join("page.htm");
     for (flag, value) in [("--alpha-max", "2"), ("--up", "0,0")] {
         let message = fails(&["view", "--scene", utf8(&scene), flag, value], 2);

@@ -6,8 +6,14 @@ use std::process::{Command, Output};
 
 /// Runs the command.
 fn coseg(arguments: &[&str]) -> Output {
+    coseg_in(Path::new("."), arguments)
+}
+
+/// Runs the command in a folder.
+pub fn coseg_in(folder: &Path, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_coseg"))
         .args(arguments)
+        .current_dir(folder)
         .output()
         .unwrap()
 }

@@ -55,8 +55,7 @@ pub(super) fn read(
         .iter()
         .map(|raw| Ok((raw, drawing::read::<File>(raw.path, expected)?)))
         .collect::<Result<Vec<_>>>()?;
-    let first = files[0].0.path;
-    let folder = first.parent().unwrap_or(first);
+    let folder = crate::files::folder(files[0].0.path);
     let shapes = files.iter().flat_map(|(_, file)| &file.shapes);
     let labels = ShapeLabels::new(folder, classes, shapes.map(|shape| &*shape.label))?;
     let drawings = files.iter().map(|(raw, file)| {

@@ -20,6 +20,7 @@ use crate::data::labels::scores::ScoreIds;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap, LoadOptions, Segment};
 use crate::error::{Result, bail};
+use crate::files;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -180,9 +181,10 @@ pub(crate) const LABELS_RAW: &str = "labels_raw";
 /// The folder of raw labels that `map` is in.
 fn folder(dir: &Path, options: &LoadOptions, map: &Path) -> PathBuf {
     let usual = dir.join(options.raw_labels.as_deref().unwrap_or(LABELS_RAW));
-    match map.parent() {
-        Some(parent) if !map.starts_with(&usual) => parent.to_owned(),
-        _ => usual,
+    if map.starts_with(&usual) {
+        usual
+    } else {
+        files::folder(map).to_owned()
     }
 }
 
