@@ -11,9 +11,9 @@ use glam::{DQuat, DVec3};
 use std::path::PathBuf;
 
 const HELP: &str = "\
-OBJECT is a label id or a name, as `coseg objects` lists them. A name means all objects with that name; a class means all
-associated objects of that class (chair: chair 1, chair 2). A name with a comma needs its id. The order is: keep, remove,
-turn, move. Turns are counter-clockwise as seen from the tip of the axis. An axis can be a direction, as the viewer writes
+OBJECT is a label id or a name, as `coseg objects` lists them; capitals do not matter where only one name fits. A name means
+all objects with that name; a class means all associated objects of that class (chair: chair 1, chair 2). A name with a comma
+needs its id. The order is: keep, remove, turn, move. Turns are counter-clockwise as seen from the tip of the axis. An axis can be a direction, as the viewer writes
 it (chair=0.02:-0.98:0.17,30): few COLMAP scenes have an upright axis. The axis goes through the middle of the object's
 box, and view-dependent colours turn with their object. The new file keeps its labels; classes.json and cameras.json are
 copied beside it.

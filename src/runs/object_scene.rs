@@ -3,7 +3,8 @@
 use super::scene_file::{
     CLASSES, FEATURE_COLORS, SCENE, classes_beside, copy_beside, copy_cameras, unfinished_run,
 };
-use crate::data::{Classes, check_outputs};
+use crate::data::labels::classes::plain;
+use crate::data::{Class, Classes, check_outputs};
 use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files::{self, atomic, extension, own, sha256};
 use crate::objects::{Edited, Editing, Edits, Object, color_apart, inventory};
@@ -260,9 +261,34 @@ impl ObjectScene {
     pub fn name(&self, id: u16) -> Option<&str> {
         self.classes.known_name(id)
     }
+        let found = if !names.is_empty() {
+            let names: Vec<&str> = names.into_iter().collect();
+            format!("{what}, which may mean {}", names.join(" or "))
+        } else if self.is_class(what) {
+            format!("{what}, which no Gaussian has")
+        } else {
+            what.to_owned()
+        };
+        Err(invalid!(argument "{flag}"; found "{found}";
+            expected "an id or a name of the scene: {}", self.listed();
+            help "`coseg objects --scene FILE.ply` lists them"))
+    }
+
+    /// Whether `what` is the id or the name of a class, or of an object, of the table.
+    fn is_class(&self, what: &str) -> bool {
+        let is_named = |name: &str| plain(name) == plain(what);
+        let is_meant = |class: &Class| {
+            class.id.to_string() == what || is_named(&class.name) || is_named(class.base_name())
+        };
+        self.classes.entries.iter().any(is_meant)
+    }
+
+    /// The first objects, for an error.
+    fn listed(&self) -> String {
 
     /// The object with the id `what`, or all objects with that name or, for associated objects, that class: `chair` finds
-    /// `chair 2`. `flag` is the option that errors name.
+    /// `chair 2`. Where none is written so, capitals do not matter, nor `-` and `_`, if only one name is meant. `flag` is the option
+    /// that errors name.
     ///
     /// # Errors
     /// [`Error::Argument`] with the names that there are.
@@ -272,10 +298,14 @@ impl ObjectScene {
         if let Some(object) = self.objects.iter().find(|o| Some(o.id) == id) {
             return Ok(vec![object]);
         }
-        let objects = self.objects.iter();
-        let found: Vec<&Object> = objects.filter(|o| self.is_called(o.id, what)).collect();
-        if !found.is_empty() {
-            return Ok(found);
+        let exact = self.called(|name| name == what);
+        if !exact.is_empty() {
+            return Ok(exact.into_iter().map(|(object, _)| object).collect());
+        }
+        let alike = self.called(|name| plain(name) == plain(what));
+        let names: BTreeSet<&str> = alike.iter().map(|(_, name)| *name).collect();
+        if names.len() == 1 {
+            return Ok(alike.into_iter().map(|(object, _)| object).collect());
         }
         let listed = |o: &Object| format!("{} {}", o.id, self.name(o.id).unwrap_or_default());
         let listed = self.objects.iter().take(MAX_LISTED).map(listed);
@@ -301,9 +331,16 @@ impl ObjectScene {
         Ok(ids)
     }
 
-    fn is_called(&self, id: u16, what: &str) -> bool {
-        let class = self.classes.index(id).map(|i| &self.classes.entries[i]);
-        self.name(id) == Some(what) || class.is_some_and(|class| class.base_name() == what)
+    /// Objects whose name `is_meant`, or else whose class, each with that.
+    fn called(&self, is_meant: impl Fn(&str) -> bool) -> Vec<(&Object, &str)> {
+        let objects = self.objects.iter();
+        let found = objects.filter_map(|object| {
+            let class = self.classes.index(object.id);
+            let class = class.map(|i| self.classes.entries[i].base_name());
+            let mut names = [self.name(object.id), class].into_iter().flatten();
+            Some((object, names.find(|name| is_meant(name))?))
+        });
+        found.collect()
     }
 }
 

@@ -1,3 +1,4 @@
 //! Tests of `coseg::runs`.
 
 pub mod merge;
+pub mod names;
