@@ -39,7 +39,7 @@ pub struct ObjectsArgs {
         requires = "pixel"
     )]
     cameras: Option<PathBuf>,
-    /// Name of a frame: its file name, with or without extension (COLMAP: with its folders, joined by _)
+    /// Frame: its name or the path of its photo, with or without extension
     #[arg(long, value_name = "STEM", requires = "pixel")]
     frame: Option<String>,
     /// Column and row of a pixel, from 0 at the top left

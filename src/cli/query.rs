@@ -74,7 +74,7 @@ pub struct QueryArgs {
     /// Relevancy above which Gaussians are selected, 0 to 1
     #[arg(long, value_name = "T", default_value_t = NEUTRAL, value_parser = values::share, allow_negative_numbers = true)]
     threshold: f32,
-    /// View to draw, by the name of its photo; may be repeated [default: the held-out views]
+    /// View to draw, by its name or the path of its photo; may be repeated [default: the held-out views]
     #[arg(long = "frame", value_name = "STEM")]
     frames: Vec<String>,
     /// Kind of files of the views

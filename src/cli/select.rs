@@ -33,7 +33,7 @@ pub struct SelectArgs {
     /// Cameras, as `coseg render` takes them [default: cameras.json beside the scene]
     #[arg(long, value_name = "FILE.json|DIR")]
     cameras: Option<PathBuf>,
-    /// Frame of a pixel: its file name, with or without extension; may be repeated
+    /// Frame of a pixel: its name or the path of its photo, with or without extension; may be repeated
     #[arg(long = "frame", value_name = "STEM", required = true)]
     frames: Vec<String>,
     /// Column and row of a pixel, from 0 at the top left; one for each --frame

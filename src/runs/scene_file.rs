@@ -171,18 +171,19 @@ pub fn photos_of(cameras: &Path) -> BTreeMap<String, ViewPhoto> {
     config.and_then(of_run).unwrap_or_default()
 }
 
-/// The camera of the frame `frame`, a name with or without extension.
+/// The camera of the frame `frame`: a name of a view, or the path of its photo, with or without extension.
 ///
 /// # Errors
 /// [`Error::Argument`] with names like `frame`.
 pub fn named_frame<'a>(frames: &'a [NamedCamera], frame: &str) -> Result<&'a NamedCamera> {
     let named = |name: &str| frames.iter().find(|f| f.name == name);
-    let stem = Path::new(frame).file_stem().and_then(|stem| stem.to_str());
-    if let Some(found) = named(frame).or_else(|| stem.and_then(named)) {
+    let names = view_names(frame);
+    let mut found = names.iter().filter_map(|name| named(name));
+    if let Some(found) = named(frame).or_else(|| found.next()) {
         return Ok(found);
     }
     let mut near: Vec<&str> = frames.iter().map(|f| f.name.as_str()).collect();
-    let likeness = |name: &str| strsim::jaro_winkler(name, stem.unwrap_or(frame));
+    let likeness = |name: &str| strsim::jaro_winkler(name, stem);
     near.sort_by(|a, b| likeness(b).total_cmp(&likeness(a)));
     near.truncate(5);
     Err(invalid!(argument "--frame"; found "{frame}";
@@ -202,6 +203,7 @@ pub fn frame_with_pixel<'a>(
     let [width, height] = [found.camera.width, found.camera.height];
     ensure!(x < width && y < height, argument "--pixel"; found "{x},{y}";
         expected "a column below {width} and a row below {height}"; help "choose a pixel of the frame");
+    let stem = names.last().map_or(frame, String::as_str);
     Ok(found)
 }
 
@@ -210,6 +212,20 @@ pub fn frame_with_pixel<'a>(
 pub fn rendering_beside(scene: &Path) -> Config {
     let file = scene.with_file_name(CONFIG);
     if !file.is_file() {
+/// Names that the view of the photo `path` may have: the path with its folders joined by `_`, then with ever fewer of them, each with
+/// and without extension.
+fn view_names(path: &str) -> Vec<String> {
+    let parts = path.split(['/', '\\']);
+    let parts: Vec<&str> = parts.filter(|part| !["", "."].contains(part)).collect();
+    let names = (0..parts.len()).flat_map(|first| {
+        let name = parts[first..].join("_");
+        let stem = Path::new(&name).file_stem().and_then(|stem| stem.to_str());
+        let stem = stem.unwrap_or(&name).to_owned();
+        [name, stem]
+    });
+    names.collect()
+}
+
         return Config::default();
     }
     Config::rendering_of(&file).unwrap_or_else(|error| {

@@ -1,8 +1,8 @@
-//! What is meant by the names of objects that a user writes.
+//! What is meant by the names of objects and of frames that a user writes.
 
-use crate::support::plates::plates;
-use coseg::data::{Classes, ObjectOf};
-use coseg::runs::ObjectScene;
+use crate::support::plates::{camera, plates};
+use coseg::data::{Classes, NamedCamera, ObjectOf, Split};
+use coseg::runs::{ObjectScene, frame_with_pixel, named_frame};
 use coseg::splat::ply::PlyScene;
 use glam::DVec3;
 
@@ -72,4 +72,33 @@ fn a_class_without_gaussians_is_told_from_an_unknown_name() {
     }
     let message = refusal(&scene, "rug");
     assert!(message.contains("found rug, expected"), "{message}");
+}
+
+#[test]
+fn a_frame_is_named_by_its_view_or_by_the_path_of_its_photo() {
+    let names = ["photo_1", "cam0_photo_1", "cam1_photo_1", "night.v2"];
+    let frames = names.map(|name| NamedCamera {
+        name: name.to_owned(),
+        split: Split::Train,
+        camera: camera(0),
+    });
+    for (frame, name) in [
+        ("cam0_photo_1", "cam0_photo_1"),
+        ("cam0_photo_1.jpg", "cam0_photo_1"),
+        ("cam0/photo_1.jpg", "cam0_photo_1"),
+        ("cam1/photo_1", "cam1_photo_1"),
+        ("./room/images/cam1/photo_1.png", "cam1_photo_1"),
+        ("cam1\\photo_1.png", "cam1_photo_1"),
+        ("images/photo_1.jpg", "photo_1"),
+        ("photo_1", "photo_1"),
+        ("images/night.v2", "night.v2"),
+        ("images/night.v2.jpg", "night.v2"),
+    ] {
+        assert_eq!(named_frame(&frames, frame).unwrap().name, name, "{frame}");
+    }
+    let found = frame_with_pixel(&frames, "cam0/photo_1.jpg", [0, 0]).unwrap();
+    assert_eq!(found.name, "cam0_photo_1");
+    let message = named_frame(&frames, "cam0/photo_2.jpg").expect_err("none");
+    let message = message.to_string();
+    assert!(message.contains("4 frames such as photo_1"), "{message}");
 }
