@@ -6,13 +6,12 @@ use crate::objects::{Objects, moves, turns};
 use crate::raised;
 use crate::renderer::{LastRenderer, Look};
 use crate::view::View;
-use coseg::data::formats::transforms;
 use coseg::data::{Classes, NamedCamera, read_cameras};
 use coseg::error::{Result, ensure, invalid};
 use coseg::features::FeatureColors;
 use coseg::files::own;
 use coseg::objects::{Edited, Editing, Edits, Identities};
-use coseg::runs::{self, CAMERAS, FEATURE_COLORS, ObjectEdits, ObjectScene};
+use coseg::runs::{self, Cameras, FEATURE_COLORS, ObjectEdits, ObjectScene, SideFiles};
 use coseg::splat::ply::PlyScene;
 use ndarray::{ArrayView2, ArrayView3, arr1, aview1, aview2};
 use numpy::{PyArray1, PyArray2, PyArray3};
@@ -149,20 +148,16 @@ impl Scene {
             origin,
             labels,
         } = &self.ply;
-        let gaussians = (gaussians, *origin);
-        runs::write_scene(
-            &out,
-            &self.source,
-            gaussians,
-            labels.as_deref(),
-            &self.classes,
-        )?;
-        // Those of a vote are of the photos, not of the file. Cameras that this program did not write stay.
-        let beside = out.with_file_name(CAMERAS);
+        // Those of a vote are of the photos, not of the file.
         let made = self.cameras.get().filter(|_| !self.is_file);
-        if let Some(cameras) = made.filter(|_| own::check(&beside).is_ok()) {
-            transforms::write_cameras(&beside, cameras)?;
-        }
+        let has_names = labels.is_some() || !self.classes.is_empty();
+        let beside = SideFiles {
+            scenes: &[&out],
+            classes: has_names.then_some(&self.classes),
+            cameras: made.map_or(Cameras::Beside(&self.source), |made| Cameras::Used(made)),
+        };
+        beside.check(Some(force))?;
+        runs::write_scene(&out, (gaussians, *origin), labels.as_deref(), &beside)?;
         Ok(out)
     }
 }

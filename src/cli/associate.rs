@@ -5,13 +5,12 @@ use super::progress::Bars;
 use super::{held_out, terminal};
 use clap::Args;
 use coseg::config::Association;
-use coseg::data::formats::transforms;
 use coseg::data::{MapGeometry, Split};
 use coseg::error::Result;
 use coseg::objects::{color_all_apart, vote};
 use coseg::pipeline::{Associated, HeldOut, SegmentationInputs, associate};
 use coseg::raster::Settings;
-use coseg::splat::ply;
+use coseg::runs::{Cameras, SCENE, SideFiles, write_scene};
 
 const HELP: &str = "\
 The ids of instance masks often mean nothing in other views. Segments that cover the same Gaussians get one id. Writes
@@ -49,6 +48,18 @@ impl AssociateArgs {
         terminal::say(&counts.to_string());
         let out = &self.input.out;
         let classes = &scene.classes;
+        let train = scene.split(Split::Train);
+        let identities = vote(&ply.gaussians, train, classes, &settings, &device)?.identities();
+        let ids = identities.ids(classes);
+        let mut colored = classes.clone();
+        color_all_apart(&ply.gaussians, &ids, &mut colored)?;
+        let (path, cameras) = (out.join(SCENE), scene.cameras());
+        let beside = SideFiles {
+            scenes: &[&path],
+            classes: Some(&colored),
+            cameras: Cameras::Used(&cameras),
+        };
+        beside.check(None)?;
         let folder = out.join("labels");
         // Written before the maps: without this file, loading would have to guess their geometry.
         MapGeometry::Undistorted.write(&folder)?;
@@ -58,15 +69,7 @@ impl AssociateArgs {
                 map.map().write_wide(&folder.join(format!("{name}.png")))?;
             }
         }
-        transforms::write_cameras(&out.join("cameras.json"), &scene.cameras())?;
-        let train = scene.split(Split::Train);
-        let identities = vote(&ply.gaussians, train, classes, &settings, &device)?.identities();
-        let ids = identities.ids(classes);
-        let mut colored = classes.clone();
-        color_all_apart(&ply.gaussians, &ids, &mut colored)?;
-        colored.write(&out.join("classes.json"))?;
-        let path = out.join("scene.ply");
-        ply::write(&path, &ply.gaussians, ply.origin, Some(&ids))?;
+        write_scene(&path, (&ply.gaussians, ply.origin), Some(&ids), &beside)?;
         terminal::say(&format!(
             "{}: maps in labels, cameras.json, classes.json and scene.ply",
             out.display()

@@ -6,7 +6,7 @@ use super::values::numbers;
 use clap::Args;
 use coseg::error::{Result, ensure};
 use coseg::objects::{Editing, Edits};
-use coseg::runs::{ObjectEdits, turn};
+use coseg::runs::{Cameras, ObjectEdits, turn};
 use glam::{DQuat, DVec3};
 use std::path::PathBuf;
 
@@ -121,7 +121,9 @@ impl EditArgs {
             let colors: Vec<_> = edited.labels.iter().map(color).collect();
             edited.gaussians = edited.gaussians.painted(&colors);
         }
-        let out = self.scene.write(&scene, &edited)?;
+        let out = self
+            .scene
+            .write(&scene, &edited, Cameras::Beside(&scene.path))?;
         let (left, all) = (edited.labels.len(), scene.labels.len());
         let mut said = format!("{}: {left} of {all} Gaussians", out.display());
         if !done.is_empty() {

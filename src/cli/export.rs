@@ -6,11 +6,8 @@ use super::terminal;
 use clap::{Args, ValueEnum};
 use coseg::data::Classes;
 use coseg::error::{Result, bail, ensure};
-use coseg::files::{extension, folder, names, own, sha256};
-use coseg::runs::{
-    CAMERAS, CLASSES, ObjectScene, check_output, copy_cameras, has_table, read_scene, scene_path,
-    write_classes,
-};
+use coseg::files::{extension, names, own};
+use coseg::runs::{Cameras, ObjectScene, SideFiles, check_output, read_scene, scene_path};
 use coseg::splat::formats::{self, Format, label_path};
 use std::path::{Path, PathBuf};
 
@@ -163,7 +160,13 @@ impl ExportArgs {
             }
             own::check(&beside)?;
         }
-        let keeps = self.keeps_side_files(scene, &parts)?;
+        let outs: Vec<&Path> = parts.iter().map(|(out, _)| out.as_path()).collect();
+        let beside = SideFiles {
+            scenes: &outs,
+            classes: (!scene.labels.is_empty()).then_some(&scene.classes),
+            cameras: Cameras::Beside(&scene.path),
+        };
+        beside.check(Some(self.force))?;
         let all = scene.ply.gaussians.len();
         let mut splat_transform = SplatTransform::default();
         for (out, rows) in &parts {
@@ -187,41 +190,7 @@ impl ExportArgs {
                 rows.len()
             ));
         }
-        if let Some((out, _)) = parts.first() {
-            if !keeps || !scene.classes.is_empty() {
-                write_classes(&scene.classes, &out.with_file_name(CLASSES))?;
-            }
-            if !keeps || scene.path.with_file_name(CAMERAS).is_file() {
-                copy_cameras(&scene.path, out)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// Whether other scenes lie beside `parts`, to which classes.json and cameras.json belong too. Refuses names or cameras that would
-    /// replace those of others.
-    fn keeps_side_files(&self, scene: &ObjectScene, parts: &[Part]) -> Result<bool> {
-        let Some((out, _)) = parts.first() else {
-            return Ok(false);
-        };
-        let folder = folder(out);
-        let is_other = |name: &str, path: &Path| {
-            FileFormat::of(Path::new(name)).is_some() && parts.iter().all(|(file, _)| file != path)
-        };
-        let others = names(folder, is_other);
-        let Some(other) = others.first().filter(|_| !self.force) else {
-            return Ok(false);
-        };
-        let table = out.with_file_name(CLASSES);
-        let has_table =
-            !table.exists() || scene.classes.is_empty() || has_table(&table, &scene.classes)?;
-        ensure!(has_table, &table, "classes"; found "those of {other}"; expected "those of the scene to export";
-            help "export into another folder, or write over them with --force");
-        let [from, to] = [&scene.path, out].map(|path| path.with_file_name(CAMERAS));
-        let has_cameras = !from.is_file() || !to.is_file() || sha256(&from)? == sha256(&to)?;
-        ensure!(has_cameras, &to, "cameras"; found "those of {other}"; expected "those of the scene to export";
-            help "export into another folder, or write over them with --force");
-        Ok(true)
+        beside.write()
     }
 }
 

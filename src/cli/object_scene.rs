@@ -6,7 +6,7 @@ use coseg::data::Classes;
 use coseg::error::Result;
 use coseg::files::{extension, folder};
 use coseg::objects::Edited;
-use coseg::runs::{ObjectScene, read_scene, scene_output, scene_path};
+use coseg::runs::{Cameras, ObjectScene, read_scene, scene_output, scene_path};
 use std::path::PathBuf;
 
 /// Arguments that name the scene and its classes.
@@ -64,13 +64,13 @@ impl EditedSceneArgs {
         scene_output(&self.out, self.force, inputs, classes)
     }
 
-    /// Writes what was made of `scene`, and returns the .ply file. Says so if that is written over.
-    pub fn write(&self, scene: &ObjectScene, edited: &Edited) -> Result<PathBuf> {
+    /// Writes what was made of `scene`, with `cameras`, and returns the .ply file. Says so if that is written over.
+    pub fn write(&self, scene: &ObjectScene, edited: &Edited, cameras: Cameras) -> Result<PathBuf> {
         let out = self.file(scene, &edited.classes)?;
         if out.is_file() {
             terminal::note(&format!("writing over {}", out.display()));
         }
-        scene.write(&out, edited)?;
+        scene.write(&out, edited, cameras, self.force)?;
         Ok(out)
     }
 }

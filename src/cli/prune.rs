@@ -4,10 +4,9 @@ use super::labelled::LabelledArgs;
 use super::terminal;
 use clap::{ArgGroup, Args};
 use coseg::data::Classes;
-use coseg::data::formats::transforms;
 use coseg::error::{Result, ensure};
 use coseg::pipeline::{Keep, prune, score_images};
-use coseg::runs::{CAMERAS, SCENE, classes_beside, scene_path, write_scene};
+use coseg::runs::{Cameras, SCENE, SideFiles, classes_beside, scene_path, write_scene};
 
 const HELP: &str = "\
 Measures what each Gaussian adds to the pictures of the training views, and leaves out those that add least. Works on scenes of
@@ -54,16 +53,21 @@ impl PruneArgs {
         };
         ensure!(!ply.gaussians.is_empty(), &from, "element vertex"; found "no Gaussian"; expected "one or more";
             help "name a scene that is not empty");
+        let (path, cameras) = (self.input.out.join(SCENE), scene.cameras());
+        let beside = SideFiles {
+            scenes: &[&path],
+            classes: ply.labels.as_ref().map(|_| &classes),
+            cameras: Cameras::Used(&cameras),
+        };
+        beside.check(None)?;
         let pruning = prune(&ply.gaussians, &scene, keep, &config, &device)?;
         let gaussians = ply.gaussians.select(&pruning.kept);
         let labels = ply.labels.as_ref().map(|labels| {
             let kept = pruning.kept.iter().map(|&i| labels[i as usize]);
             kept.collect::<Vec<u16>>()
         });
-        let path = self.input.out.join(SCENE);
         let scene_of = (&gaussians, ply.origin);
-        write_scene(&path, &from, scene_of, labels.as_deref(), &classes)?;
-        transforms::write_cameras(&self.input.out.join(CAMERAS), &scene.cameras())?;
+        write_scene(&path, scene_of, labels.as_deref(), &beside)?;
         terminal::say(&format!(
             "{}: {} of {} Gaussians, PSNR of training views {:.2} dB, {:.2} dB before",
             path.display(),

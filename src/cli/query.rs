@@ -7,7 +7,7 @@ use super::{BackendArgs, Settings, terminal, values};
 use clap::{Args, ValueEnum};
 use coseg::backend::device::open_cpu;
 use coseg::config::{Config, FeatureSource};
-use coseg::data::{LoadOptions, NamedCamera, Scene, Split, check_outputs};
+use coseg::data::{LoadOptions, NamedCamera, Split, check_outputs};
 use coseg::error::{Error, Result, bail, ensure};
 use coseg::features::Activation;
 use coseg::features::clip::{TextEncoder, Tokenizer};
@@ -16,7 +16,8 @@ use coseg::objects::{
     CANONICAL, NEUTRAL, RenderOptions, Renderer, best_scale, largest, selections,
 };
 use coseg::pipeline::{LiftedMaps, compare_with_photos, load_scene};
-use coseg::runs::{CONFIG, ObjectScene, named_frame};
+use coseg::runs::{CAMERAS, CONFIG, Cameras, ObjectScene, named_frame};
+use glam::DVec3;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -107,7 +108,8 @@ impl QueryArgs {
                 expected "a phrase to compare it with"; help "give another one, or none");
         }
         let photos = load_scene(&config)?.with_origin(scene.ply.origin);
-        let cameras = self.cameras(&photos)?;
+        let all = photos.cameras();
+        let shown = self.shown(&all, photos.origin)?;
         let device = self.backend.open()?;
         let gaussians = &scene.ply.gaussians;
         compare_with_photos(&scene.path, gaussians, &photos, &config, &device)?;
@@ -132,10 +134,16 @@ impl QueryArgs {
             best_scale(&similarities, text, &others)
         };
         let relevancies: Vec<Vec<f32>> = (0..self.texts.len()).map(relevancy).collect();
-        self.write(&scene, &relevancies)?;
+        let of_run = self.data.is_none() && scene.path.with_file_name(CAMERAS).is_file();
+        let cameras = if of_run {
+            Cameras::Beside(&scene.path)
+        } else {
+            Cameras::Used(&all)
+        };
+        self.write(&scene, &relevancies, cameras)?;
         let options = RenderOptions::from(&config);
         let renderer = Renderer::new(gaussians.clone(), None, options, &device)?;
-        self.draw(&renderer, &cameras, &relevancies)
+        self.draw(&renderer, &shown, &relevancies)
     }
 
     /// The settings given, or else those of the run that the scene `path` belongs to, with what the options say.
@@ -241,11 +249,11 @@ impl QueryArgs {
             .collect()
     }
 
-    /// The cameras of the views to draw, relative to the origin of the scene.
-    fn cameras(&self, photos: &Scene) -> Result<Vec<NamedCamera>> {
-        let mut all = photos.cameras();
+    /// Those of the cameras `all` that are drawn, relative to `origin`.
+    fn shown(&self, all: &[NamedCamera], origin: DVec3) -> Result<Vec<NamedCamera>> {
+        let mut all = all.to_vec();
         for view in &mut all {
-            view.camera = view.camera.moved(-photos.origin);
+            view.camera = view.camera.moved(-origin);
         }
         if self.frames.is_empty() {
             all.retain(|view| view.split == Split::Test);
@@ -261,14 +269,14 @@ impl QueryArgs {
     }
 
     /// Writes the relevancy of each Gaussian to each text, and the scene with an object for each text.
-    fn write(&self, scene: &ObjectScene, relevancies: &[Vec<f32>]) -> Result<()> {
+    fn write(&self, scene: &ObjectScene, relevancies: &[Vec<f32>], cameras: Cameras) -> Result<()> {
         let selections = selections(relevancies, self.threshold);
         let objects = self.texts.iter().zip(&selections);
         let objects: Vec<(&str, &[u32])> = objects
             .map(|(text, rows)| (text.as_str(), &rows[..]))
             .collect();
         let (ids, edited) = scene.named(&objects, "--text")?;
-        let out = self.scene.write(scene, &edited)?;
+        let out = self.scene.write(scene, &edited, cameras)?;
         for (((text, rows), id), relevancy) in objects.iter().zip(ids).zip(relevancies) {
             let folder = self.scene.folder().join(safe(text));
             write_npy(&folder.join("relevancy.npy"), &[relevancy.len()], relevancy)?;

@@ -7,7 +7,9 @@ use coseg::data::{NamedCamera, read_cameras};
 use coseg::error::{Result, ensure, invalid};
 use coseg::objects::{Growth, Regions, seed};
 use coseg::raster::{Projected, Settings};
-use coseg::runs::{ObjectScene, cameras_path, features_beside, frame_with_pixel, rendering_beside};
+use coseg::runs::{
+    Cameras, ObjectScene, cameras_path, features_beside, frame_with_pixel, rendering_beside,
+};
 use std::path::PathBuf;
 
 const HELP: &str = "\
@@ -69,7 +71,7 @@ impl SelectArgs {
         let rows = growth.rows(threshold);
         let (ids, edited) = scene.named(&[(&self.name, &rows)], "--name")?;
         let id = ids[0].unwrap_or(scene.classes.ignore);
-        let out = self.scene.write(&scene, &edited)?;
+        let out = self.scene.write(&scene, &edited, Cameras::Beside(&scene.path))?;
         let changes_over = |row: &&u32| {
             let label = scene.labels[**row as usize];
             label != id && label != scene.classes.ignore

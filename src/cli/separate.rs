@@ -5,6 +5,7 @@ use super::terminal;
 use clap::Args;
 use coseg::error::Result;
 use coseg::objects::{Edited, Separation};
+use coseg::runs::Cameras;
 
 const HELP: &str = "\
 A scene that was trained on classes has one label for all chairs. Gaussians of one label that touch, directly or through
@@ -54,7 +55,9 @@ impl SeparateArgs {
             labels: separated.labels,
             classes: separated.classes,
         };
-        let out = self.scene.write(&scene, &edited)?;
+        let out = self
+            .scene
+            .write(&scene, &edited, Cameras::Beside(&scene.path))?;
         let before = scene.objects.len();
         let mut after = before;
         for (id, pieces) in &separated.pieces {

@@ -4,11 +4,9 @@ use super::labelled::LabelledArgs;
 use super::{held_out, terminal};
 use clap::Args;
 use coseg::data::Classes;
-use coseg::data::formats::transforms;
 use coseg::error::Result;
 use coseg::pipeline::{HeldOut, SegmentationInputs};
-use coseg::runs::{check_vote, vote};
-use coseg::splat::ply;
+use coseg::runs::{Cameras, SCENE, SideFiles, check_vote, vote, write_scene};
 
 const HELP: &str = "\
 Each Gaussian takes the class of most of its pixels: the one with the largest sum of blending weights (alpha' T) over the raw
@@ -37,12 +35,17 @@ impl VoteArgs {
         let device = self.input.backend.open()?;
         let (mut scene, ply) = self.input.read(&config, &device, &[])?;
         scene.drop_unused_classes(&Classes::default());
+        let (path, cameras) = (self.input.out.join(SCENE), scene.cameras());
+        let beside = SideFiles {
+            scenes: &[&path],
+            classes: Some(&scene.classes),
+            cameras: Cameras::Used(&cameras),
+        };
+        beside.check(None)?;
         let identities = vote(&scene, &ply.gaussians, self.pooled, &config, &device)?;
         let ids = identities.ids(&scene.classes);
-        let path = self.input.out.join("scene.ply");
-        ply::write(&path, &ply.gaussians, ply.origin, Some(&ids))?;
-        scene.classes.write(&self.input.out.join("classes.json"))?;
-        transforms::write_cameras(&self.input.out.join("cameras.json"), &scene.cameras())?;
+        let scene_of = (&ply.gaussians, ply.origin);
+        write_scene(&path, scene_of, Some(&ids), &beside)?;
         let unseen = ids.iter().filter(|&&id| id == scene.classes.ignore).count();
         terminal::say(&format!(
             "{}: {} Gaussians labelled, {unseen} without a vote",

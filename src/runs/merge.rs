@@ -1,11 +1,11 @@
 //! The runs of the blocks of a scene as one scene.
 
 use super::{
-    CAMERAS, CLASSES, CONFIG, IDENTITIES, RunFolder, SCENE, identities_beside, write_classes,
+    CAMERAS, CLASSES, CONFIG, Cameras, IDENTITIES, RunFolder, SCENE, SideFiles, identities_beside,
+    write_scene,
 };
 use crate::config::{Association, Config};
 use crate::data::blocks::{BLOCK, Block, block_name};
-use crate::data::formats::transforms;
 use crate::data::{self, Classes, NamedCamera, read_cameras};
 use crate::error::{Result, bail, ensure};
 use crate::files::lock::Lock;
@@ -313,13 +313,18 @@ impl Merged {
     /// Writes it into the folder `out` as `coseg train` writes a scene: `coseg eval` scores it.
     ///
     /// # Errors
-    /// [`crate::Error::Io`]; as [`ply::write`].
+    /// [`crate::Error::Io`]; as [`SideFiles::check`] and [`write_scene`].
     pub fn write(&self, out: &Path) -> Result<()> {
         let _lock = Lock::new(out)?;
-        let labels = self.labels.as_deref();
-        ply::write(&out.join(SCENE), &self.gaussians, self.origin, labels)?;
-        write_classes(&self.classes, &out.join(CLASSES))?;
-        transforms::write_cameras(&out.join(CAMERAS), &self.cameras)?;
+        let scene = out.join(SCENE);
+        let beside = SideFiles {
+            scenes: &[&scene],
+            classes: Some(&self.classes),
+            cameras: Cameras::Used(&self.cameras),
+        };
+        beside.check(None)?;
+        let gaussians = (&self.gaussians, self.origin);
+        write_scene(&scene, gaussians, self.labels.as_deref(), &beside)?;
         match &self.identities {
             Some(identities) => identities.write(&out.join(IDENTITIES))?,
             None => atomic::remove(out.join(IDENTITIES))?,

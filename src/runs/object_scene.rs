@@ -1,8 +1,9 @@
 //! A labelled scene with the names of its labels, and where such a scene may be written.
 
 use super::scene_file::{
-    CLASSES, FEATURE_COLORS, SCENE, classes_beside, copy_beside, copy_cameras, unfinished_run,
+    CLASSES, FEATURE_COLORS, SCENE, classes_beside, copy_beside, unfinished_run,
 };
+use super::side_files::{Cameras, SideFiles, has_table};
 use crate::data::labels::classes::plain;
 use crate::data::{Class, Classes, check_outputs};
 use crate::error::{Error, Result, bail, ensure, invalid};
@@ -88,46 +89,18 @@ pub fn check_output(
     Ok(())
 }
 
-/// Whether the file `names` has the table `classes`. Without the file: whether `classes` is empty.
+/// Writes Gaussians, relative to an origin, with `labels` to `out`, and the files beside it.
 ///
 /// # Errors
-/// As [`Classes::read`].
-pub fn has_table(names: &Path, classes: &Classes) -> Result<bool> {
-    if !names.exists() {
-        return Ok(classes.is_empty());
-    }
-    Ok(Classes::read(names)? == *classes)
-}
-
-/// Writes Gaussians, relative to an origin, with `labels` of `classes` to `out`; `classes` as classes.json and a copy of the cameras
-/// of the scene `from` beside it.
-///
-/// # Errors
-/// As [`ply::write`] and [`write_classes`].
+/// As [`ply::write`] and [`SideFiles::write`].
 pub fn write_scene(
     out: &Path,
-    from: &Path,
     (gaussians, origin): (&Gaussians, DVec3),
     labels: Option<&[u16]>,
-    classes: &Classes,
+    beside: &SideFiles,
 ) -> Result<()> {
     ply::write(out, gaussians, origin, labels)?;
-    write_classes(classes, &out.with_file_name(CLASSES))?;
-    copy_cameras(from, out)
-}
-
-/// Makes the file `names` say what the labels of a new scene mean. Without `classes` an older file is removed.
-///
-/// # Errors
-/// As [`Classes::read`]; [`Error::Io`].
-pub fn write_classes(classes: &Classes, names: &Path) -> Result<()> {
-    if has_table(names, classes)? {
-        return Ok(());
-    }
-    if classes.is_empty() {
-        return atomic::remove(names);
-    }
-    classes.write(names)
+    beside.write()
 }
 
 impl ObjectScene {
@@ -221,15 +194,21 @@ impl ObjectScene {
         editing.finish("--edits")
     }
 
-    /// Writes a scene made from this one, with its classes as classes.json and a copy of the cameras beside it. A scene.ply from which
-    /// no Gaussian was removed has a copy of the image features too.
+    /// Writes a scene made from this one, with its classes as classes.json and `cameras` as cameras.json beside it, where these would
+    /// replace none of another scene, or with `force`. A scene.ply from which no Gaussian was removed has a copy of the image features
+    /// too.
     ///
     /// # Errors
-    /// As [`write_scene`].
-    pub fn write(&self, out: &Path, edited: &Edited) -> Result<()> {
+    /// As [`SideFiles::check`] and [`write_scene`].
+    pub fn write(&self, out: &Path, edited: &Edited, cameras: Cameras, force: bool) -> Result<()> {
+        let beside = SideFiles {
+            scenes: &[out],
+            classes: Some(&edited.classes),
+            cameras,
+        };
+        beside.check(Some(force))?;
         let gaussians = (&edited.gaussians, self.ply.origin);
-        let labels = Some(&edited.labels[..]);
-        write_scene(out, &self.path, gaussians, labels, &edited.classes)?;
+        write_scene(out, gaussians, Some(&edited.labels), &beside)?;
         // The features in a folder are those of its scene.ply.
         if out.file_name().is_none_or(|name| name != SCENE) {
             return Ok(());
@@ -261,6 +240,28 @@ impl ObjectScene {
     pub fn name(&self, id: u16) -> Option<&str> {
         self.classes.known_name(id)
     }
+
+    /// The object with the id `what`, or all objects with that name or, for associated objects, that class: `chair` finds
+    /// `chair 2`. Where none is written so, capitals do not matter, nor `-` and `_`, if only one name is meant. `flag` is the option
+    /// that errors name.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] with the names that there are.
+    pub fn find(&self, what: &str, flag: &str) -> Result<Vec<&Object>> {
+        let what = what.trim();
+        let id: Option<u16> = what.parse().ok();
+        if let Some(object) = self.objects.iter().find(|o| Some(o.id) == id) {
+            return Ok(vec![object]);
+        }
+        let exact = self.called(|name| name == what);
+        if !exact.is_empty() {
+            return Ok(exact.into_iter().map(|(object, _)| object).collect());
+        }
+        let alike = self.called(|name| plain(name) == plain(what));
+        let names: BTreeSet<&str> = alike.iter().map(|(_, name)| *name).collect();
+        if names.len() == 1 {
+            return Ok(alike.into_iter().map(|(object, _)| object).collect());
+        }
         let found = if !names.is_empty() {
             let names: Vec<&str> = names.into_iter().collect();
             format!("{what}, which may mean {}", names.join(" or "))
@@ -285,28 +286,6 @@ impl ObjectScene {
 
     /// The first objects, for an error.
     fn listed(&self) -> String {
-
-    /// The object with the id `what`, or all objects with that name or, for associated objects, that class: `chair` finds
-    /// `chair 2`. Where none is written so, capitals do not matter, nor `-` and `_`, if only one name is meant. `flag` is the option
-    /// that errors name.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] with the names that there are.
-    pub fn find(&self, what: &str, flag: &str) -> Result<Vec<&Object>> {
-        let what = what.trim();
-        let id: Option<u16> = what.parse().ok();
-        if let Some(object) = self.objects.iter().find(|o| Some(o.id) == id) {
-            return Ok(vec![object]);
-        }
-        let exact = self.called(|name| name == what);
-        if !exact.is_empty() {
-            return Ok(exact.into_iter().map(|(object, _)| object).collect());
-        }
-        let alike = self.called(|name| plain(name) == plain(what));
-        let names: BTreeSet<&str> = alike.iter().map(|(_, name)| *name).collect();
-        if names.len() == 1 {
-            return Ok(alike.into_iter().map(|(object, _)| object).collect());
-        }
         let listed = |o: &Object| format!("{} {}", o.id, self.name(o.id).unwrap_or_default());
         let listed = self.objects.iter().take(MAX_LISTED).map(listed);
         let mut listed: Vec<String> = listed.map(|name| name.trim_end().to_owned()).collect();
@@ -314,9 +293,7 @@ impl ObjectScene {
         if more > 0 {
             listed.push(format!("or one of {more} more"));
         }
-        Err(invalid!(argument "{flag}"; found "{what}";
-            expected "an id or a name of the scene: {}", listed.join(", ");
-            help "`coseg objects --scene FILE.ply` lists them"))
+        listed.join(", ")
     }
 
     /// Ids of the objects in `list`, see [`Self::find`].

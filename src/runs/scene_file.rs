@@ -234,16 +234,8 @@ fn view_names(path: &str) -> Vec<String> {
     })
 }
 
-/// Copies the cameras beside the scene `from` beside the scene `to`. Without any, those of an earlier scene are removed. Cameras
-/// that this program did not write stay.
-///
-/// # Errors
-/// [`Error::Io`].
-pub fn copy_cameras(from: &Path, to: &Path) -> Result<()> {
-    copy_beside(CAMERAS, from, to)
-}
-
-/// The same with the file `name`. [`FEATURE_COLORS`] needs the Gaussians of `to` in the order of `from`.
+/// Copies the file `name` beside the scene `from` beside the scene `to`. Without it, that of an earlier scene is removed. A file that
+/// this program did not write stays. [`FEATURE_COLORS`] needs the Gaussians of `to` in the order of `from`.
 ///
 /// # Errors
 /// [`Error::Io`].

@@ -25,6 +25,9 @@ use std::path::{Path, PathBuf};
 /// Opacities are kept this far from 0 and 1, whose logits are infinite.
 const OPACITY_MARGIN: f64 = 1e-6;
 
+/// Formats that are read.
+const READ: [&str; 4] = ["ply", "spz", "sog", "splat"];
+
 /// Formats that `coseg export` writes and nothing here reads.
 const WRITTEN_ONLY: [&str; 3] = ["glb", "las", "laz"];
 
@@ -81,6 +84,12 @@ pub fn read(path: &Path) -> Result<PlyScene> {
         scene.labels = labels_beside(path, scene.gaussians.len())?;
     }
     Ok(scene)
+}
+
+/// Whether the name of a file is that of a scene, in a format that is read or written here.
+pub(crate) fn is_scene(path: &Path) -> bool {
+    let format = extension(path);
+    READ.contains(&&*format) || WRITTEN_ONLY.contains(&&*format)
 }
 
 /// Whether the scene `path` has its labels, if any, in the file [`label_path`].

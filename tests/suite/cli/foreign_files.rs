@@ -2,6 +2,8 @@
 
 use crate::support::plates::scene;
 use crate::support::program::{fails, read_json, succeeds, utf8};
+use coseg::data::formats::transforms::write_cameras;
+use coseg::data::{Classes, read_cameras};
 use std::fs;
 use std::path::Path;
 
@@ -124,6 +126,84 @@ fn commands_write_over_their_own_files_alone() {
         ],
         &table,
     );
+}
+
+#[test]
+fn names_and_cameras_of_another_scene_in_the_folder_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    let [first, second, photos] = ["first", "second", "photos"].map(|name| dir.join(name));
+    fs::create_dir(&photos).unwrap();
+    let plates = scene(&photos);
+    let cameras = read_cameras(&photos, None).unwrap();
+    for (folder, name, count) in [(&first, "red", 6), (&second, "sofa", 5)] {
+        fs::create_dir(folder).unwrap();
+        fs::copy(&plates, folder.join("scene.ply")).unwrap();
+        let names = [(1, name), (2, "green"), (3, "blue"), (4, "wall")];
+        let table = Classes::from_names(0, names);
+        table.write(&folder.join("classes.json")).unwrap();
+        write_cameras(&folder.join("cameras.json"), &cameras[..count]).unwrap();
+    }
+    let out = dir.join("out");
+    let [table, views] = ["classes.json", "cameras.json"].map(|name| out.join(name));
+    let edit = |scene: &Path, name: &str, more: &[&str]| -> Vec<String> {
+        let out = out.join(name);
+        let edit = ["edit", "--scene", utf8(scene), "--out", utf8(&out)];
+        let all = edit.iter().chain(&["--remove", "green"]).chain(more);
+        all.map(|word| (*word).to_owned()).collect()
+    };
+    let run = |words: Vec<String>| {
+        succeeds(&words.iter().map(String::as_str).collect::<Vec<_>>());
+    };
+    let refused = |arguments: Vec<String>, file: &Path, what: &str| {
+        let before = [&table, &views].map(|file| fs::read(file).unwrap());
+        let message = fails(&arguments.iter().map(String::as_str).collect::<Vec<_>>(), 1);
+        let found = format!("{}: {what}: found those of", file.display());
+        assert!(message.contains(&found), "{message}");
+        assert_eq!([&table, &views].map(|file| fs::read(file).unwrap()), before);
+    };
+    run(edit(&first, "a.ply", &[]));
+    // Again, and beside it with the same names and cameras.
+    run(edit(&first, "a.ply", &[]));
+    run(edit(&first, "b.ply", &[]));
+    refused(edit(&second, "c.ply", &[]), &table, "classes");
+    fs::copy(first.join("classes.json"), second.join("classes.json")).unwrap();
+    refused(edit(&second, "c.ply", &[]), &views, "cameras");
+    assert!(!out.join("c.ply").exists());
+    // A scene without cameras takes none away.
+    fs::remove_file(second.join("cameras.json")).unwrap();
+    run(edit(&second, "c.ply", &[]));
+    assert!(views.is_file());
+    let names = ["--pixel", "40,30", "--name", "new"];
+    let select = ["select", "--scene", utf8(&first), "--frame", "v2"];
+    let d = out.join("d.ply");
+    let select = [&select[..], &names, &["--out", utf8(&d)]].concat();
+    let message = fails(&select, 1);
+    assert!(message.contains("another class table"), "{message}");
+    write_cameras(&second.join("cameras.json"), &cameras[..5]).unwrap();
+    run(edit(&second, "c.ply", &["--force"]));
+    let of_second = fs::read(second.join("cameras.json")).unwrap();
+    assert_eq!(fs::read(&views).unwrap(), of_second);
+    // A vote has names of its own, and no such option.
+    let voted = dir.join("voted");
+    let vote = |data: &Path| {
+        let vote = ["vote", "--scene", utf8(&plates), "--data", utf8(data)];
+        [&vote[..], &["--out", utf8(&voted)]]
+            .concat()
+            .iter()
+            .map(|word| (*word).to_owned())
+            .collect::<Vec<_>>()
+    };
+    run(vote(&photos));
+    fs::copy(voted.join("scene.ply"), voted.join("other.ply")).unwrap();
+    run(vote(&photos));
+    let names = [(1, "sofa"), (2, "green"), (3, "blue"), (4, "wall")];
+    let table = Classes::from_names(0, names);
+    table.write(&photos.join("classes.json")).unwrap();
+    let vote = vote(&photos);
+    let message = fails(&vote.iter().map(String::as_str).collect::<Vec<_>>(), 1);
+    assert!(message.contains("found those of other.ply"), "{message}");
+    assert!(!message.contains("--force"), "{message}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use crate::support::dino_weights::write;
 use crate::support::feature_maps::write_npy;
 use crate::support::plates::{HEIGHT, WIDTH, scene};
 use crate::support::program::{fails, listed, read_npy, succeeds, utf8};
-use coseg::data::{Classes, LabelMap};
+use coseg::data::{Classes, LabelMap, read_cameras};
 use coseg::features::Activation;
 use coseg::features::clip::{TextEncoder, Tokenizer};
 use coseg::splat::ply;
@@ -135,6 +135,8 @@ fn a_text_finds_exactly_the_object_that_has_its_features() {
     let mut expected = before.clone();
     expected[RED].fill(5);
     assert_eq!(plates.labels(), expected);
+    let cameras = read_cameras(&plates.path("found"), None).unwrap();
+    assert_eq!(cameras.len(), 6, "those of --data");
     let classes = Classes::read(&plates.found("classes.json")).unwrap();
     assert_eq!(classes.known_name(5), Some("a red plate"));
     let (shape, relevancy) = read_npy(&plates.found("a_red_plate/relevancy.npy"));

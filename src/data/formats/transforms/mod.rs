@@ -16,6 +16,7 @@ mod splits;
 mod write;
 
 pub(crate) use self::sources::marker;
+pub(crate) use self::write::cameras_text;
 pub use self::write::write_cameras;
 
 use super::folder::{Folder, Problems};

@@ -12,6 +12,11 @@ use std::path::Path;
 /// # Errors
 /// [`crate::Error::Io`].
 pub fn write_cameras(path: &Path, cameras: &[NamedCamera]) -> Result<()> {
+    atomic::write_bytes(path, cameras_text(cameras).as_bytes())
+}
+
+/// The content of the file that [`write_cameras`] writes.
+pub(crate) fn cameras_text(cameras: &[NamedCamera]) -> String {
     let frame = |named: &NamedCamera| {
         let camera = &named.camera;
         json!({
@@ -28,8 +33,7 @@ pub fn write_cameras(path: &Path, cameras: &[NamedCamera]) -> Result<()> {
         })
     };
     let frames: Vec<Value> = cameras.iter().map(frame).collect();
-    atomic::write_json(
-        path,
-        &json!({ "camera_model": "PINHOLE", "frames": frames }),
-    )
+    let file = json!({ "camera_model": "PINHOLE", "frames": frames });
+    // Its alternate form is indented.
+    format!("{file:#}\n")
 }
