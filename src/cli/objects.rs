@@ -3,11 +3,11 @@
 use super::object_scene::ObjectSceneArgs;
 use super::{terminal, values};
 use clap::Args;
-use coseg::data::{NamedCamera, read_cameras};
+use coseg::data::NamedCamera;
 use coseg::error::Result;
 use coseg::objects::{Object, pick};
 use coseg::raster::{Projected, Settings};
-use coseg::runs::{ObjectScene, cameras_path, frame_with_pixel, rendering_beside};
+use coseg::runs::{ObjectScene, cameras_for, cameras_path, frame_with_pixel, rendering_beside};
 use glam::DVec3;
 use serde_json::json;
 use std::path::PathBuf;
@@ -94,7 +94,8 @@ impl ObjectsArgs {
     }
 
     fn pick(&self, scene: &ObjectScene, frame: &str, [x, y]: [usize; 2]) -> Result<()> {
-        let frames = read_cameras(&cameras_path(self.cameras.as_deref(), &scene.path)?, None)?;
+        let file = cameras_path(self.cameras.as_deref(), &scene.path)?;
+        let frames = cameras_for(&scene.path, &file, None)?;
         let NamedCamera {
             name: frame,
             camera,

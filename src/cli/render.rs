@@ -11,14 +11,14 @@ use clap::{Args, ValueEnum};
 use coseg::config::Config;
 use coseg::data::formats::transforms;
 use coseg::data::labels::annotations::Categories;
-use coseg::data::{LoadOptions, NamedCamera, Split, ViewPhoto, check_outputs, read_cameras};
+use coseg::data::{LoadOptions, NamedCamera, Split, ViewPhoto, check_outputs};
 use coseg::error::{Result, ensure};
 use coseg::features::FeatureColors;
 use coseg::files::MAX_IMAGE_PIXELS;
 use coseg::objects::{RenderOptions, Renderer};
 use coseg::runs::{
-    CAMERAS, FEATURE_COLORS, cameras_path, classes_beside, photos_of, read_scene, rendering_beside,
-    scene_path, without_labels,
+    CAMERAS, FEATURE_COLORS, cameras_for, cameras_path, classes_beside, photos_of, read_scene,
+    rendering_beside, scene_path, without_labels,
 };
 use coseg::splat::Gaussians;
 use std::collections::BTreeMap;
@@ -54,7 +54,8 @@ Cameras
   transforms.json  instant-ngp and nerfstudio, with w and h
   cameras.json     of a run, or of graphdeco's 3DGS
   camera path      of nerfstudio's viewer, in its normalised coordinates, for the PLY of its ns-export
-  DIR              a scene folder of any layout, or a run folder
+  DIR              a run folder, or a scene folder of any layout; data.dataparser_transforms of the run beside the scene
+                   moves the cameras of a scene folder to nerfstudio's world
 
 Where the config.toml of a run is beside the scene, its raster settings apply, and the pictures equal those in the run's
 renders folder. Label maps show the PLY's label of each Gaussian. Only a run with segmentation.render = \"scores\", as in
@@ -171,7 +172,7 @@ impl RenderArgs {
         let key_file = cameras_path(self.cameras.as_deref(), &path)?;
         let config = self.config(&path);
         self.check(&key_file, &config)?;
-        let keys = self.keys(&key_file)?;
+        let keys = self.keys(&path, &key_file)?;
         let scene = read_scene(&path)?;
         if self.labels && scene.labels.is_none() {
             return Err(without_labels(&path));
@@ -246,14 +247,14 @@ impl RenderArgs {
         check_outputs("--out", &[&self.out], scene.map(|dir| (dir, &options)))
     }
 
-    /// The cameras of the file or folder `keys` that the split has, in the size asked for.
-    fn keys(&self, keys: &Path) -> Result<Vec<NamedCamera>> {
+    /// The cameras of the file or folder `keys` that the split has, for the scene `path`, in the size asked for.
+    fn keys(&self, path: &Path, keys: &Path) -> Result<Vec<NamedCamera>> {
         let split = match self.split {
             SplitArg::Train => Some(Split::Train),
             SplitArg::Test => Some(Split::Test),
             SplitArg::All => None,
         };
-        let mut cameras = read_cameras(keys, split)?;
+        let mut cameras = cameras_for(path, keys, split)?;
         if let Some([width, height]) = self.size {
             for named in &mut cameras {
                 named.camera = named.camera.with_size(width, height);

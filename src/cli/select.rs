@@ -3,12 +3,13 @@
 use super::object_scene::EditedSceneArgs;
 use super::{terminal, values};
 use clap::Args;
-use coseg::data::{NamedCamera, read_cameras};
+use coseg::data::NamedCamera;
 use coseg::error::{Result, ensure, invalid};
 use coseg::objects::{Growth, Regions, seed};
 use coseg::raster::{Projected, Settings};
 use coseg::runs::{
-    Cameras, ObjectScene, cameras_path, features_beside, frame_with_pixel, rendering_beside,
+    Cameras, ObjectScene, cameras_for, cameras_path, features_beside, frame_with_pixel,
+    rendering_beside,
 };
 use std::path::PathBuf;
 
@@ -62,7 +63,9 @@ impl SelectArgs {
             expected "one for each --frame, of which there are {}", self.frames.len();
             help "give --frame and --pixel once for each pixel");
         let scene = self.scene.from.read_or_unlabelled()?;
-        let seeds = self.seeds(&scene)?;
+        let file = cameras_path(self.cameras.as_deref(), &scene.path)?;
+        let frames = cameras_for(&scene.path, &file, None)?;
+        let seeds = self.seeds(&scene, &frames)?;
         terminal::note("dividing the scene into regions");
         let features = features_beside(&scene.path, scene.labels.len());
         let regions = Regions::new(&scene.ply.gaussians, &features)?;
@@ -88,11 +91,10 @@ impl SelectArgs {
     }
 
     /// The Gaussian under each pixel.
-    fn seeds(&self, scene: &ObjectScene) -> Result<Vec<u32>> {
-        let frames = read_cameras(&cameras_path(self.cameras.as_deref(), &scene.path)?, None)?;
+    fn seeds(&self, scene: &ObjectScene, frames: &[NamedCamera]) -> Result<Vec<u32>> {
         let settings = Settings::from(&rendering_beside(&scene.path).raster);
         let gaussian_below = |(frame, &pixel): (&String, &[usize; 2])| {
-            let NamedCamera { name, camera, .. } = frame_with_pixel(&frames, frame, pixel)?;
+            let NamedCamera { name, camera, .. } = frame_with_pixel(frames, frame, pixel)?;
             let camera = camera.moved(-scene.ply.origin);
             let projected = Projected::new(&scene.ply.gaussians.splats(), &camera, &settings)?;
             let [x, y] = pixel;

@@ -3,11 +3,11 @@
 use super::terminal;
 use super::values::{alpha_max, numbers};
 use clap::Args;
-use coseg::data::read_cameras;
 use coseg::error::{Result, ensure};
 use coseg::files::{extension, file_name, folder, own, sha256};
 use coseg::runs::{
-    SCENE, VIEWER, cameras_path, classes_beside, features_beside, rendering_beside, scene_path,
+    SCENE, VIEWER, cameras_for, cameras_path, classes_beside, features_beside, rendering_beside,
+    scene_path,
 };
 use coseg::splat::formats;
 #[cfg(feature = "serve")]
@@ -130,8 +130,10 @@ impl ViewArgs {
         let labels = ply
             .labels
             .unwrap_or_else(|| classes.unlabelled(gaussians.len()));
-        let cameras = cameras_path(self.cameras.as_deref(), path).ok();
-        let cameras = cameras.map_or_else(|| Ok(Vec::new()), |file| read_cameras(&file, None))?;
+        let cameras = match cameras_path(self.cameras.as_deref(), path) {
+            Ok(file) => cameras_for(path, &file, None)?,
+            Err(_) => Vec::new(),
+        };
         act(Viewer {
             title: &title(path),
             scene: &self.scene.display().to_string(),

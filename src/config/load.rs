@@ -4,7 +4,7 @@ use super::assignment::{Assignment, assigned, assignments, fault, parse_set};
 use super::{Config, Preset};
 use crate::error::{Error, Result, invalid};
 use crate::files;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use toml::Table;
 
 impl Config {
@@ -79,6 +79,17 @@ impl Config {
             is_raster(&one.key) || ["preset", "segmentation.min_coverage"].contains(&&*one.key)
         });
         Self::preset(chosen_preset(&values)?).with(&values)
+    }
+
+    /// `data.dataparser_transforms` of the settings file at `path`. Other settings are ignored, so that unknown keys there do no harm.
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn dataparser_transforms_of(path: &Path) -> Result<Option<PathBuf>> {
+        let text = files::text(path)?;
+        let mut values = assignments(path, &text)?;
+        values.retain(|one| one.key == "data.dataparser_transforms");
+        Ok(Self::default().with(&values)?.data.dataparser_transforms)
     }
 
     /// This config with each value of `values`, checked.

@@ -16,7 +16,7 @@ mod view_photos;
 
 pub use self::diagnostics::check::{Checked, check};
 pub use self::diagnostics::info::{CameraBox, ClassShare, Info, Thumbnail, info, thumbnails};
-pub use self::formats::camera_file::read_cameras;
+pub use self::formats::camera_file::{read_cameras, read_cameras_moved};
 pub use self::formats::folder::scene_name;
 pub use self::formats::layout::locate;
 pub use self::formats::points::Points;

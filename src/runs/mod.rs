@@ -18,7 +18,7 @@ pub use self::object_scene::{
     ObjectScene, check_output, scene_output, without_labels, write_scene,
 };
 pub use self::scene_file::{
-    CAMERAS, CLASSES, CONFIG, FEATURE_COLORS, SCENE, VIEWER, cameras_path,
+    CAMERAS, CLASSES, CONFIG, FEATURE_COLORS, SCENE, VIEWER, cameras_for, cameras_path,
     classes_beside, features_beside, frame_with_pixel, named_frame, photos_of, read_scene,
     rendering_beside, scene_path,
 };

@@ -1,7 +1,10 @@
 //! The files of a scene: given by name, or in the folder that `coseg train` wrote.
 
 use crate::config::Config;
-use crate::data::{Classes, LoadOptions, NamedCamera, ViewPhoto, locate, view_photos};
+use crate::data::{
+    Classes, LoadOptions, NamedCamera, Split, ViewPhoto, locate, read_cameras, read_cameras_moved,
+    view_photos,
+};
 use crate::error::{Error, Result, ensure, invalid};
 use crate::features::FeatureColors;
 use crate::files::{self, atomic, extension, own, shell_word};
@@ -149,6 +152,24 @@ pub fn cameras_path(cameras: Option<&Path>, scene: &Path) -> Result<PathBuf> {
         })
 }
 
+/// The cameras in the file or folder `cameras`, see [`read_cameras`], for the scene `scene`. Those of a scene folder are where nerfstudio
+/// had them, if the run of the scene moved them there by its `data.dataparser_transforms`.
+///
+/// # Errors
+/// As [`read_cameras`].
+pub fn cameras_for(scene: &Path, cameras: &Path, split: Option<Split>) -> Result<Vec<NamedCamera>> {
+    let file = scene.with_file_name(CONFIG);
+    if !cameras.is_dir() || !file.is_file() {
+        return read_cameras(cameras, split);
+    }
+    // Other programs have files of that name too.
+    let world = Config::dataparser_transforms_of(&file).unwrap_or_else(|error| {
+        tracing::warn!("the cameras are taken as they are: {error}");
+        None
+    });
+    read_cameras_moved(cameras, world, split)
+}
+
 /// The photos of the views whose cameras are in the file or folder `cameras`, by the names of the views. They lie in the scene
 /// folder that `cameras` is or lies in, or else in the one that the run in this folder was trained on. Empty where neither is
 /// there.
@@ -182,12 +203,27 @@ pub fn named_frame<'a>(frames: &'a [NamedCamera], frame: &str) -> Result<&'a Nam
     if let Some(found) = named(frame).or_else(|| found.next()) {
         return Ok(found);
     }
+    let stem = names.last().map_or(frame, String::as_str);
     let mut near: Vec<&str> = frames.iter().map(|f| f.name.as_str()).collect();
     let likeness = |name: &str| strsim::jaro_winkler(name, stem);
     near.sort_by(|a, b| likeness(b).total_cmp(&likeness(a)));
     near.truncate(5);
     Err(invalid!(argument "--frame"; found "{frame}";
         expected "one of {} frames such as {}", frames.len(), near.join(", "); help "name one of these frames"))
+}
+
+/// Names that the view of the photo `path` may have: the path with its folders joined by `_`, then with ever fewer of them, each with
+/// and without extension.
+fn view_names(path: &str) -> Vec<String> {
+    let parts = path.split(['/', '\\']);
+    let parts: Vec<&str> = parts.filter(|part| !["", "."].contains(part)).collect();
+    let names = (0..parts.len()).flat_map(|first| {
+        let name = parts[first..].join("_");
+        let stem = Path::new(&name).file_stem().and_then(|stem| stem.to_str());
+        let stem = stem.unwrap_or(&name).to_owned();
+        [name, stem]
+    });
+    names.collect()
 }
 
 /// The same, where the frame must have the pixel `[x, y]`.
@@ -203,7 +239,6 @@ pub fn frame_with_pixel<'a>(
     let [width, height] = [found.camera.width, found.camera.height];
     ensure!(x < width && y < height, argument "--pixel"; found "{x},{y}";
         expected "a column below {width} and a row below {height}"; help "choose a pixel of the frame");
-    let stem = names.last().map_or(frame, String::as_str);
     Ok(found)
 }
 
@@ -212,20 +247,6 @@ pub fn frame_with_pixel<'a>(
 pub fn rendering_beside(scene: &Path) -> Config {
     let file = scene.with_file_name(CONFIG);
     if !file.is_file() {
-/// Names that the view of the photo `path` may have: the path with its folders joined by `_`, then with ever fewer of them, each with
-/// and without extension.
-fn view_names(path: &str) -> Vec<String> {
-    let parts = path.split(['/', '\\']);
-    let parts: Vec<&str> = parts.filter(|part| !["", "."].contains(part)).collect();
-    let names = (0..parts.len()).flat_map(|first| {
-        let name = parts[first..].join("_");
-        let stem = Path::new(&name).file_stem().and_then(|stem| stem.to_str());
-        let stem = stem.unwrap_or(&name).to_owned();
-        [name, stem]
-    });
-    names.collect()
-}
-
         return Config::default();
     }
     Config::rendering_of(&file).unwrap_or_else(|error| {

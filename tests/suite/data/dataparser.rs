@@ -2,11 +2,12 @@
 
 use crate::support::capture::rows;
 use crate::support::plate_runs::config;
+use crate::support::program::{fails, succeeds, utf8};
 use crate::support::transforms_json::edit;
-use crate::support::{assert_names, device, plates};
-use coseg::data::{LoadOptions, Scene, load};
+use crate::support::{assert_names, device, plates, rendered_views};
+use coseg::data::{LoadOptions, Scene, load, read_cameras};
 use coseg::pipeline::score_images;
-use coseg::splat::{Gaussians, Motion};
+use coseg::splat::{Gaussians, Motion, ply};
 use glam::{DMat4, DQuat, DVec3, EulerRot, Vec3};
 use serde_json::json;
 use std::path::Path;
@@ -111,4 +112,44 @@ fn a_file_that_cannot_be_meant_is_named() {
     std::fs::remove_file(&file).unwrap();
     let error = load(folder.path(), &in_nerfstudios_world(folder.path())).expect_err("refused");
     assert_names(&error, &[FILE, "config.yml"]);
+}
+
+#[test]
+fn cameras_of_the_scene_folder_follow_the_run_of_a_scene() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let dir = folder.path();
+    let gaussians = exported(dir);
+    let [exported, run, out] = ["exported.ply", "run", "selected"].map(|name| dir.join(name));
+    ply::write(&exported, &gaussians, DVec3::ZERO, None).unwrap();
+    let train = ["train", "--data", utf8(dir), "--scene", utf8(&exported)];
+    let world = format!("data.dataparser_transforms={}", dir.join(FILE).display());
+    let sets = ["--set", &world, "--set", "segmentation.rows=vote"];
+    succeeds(&[&train[..], &sets, &["--out", utf8(&run)]].concat());
+    let given = ["--cameras", utf8(dir)];
+    let [own, moved] = [("own", &[][..]), ("moved", &given[..])].map(|(name, cameras)| {
+        let out = dir.join(name);
+        let split = ["--split", "test"];
+        rendered_views::render(&run, &out, &[cameras, &split].concat());
+        image::open(out.join("v2.rgb.png")).unwrap().into_rgb8()
+    });
+    let bytes = || own.iter().zip(moved.iter());
+    assert!(own.iter().any(|byte| *byte > 50));
+    assert!(bytes().all(|(a, b)| a.abs_diff(*b) <= 1));
+    let (x, y) = (plates::WIDTH / 2, plates::HEIGHT / 2 - 2);
+    let pixel = format!("{x},{y}");
+    let at = ["--frame", "images/v3.png", "--pixel", &pixel];
+    let objects = ["objects", "--scene", utf8(&run)];
+    let picked = [&[][..], &given].map(|given| succeeds(&[&objects[..], given, &at].concat()));
+    assert!(picked[0].contains("2 green"), "{}", picked[0]);
+    assert_eq!(picked[0], picked[1]);
+    let select = ["select", "--scene", utf8(&run), "--name", "plate"];
+    succeeds(&[&select[..], &given, &at, &["--out", utf8(&out)]].concat());
+    let [of_run, used] = [&run, &out].map(|folder| read_cameras(folder, None).unwrap());
+    for (a, b) in of_run.iter().zip(&used) {
+        assert!(a.camera.center.distance(b.camera.center) < 1e-9);
+    }
+    // The file that moves them is named where it is gone.
+    std::fs::remove_file(dir.join(FILE)).unwrap();
+    let message = fails(&[&objects[..], &given, &at].concat(), 1);
+    assert!(message.contains(FILE), "{message}");
 }

@@ -11,7 +11,7 @@ use crate::error::{Result, bail, ensure, invalid};
 use crate::files;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The file of cameras in a run folder, and in the model folders of graphdeco's 3DGS.
 const IN_FOLDER: &str = "cameras.json";
@@ -33,15 +33,35 @@ const IN_FOLDER: &str = "cameras.json";
 /// [`crate::Error::Input`] naming file and field, [`crate::Error::Io`] or [`crate::Error::Limit`]: malformed or unknown files,
 /// numbers that make no camera, names given twice, no frame of `split`.
 pub fn read_cameras(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera>> {
-    if path.is_dir() {
-        let options = LoadOptions::default();
-        let inside = path.join(IN_FOLDER);
-        // Where the folder has two layouts, one has to be chosen.
-        if inside.is_file() && layout::find(path, &options)?.is_none() {
-            return read_cameras(&inside, split);
-        }
-        return crate::data::load_cameras(path, &options, split);
+    read_cameras_moved(path, None, split)
+}
+
+/// As [`read_cameras`], where nerfstudio's `dataparser_transforms.json`, if it is given, moves the cameras of a scene folder. Those of
+/// other files stay.
+///
+/// # Errors
+/// As [`read_cameras`]; [`crate::Error::Missing`] or [`crate::Error::Input`] naming nerfstudio's file.
+pub fn read_cameras_moved(
+    path: &Path,
+    dataparser_transforms: Option<PathBuf>,
+    split: Option<Split>,
+) -> Result<Vec<NamedCamera>> {
+    if !path.is_dir() {
+        return read_file(path, split);
     }
+    let options = LoadOptions {
+        dataparser_transforms,
+        ..LoadOptions::default()
+    };
+    let inside = path.join(IN_FOLDER);
+    // Where the folder has two layouts, one has to be chosen.
+    if inside.is_file() && layout::find(path, &options)?.is_none() {
+        return read_file(&inside, split);
+    }
+    crate::data::load_cameras(path, &options, split)
+}
+
+fn read_file(path: &Path, split: Option<Split>) -> Result<Vec<NamedCamera>> {
     let unusable = |field: &str, found: &str| {
         invalid!(path, "{field}"; found "{found}";
             expected "cameras: a transforms.json, cameras.json of 3DGS, or camera path of nerfstudio";
