@@ -8,7 +8,7 @@ use coseg::error::{Result, ensure, invalid};
 use coseg::objects::{Growth, Regions, seed};
 use coseg::raster::{Projected, Settings};
 use coseg::runs::{
-    Cameras, ObjectScene, cameras_for, cameras_path, features_beside, frame_with_pixel,
+    CAMERAS, Cameras, ObjectScene, cameras_for, cameras_path, features_beside, frame_with_pixel,
     rendering_beside,
 };
 use std::path::PathBuf;
@@ -20,7 +20,7 @@ ends where it stands out most from the rest, or at --threshold: a lower one take
 for each pixel, in the same order. Points far apart on the thing help most. The scene needs neither labels nor its photos.
 
 The Gaussians become an object called --name. Where the scene has an object or a class of that name, they join it. Gaussians of
-other objects change over. classes.json and cameras.json are written beside the new file.
+other objects change over. classes.json and the cameras that were used are written beside the new file.
 
 Examples:
   coseg select --scene runs/fox --frame 0007 --pixel 150,100 --name fox --out labelled
@@ -74,7 +74,12 @@ impl SelectArgs {
         let rows = growth.rows(threshold);
         let (ids, edited) = scene.named(&[(&self.name, &rows)], "--name")?;
         let id = ids[0].unwrap_or(scene.classes.ignore);
-        let out = self.scene.write(&scene, &edited, Cameras::Beside(&scene.path))?;
+        let cameras = if file == scene.path.with_file_name(CAMERAS) {
+            Cameras::Beside(&scene.path)
+        } else {
+            Cameras::Used(&frames)
+        };
+        let out = self.scene.write(&scene, &edited, cameras)?;
         let changes_over = |row: &&u32| {
             let label = scene.labels[**row as usize];
             label != id && label != scene.classes.ignore

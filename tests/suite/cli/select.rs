@@ -2,7 +2,8 @@
 
 use crate::support::plates::{HEIGHT, WIDTH, camera, plates, scene};
 use crate::support::program::{fails, succeeds, utf8};
-use coseg::data::Classes;
+use coseg::data::formats::transforms::write_cameras;
+use coseg::data::{Classes, read_cameras};
 use coseg::features::FeatureColors;
 use coseg::objects::pick;
 use coseg::raster::{Projected, Settings};
@@ -151,6 +152,41 @@ fn a_plate_without_labels_becomes_an_object() {
         &[&both[..], &["--name", "plates", "--threshold", "0"]].concat(),
     );
     assert!(labels(&folder.path("d"))[..50].contains(&1));
+}
+
+#[test]
+fn the_cameras_that_were_used_are_written() {
+    let folder = Unlabelled::new();
+    let red = ["--pixel", &pixel_of(1), "--name", "red"];
+    let select = [&["--frame", "v2"], &red[..]].concat();
+    // Cameras of another size lie beside the scene.
+    let all = read_cameras(&folder.path("photos"), None).unwrap();
+    let mut small = all.clone();
+    for named in &mut small {
+        named.camera = named.camera.with_size(40, 32);
+    }
+    write_cameras(&folder.path("cameras.json"), &small).unwrap();
+    folder.select(&folder.scene, "a", &select);
+    assert_eq!(read_cameras(&folder.path("a"), None).unwrap(), all);
+    let out = folder.path("pictures");
+    let render = ["render", "--scene", utf8(&folder.path("a")), "--out"].map(str::to_owned);
+    let mut render: Vec<&str> = render.iter().map(String::as_str).collect();
+    render.push(utf8(&out));
+    succeeds(&render);
+    // Cameras of somebody else are no longer those of the scene, but stay.
+    std::fs::create_dir(folder.path("b")).unwrap();
+    write_cameras(&folder.path("b/cameras.json"), &small).unwrap();
+    let arguments = folder.arguments(&folder.scene, "b", &select);
+    let mut arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let message = fails(&arguments, 1);
+    assert!(
+        message.contains("b/cameras.json, which this command did not write"),
+        "{message}"
+    );
+    assert!(!folder.path("b/scene.ply").exists());
+    arguments.push("--force");
+    succeeds(&arguments);
+    assert_eq!(read_cameras(&folder.path("b"), None).unwrap(), all);
 }
 
 #[test]
