@@ -12,11 +12,11 @@ use std::path::PathBuf;
 
 const HELP: &str = "\
 OBJECT is a label id or a name, as `coseg objects` lists them; capitals do not matter where only one name fits. A name means
-all objects with that name; a class means all associated objects of that class (chair: chair 1, chair 2). A name with a comma
-needs its id. The order is: keep, remove, turn, move. Turns are counter-clockwise as seen from the tip of the axis. An axis can be a direction, as the viewer writes
-it (chair=0.02:-0.98:0.17,30): few COLMAP scenes have an upright axis. The axis goes through the middle of the object's
-box, and view-dependent colours turn with their object. The new file keeps its labels; classes.json and cameras.json are
-copied beside it.
+all objects with that name; a class means all associated objects of that class (chair: chair 1, chair 2). A name with a
+comma needs its id. The order is: keep, remove, turn, move. Turns are counter-clockwise as seen from the tip of the axis. An
+axis can be a direction, as the viewer writes it (chair=0.02:-0.98:0.17,30): few COLMAP scenes have an upright axis. The
+axis goes through the middle of the object's box, and view-dependent colours turn with their object. The new file keeps its
+labels; classes.json and cameras.json are copied beside it.
 
 --edits applies what was done in a page of `coseg view` and saved there: names, colours, labels of single Gaussians,
 deletions and moves (docs/edits.md). It belongs to one scene file, and no other is accepted.

@@ -323,7 +323,7 @@ impl ObjectScene {
 
 /// The error of a scene that needs a label column.
 pub fn without_labels(path: &Path) -> Error {
-    if let Some(command) = path.parent().and_then(unfinished_run) {
+    if let Some(command) = unfinished_run(files::folder(path)) {
         return invalid!(path, "column label"; found "nothing, as the run was stopped"; expected "one label for each Gaussian";
             help "continue it: {command}");
     }

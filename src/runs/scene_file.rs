@@ -143,7 +143,7 @@ pub fn cameras_path(cameras: Option<&Path>, scene: &Path) -> Result<PathBuf> {
         .filter(|file| is_graphdeco && file.is_file())
         .ok_or_else(|| {
             const HELP: &str = "give a file of cameras, a scene folder or a run folder";
-            let command = scene.parent().and_then(unfinished_run);
+            let command = unfinished_run(files::folder(scene));
             let help = command.map_or_else(
                 || HELP.to_owned(),
                 |command| format!("{HELP}; the run was stopped, and {command} continues it"),

@@ -26,7 +26,9 @@ fn associate_writes_maps_of_global_ids() {
     ];
     let said = succeeds(&arguments);
     assert!(
-        said.contains("16 segments of training views joined into 4 objects; 0 segments are in no object"),
+        said.contains(
+            "16 segments of training views joined into 4 objects; 0 segments are in no object"
+        ),
         "{said}"
     );
     assert!(
@@ -82,7 +84,10 @@ fn a_run_trains_on_objects_and_scores_them() {
     plate_folder(dir);
     let run = dir.join("run");
     let said = short_run(dir, &run);
-    assert!(said.contains("16 segments of training views joined into"), "{said}");
+    assert!(
+        said.contains("16 segments of training views joined into"),
+        "{said}"
+    );
     let warned = warnings(&["train", "--resume", utf8(&run)]);
     assert!(!warned.contains("only the Gaussians"), "{warned}");
     let metrics = read_json(&run.join("metrics.json"));
