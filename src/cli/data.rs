@@ -1,12 +1,12 @@
 //! `coseg data`: checks or describes a scene folder, or suggests photos to label.
 
-use super::{Settings, fault_list, terminal};
+use super::{BackendArgs, Settings, fault_list, terminal};
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, Subcommand};
 use coseg::data::{self, Info, LoadOptions};
 use coseg::error::{Result, ensure};
 use coseg::files::{extension, own};
-use coseg::pipeline::suggest;
+use coseg::pipeline::{compare_with_photos, suggest};
 use coseg::report::pictures;
 use coseg::report::sheet::contact_sheet;
 use coseg::runs::{read_scene, scene_path};
@@ -99,6 +99,8 @@ struct SuggestArgs {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
+    backend: BackendArgs,
+    #[command(flatten)]
     settings: Settings,
 }
 
@@ -175,9 +177,11 @@ impl SuggestArgs {
         let config = self.settings.load(Some(&dir))?;
         let mut scene = data::load(&dir, &LoadOptions::from(&config))?;
         let path = self.scene.as_deref().map(scene_path).transpose()?;
-        let ply = path.map(|path| read_scene(&path)).transpose()?;
-        if let Some(ply) = &ply {
+        let ply = path.as_deref().map(read_scene).transpose()?;
+        if let (Some(path), Some(ply)) = (&path, &ply) {
             scene = scene.with_origin(ply.origin);
+            let device = self.backend.open()?;
+            compare_with_photos(path, &ply.gaussians, &scene, &config, &device)?;
         }
         let gaussians = ply.as_ref().map(|ply| &ply.gaussians);
         terminal::note("comparing what the training photos show");
@@ -244,6 +248,14 @@ fn print(info: &Info) {
     if info.instances > 0 {
         say("instances", format!("{} views true", info.instances));
     }
+    print_classes(info);
+    for notice in &info.notices {
+        say("note", notice.clone());
+    }
+}
+
+/// Prints how much of the label maps each class covers.
+fn print_classes(info: &Info) {
     if !info.classes.is_empty() {
         terminal::say(&format!(
             "{:>14}  {:>7} {:>7} {:>6}  class",
@@ -256,19 +268,17 @@ fn print(info: &Info) {
         .split_last()
         .map_or(&[][..], |(_, named)| named);
     let are_classless = info.segments > 0 && named.iter().all(|class| class.raw == 0.0);
+    let share = |is_known: bool, share: f64| {
+        let percent = format!("{:.2}%", 100.0 * share);
+        if is_known { percent } else { "-".to_owned() }
+    };
     for (i, class) in info.classes.iter().enumerate() {
-        let truth = 100.0 * class.truth;
-        let raw = if are_classless && i < named.len() {
-            "-".to_owned()
-        } else {
-            format!("{:.2}%", 100.0 * class.raw)
-        };
+        let truth = share(info.labelled > 0, class.truth);
+        let is_unknown = info.raw_labelled == 0 || are_classless && i < named.len();
+        let raw = share(!is_unknown, class.raw);
         terminal::say(&format!(
-            "{:>14}  {truth:>6.2}% {raw:>7} {:>6}  {}",
+            "{:>14}  {truth:>7} {raw:>7} {:>6}  {}",
             class.id, class.views, class.name
         ));
-    }
-    for notice in &info.notices {
-        say("note", notice.clone());
     }
 }

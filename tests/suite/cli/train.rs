@@ -139,6 +139,12 @@ fn photos_of_another_place_are_noticed_when_a_run_is_scored_on_them() {
         [&own, &other].map(|data| warnings(&["eval", utf8(&run), "--data", utf8(data)]));
     assert!(another.contains("misplaced"), "{another}");
     assert!(!moved.contains("misplaced"), "{moved}");
+    // So they are where photos to label are looked for.
+    let suggest = ["data", "suggest", "--scene", utf8(&run), "--data"];
+    let [moved, another] =
+        [&own, &other].map(|data| warnings(&[&suggest[..], &[utf8(data)]].concat()));
+    assert!(another.contains("misplaced"), "{another}");
+    assert!(!moved.contains("misplaced"), "{moved}");
 }
 
 #[test]

@@ -264,6 +264,20 @@ fn info_counts_and_draws() {
         (5, &json!("unlabelled"))
     );
     assert!(json["cameras"]["extent"].as_f64().unwrap() > 0.5);
+    // Shares of labels that are not there are unknown.
+    let lines = |key: &str| {
+        edit(folder.path(), |scene| {
+            for frame in scene["frames"].as_array_mut().unwrap() {
+                _ = frame.as_object_mut().unwrap().remove(key);
+            }
+        });
+        let said = succeeds(&["data", "info", utf8(folder.path())]);
+        let wall = said.lines().find(|line| line.ends_with("  wall")).unwrap();
+        let shares = wall.split_whitespace().skip(1).take(2);
+        shares.map(|share| share.ends_with('%')).collect::<Vec<_>>()
+    };
+    assert_eq!(lines("label_path"), [false, true]);
+    assert_eq!(lines("raw_label_path"), [false, false]);
     fails(&["data", "info", utf8(&folder.path().join("images"))], 1);
     fails(&["data", "look"], 2);
 }
