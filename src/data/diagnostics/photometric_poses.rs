@@ -43,7 +43,8 @@ const MIN_FOUND_RATIO: f64 = 1.4;
 /// Share of the blocks that the next photo has to show in that convention.
 const MIN_SHOWN: f64 = 0.25;
 
-/// A notice if neighbouring photos fit better in a different convention than in that of the layout.
+/// A notice if neighbouring photos fit better in a different convention than in that of the layout. It names the other one only where
+/// they clearly do.
 pub(super) fn better_convention(listing: &Listing) -> Option<String> {
     let frames = listing
         .frames
@@ -75,15 +76,23 @@ pub(super) fn better_convention(listing: &Listing) -> Option<String> {
     let (other, blocks) = others.max_by(|a, b| a.1.share().total_cmp(&b.1.share()))?;
     let share = blocks.share();
     let is_shown = blocks.shown as f64 > MIN_SHOWN * blocks.all as f64;
-    (share > MIN_FOUND && share > MIN_FOUND_RATIO * as_read && is_shown).then(|| {
-        format!(
-            "{}: the poses may be {}: {:.0} % of a photo are then found again in the next one, and {:.0} % as they are; if \
+    let file = listing.file.display();
+    if share > MIN_FOUND && share > MIN_FOUND_RATIO * as_read && is_shown {
+        return Some(format!(
+            "{file}: the poses may be {}: {:.0} % of a photo are then found again in the next one, and {:.0} % as they are; if \
              so, {}",
-            listing.file.display(),
             other.name(),
             100.0 * share,
             100.0 * as_read,
             other.help(listing.layout)
+        ));
+    }
+    // Where nothing tells, the layout's convention still fits best if it is the right one, except for the sparsest captures.
+    (share > as_read).then(|| {
+        format!(
+            "{file}: the axes of the poses could not be checked: too little of a photo is found again in the next one ({:.0} %), and \
+             the scene has no initial points, which would tell",
+            100.0 * as_read
         )
     })
 }

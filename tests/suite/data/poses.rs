@@ -234,6 +234,28 @@ fn without_a_cloud_neighbouring_photos_tell() {
 }
 
 #[test]
+fn poses_that_nothing_tells_of_are_told_where_they_do_not_fit_best() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    // Too few photos to name another convention.
+    let capture = Capture::room(dir, 20);
+    for convention in CONVENTIONS {
+        capture.transforms(dir, convention, 1);
+        without_cloud(dir);
+        assert_eq!(suspected(dir), [""; 0]);
+        let notices = check(dir, &LoadOptions::default()).notices;
+        let unchecked =
+            |notice: &&String| notice.contains("axes of the poses could not be checked");
+        let told = notices.iter().filter(unchecked).count();
+        assert_eq!(
+            told,
+            usize::from(convention != (false, false)),
+            "{notices:?}"
+        );
+    }
+}
+
+#[test]
 fn loading_warns() {
     let folder = tempfile::tempdir().unwrap();
     let dir = folder.path();
