@@ -59,6 +59,9 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
     let listing = notices::list_sound(dir, options)?;
     let warn = |notice: &String| tracing::warn!("{}: {notice}", dir.display());
     listing.notices.iter().for_each(warn);
+    if let Some(fault) = &listing.no_label_file {
+        tracing::warn!("{fault}");
+    }
     let (scene, turned) = listing.load(dir, options)?;
     notices::turned(listing.frames.iter().zip(turned))
         .iter()

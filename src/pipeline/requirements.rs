@@ -85,7 +85,29 @@ pub(super) fn score_tables(config: &Config) -> usize {
     5 + rows.len() + training
 }
 
-/// Whether stage two has something to train on.
+/// Whether stage two has something to train on: a labelled pixel of a training view.
 pub(super) fn has_raw_labels(scene: &Scene) -> bool {
-    scene.labelled().next().is_some() && !scene.classes.is_empty()
+    let maps = scene.labelled().flat_map(|view| &view.raw);
+    let mut ids = maps.flat_map(|map| map.runs().map(|(id, _)| id));
+    !scene.classes.is_empty() && ids.any(|id| id != scene.classes.ignore)
+}
+
+/// Whether there are segments of single views that the settings make objects of. Association refuses maps without any.
+pub(super) fn has_segments(scene: &Scene, config: &Config) -> bool {
+    config.data.association != Association::None && scene.labelled().next().is_some()
+}
+
+/// Warns that there is no second stage, as no training view has a labelled pixel.
+pub(super) fn warn_of_no_labels(scene: &Scene) {
+    if scene.labelled().next().is_some() {
+        tracing::warn!(
+            "the raw labels of the training views are unlabelled in every pixel: only the Gaussians are built. Look at the ids of the \
+             label maps and at classes.json"
+        );
+        return;
+    }
+    tracing::warn!(
+        "no training view has raw labels: only the Gaussians are built. raw_label_path in transforms.json or data.raw_labels names \
+         them; set segmentation.rows = [] if there are none"
+    );
 }

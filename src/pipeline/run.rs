@@ -7,7 +7,8 @@ use super::load::load_scene;
 use super::pictures::score_images;
 use super::reconstruct::{Reconstruction, RunFiles, reconstruct};
 use super::requirements::{
-    check_networks, check_ranks, check_scores, has_raw_labels, least_count, score_tables,
+    check_networks, check_ranks, check_scores, has_raw_labels, has_segments, least_count,
+    score_tables, warn_of_no_labels,
 };
 use super::resolve::resolved;
 use super::segmentation_inputs::SegmentationInputs;
@@ -171,10 +172,7 @@ pub fn run_on(
         if has_raw_labels(&scene) || has_segments(&scene, config) || corrections.is_some() {
             check_networks(config, &scene, device)?;
         } else {
-            tracing::warn!(
-                "no training view has raw labels: only the Gaussians are built. raw_label_path in transforms.json or \
-                 data.raw_labels names them; set segmentation.rows = [] if there are none"
-            );
+            warn_of_no_labels(&scene);
         }
     }
     check_scores(least_count(&scene, config), &scene, config)?;
@@ -308,11 +306,6 @@ impl Outcome {
         }
         Ok(())
     }
-}
-
-/// Whether there are segments of single views that the settings make objects of.
-fn has_segments(scene: &Scene, config: &Config) -> bool {
-    config.data.association != Association::None && scene.labelled().next().is_some()
 }
 
 #[cfg(test)]

@@ -37,6 +37,9 @@ pub fn check(dir: &Path, options: &LoadOptions) -> Checked {
         checked.layout = Some(listing.layout);
         checked.frames = listing.frames.len();
         checked.notices = std::mem::take(&mut listing.notices);
+        if let Some(fault) = listing.no_label_file.take() {
+            problems.push(fault);
+        }
         checked
             .notices
             .extend(check_listing(&listing, options, &mut problems));
@@ -57,13 +60,20 @@ fn check_listing(listing: &Listing, options: &LoadOptions, problems: &mut Proble
     let checked = frames.iter().zip(&checks);
     let train = checked.filter(|(frame, _)| frame.split == Split::Train);
     let void = train.filter_map(|(frame, check)| Some((&*frame.name, check.void?)));
+    let void = notices::void_raw(void);
     let turned = frames.iter().zip(checks.iter().map(|check| check.turned));
     let notices = [
         notices::turned(turned),
         notices::inverted_masks(checks.iter().filter_map(|check| check.masked)),
-        notices::void_raw(void),
+        void.as_ref()
+            .filter(|void| !void.are_all)
+            .map(|void| void.notice()),
     ];
     let mut notices: Vec<String> = notices.into_iter().flatten().collect();
+    let nothing = void.filter(|void| void.are_all);
+    nothing
+        .iter()
+        .for_each(|void| problems.push(void.fault(&listing.file)));
     checks
         .into_iter()
         .flat_map(|check| check.faults)

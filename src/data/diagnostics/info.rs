@@ -116,9 +116,11 @@ struct FrameInfo {
 /// # Errors
 /// As [`crate::data::load`].
 pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
-    let listing = listing(dir, options)?;
+    let mut listing = listing(dir, options)?;
     let read = |frame| FrameInfo::new(&listing, frame, options);
     let frames = in_order(listing.frames.par_iter().map(read))?;
+    let no_file = listing.no_label_file.as_ref().map(ToString::to_string);
+    listing.notices.extend(no_file);
     let mut sizes = BTreeMap::new();
     for frame in &frames {
         *sizes.entry(frame.size).or_insert(0) += 1;

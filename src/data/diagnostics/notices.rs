@@ -7,11 +7,12 @@ use crate::data::formats::frame::{Frame, reduced};
 use crate::data::formats::layout;
 use crate::data::formats::listing::{Cloud, Listing};
 use crate::data::formats::mask_file;
+use crate::data::labels::classes::plain;
 use crate::data::photos::image_file::ImageFile;
-use crate::data::{LoadOptions, MapGeometry, Scene, Split};
-use crate::error::Result;
+use crate::data::{Classes, LoadOptions, MapGeometry, Scene, Split};
+use crate::error::{Error, Result, invalid};
 use glam::DVec3;
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::ops::RangeInclusive;
 use std::path::Path;
 
@@ -21,6 +22,10 @@ const MIN_CAMERA_DISTANCE: f64 = 1e-6;
 const USUAL_FIELDS_OF_VIEW: RangeInclusive<f64> = 5.0..=170.0;
 /// A principal point further from the middle, in sides of the photo, is outside.
 const MAX_CENTER_OFFSET: f64 = 0.5;
+
+/// What follows from labels without a labelled pixel, and what to do.
+const NOTHING_TO_LEARN: &str = "stage two has nothing to learn from";
+const LOOK_AT_IDS: &str = "look at the ids and at classes.json";
 
 /// Lists the frames of a folder, with notices on poses, intrinsics, labels and masks.
 pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -> Result<Listing> {
@@ -40,6 +45,7 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         without_raw(&listing),
         unread_maps(&listing),
         held_out_drawn_labels(&listing),
+        repeated_names(&listing.classes, &dir.join(Classes::FILE)),
     ];
     listing.notices.extend(cameras);
     listing.notices.extend(others.into_iter().flatten());
@@ -160,6 +166,27 @@ fn unusual_intrinsics(posed: &[&Frame]) -> Option<String> {
     ))
 }
 
+/// Names that several classes have, where `file` is a class table.
+fn repeated_names(classes: &Classes, file: &Path) -> Option<String> {
+    let mut ids: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for class in classes.entries.iter().filter(|_| file.is_file()) {
+        let of_name = ids.entry(plain(&class.name)).or_default();
+        of_name.push(class.id.to_string());
+    }
+    ids.retain(|_, ids| ids.len() > 1);
+    let repeated = ids
+        .iter()
+        .map(|(name, ids)| format!("{name} ({})", ids.join(", ")));
+    let repeated: Vec<String> = repeated.collect();
+    (!repeated.is_empty()).then(|| {
+        format!(
+            "{}: several ids have one name, by which labels are matched and objects are named: {}; give each class a name of its own",
+            file.display(),
+            first_names(&repeated)
+        )
+    })
+}
+
 /// Training frames without raw labels where others have some.
 fn without_raw(listing: &Listing) -> Option<String> {
     let is_training = |frame: &&Frame| frame.split == Split::Train;
@@ -194,23 +221,45 @@ fn held_out_drawn_labels(listing: &Listing) -> Option<String> {
     ))
 }
 
-/// Training frames whose raw labels have no labelled pixel. `train` has the name of each frame with raw labels, and whether that
-/// is the case.
-pub(crate) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Option<String> {
+/// Training frames whose raw labels have no labelled pixel.
+pub(crate) struct VoidLabels {
+    /// How many of how many, and the first names.
+    which: String,
+    /// Whether these are all that have raw labels: stage two is left out.
+    pub are_all: bool,
+}
+
+/// The training frames whose raw labels have no labelled pixel; `None` if there are none. `train` has the name of each frame with raw
+/// labels, and whether that is the case.
+pub(crate) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Option<VoidLabels> {
     let (void, labelled): (Vec<_>, Vec<_>) = train.partition(|(_, void)| *void);
     let (count, all) = (void.len(), void.len() + labelled.len());
     let names: Vec<&str> = void.into_iter().map(|(name, _)| name).collect();
-    let consequence = if labelled.is_empty() {
-        "; stage two has nothing to learn from: look at the ids and at classes.json"
-    } else {
-        ""
-    };
-    (count > 0).then(|| {
-        format!(
-            "raw labels of {count} of {all} training frames are unlabelled in every pixel: {}{consequence}",
+    let which = format!("{count} of {all} training frames");
+    (count > 0).then(|| VoidLabels {
+        which: format!(
+            "{which} are unlabelled in every pixel: {}",
             first_names(&names)
-        )
+        ),
+        are_all: labelled.is_empty(),
     })
+}
+
+impl VoidLabels {
+    pub fn notice(&self) -> String {
+        let which = &self.which;
+        if self.are_all {
+            format!("raw labels of {which}; {NOTHING_TO_LEARN}: {LOOK_AT_IDS}")
+        } else {
+            format!("raw labels of {which}")
+        }
+    }
+
+    /// The fault of a scene in which they are all. `file` lists its frames.
+    pub fn fault(&self, file: &Path) -> Error {
+        invalid!(file, "raw labels"; found "those of {}", self.which;
+            expected "labelled pixels, as {NOTHING_TO_LEARN}"; help "{LOOK_AT_IDS}")
+    }
 }
 
 /// A notice of the photos whose labels may belong to a turned copy. Sizes alone do not show this: the flag of each frame says it.
@@ -260,6 +309,7 @@ pub(crate) fn scene(scene: &Scene, unlabelled: u16) -> Vec<String> {
         .filter_map(|view| Some((&*view.name, view.raw.as_ref()?)));
     let void =
         void_raw(train.map(|(name, raw)| (name, raw.runs().all(|(id, _)| id == unlabelled))));
+    let void = void.map(|void| void.notice());
     inverted.into_iter().chain(void).collect()
 }
 

@@ -1,5 +1,6 @@
 //! One posed photo of a scene folder, and the camera of the view that it becomes.
 
+use crate::data::labels::raw::RawFile;
 use crate::data::labels::scores::Placement;
 use crate::data::photos::image_file::{ImageFile, proportional};
 use crate::data::photos::lens::{Lens, Undistortion};
@@ -108,6 +109,16 @@ impl Frame {
     /// Whether it has labels or a mask that may belong to a turned copy of the photo in `file`, which sizes alone do not show.
     pub fn may_be_turned(&self, file: &ImageFile) -> bool {
         self.maps().next().is_some() && file.turns_without_trace()
+    }
+
+    /// Its raw labels, which lie at `path`.
+    pub fn raw_file<'a>(&'a self, path: &'a Path) -> RawFile<'a> {
+        RawFile {
+            name: &self.name,
+            photo: &self.image,
+            path,
+            is_labelme: self.drawn.is_some(),
+        }
     }
 
     /// The files of its labels and mask.

@@ -67,7 +67,7 @@ impl<'a> FrameLabels<'a> {
         let camera = &self.geometry.camera;
         let check_size = |file: &ImageFile| self.check_size(path, file);
         let raw = self.listing.raw.read(
-            (&self.frame.name, path),
+            self.frame.raw_file(path),
             (camera.width, camera.height),
             &self.listing.classes,
             &check_size,
@@ -91,7 +91,7 @@ impl<'a> FrameLabels<'a> {
 
     /// A grey label map of the size of its file.
     fn read_grey(&self, path: &Path) -> Result<LabelMap> {
-        expect_file(path)?;
+        expect_file(path, &self.frame.image)?;
         let file = ImageFile::open(path)?;
         self.check_size(path, &file)?;
         LabelMap::decode(path, &file)

@@ -5,6 +5,7 @@ use super::dataparser::Similarity;
 use super::folder::{Folder, Problems};
 use super::label_folder::stray_drawings;
 use super::listing::Listing;
+use super::unread_labels::{drawings_beside_photos, no_label_file, stray_maps};
 use super::{colmap, replica, scannet, transforms};
 use crate::config::Layout;
 use crate::data::LoadOptions;
@@ -249,6 +250,12 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         Some(world) => listing.moved(world),
         None => listing,
     };
+    let frames = &listing.frames;
+    let no_file = no_label_file(dir, options, frames).filter(|_| reads_raw_labels);
+    let unread = [
+        stray_maps(dir, options, frames),
+        drawings_beside_photos(dir, options, frames),
+    ];
     let mut listing = if reads_raw_labels {
         listing.with_raw_labels(dir, options, problems)
     } else {
@@ -258,10 +265,11 @@ pub(crate) fn list(dir: &Path, options: &LoadOptions, problems: &mut Problems) -
         .frames
         .iter()
         .flat_map(|frame| [&frame.truth, &frame.raw, &frame.instances]);
+    listing.no_label_file = no_file;
     listing.geometries = MapGeometries::read(maps.flatten(), |fault| problems.push(fault));
-    let unread = unread_transforms(dir, options, listing.layout);
-    listing.notices.extend(unread);
     let strays = stray_drawings(dir, options, &listing.frames);
-    listing.notices.extend(strays);
+    let file = unread_transforms(dir, options, listing.layout);
+    let notices = [file, strays].into_iter().chain(unread);
+    listing.notices.extend(notices.flatten());
     Ok(listing)
 }

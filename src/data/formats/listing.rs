@@ -10,7 +10,7 @@ use crate::config::Layout;
 use crate::data::labels::map_geometry::MapGeometries;
 use crate::data::labels::raw::{self, RawFile, RawLabels};
 use crate::data::{Classes, LoadOptions, Split, WorldUnit};
-use crate::error::{Result, bail, ensure, invalid};
+use crate::error::{Error, Result, bail, ensure, invalid};
 use crate::files::check_views;
 use crate::splat::camera::spread;
 use glam::DVec3;
@@ -51,6 +51,8 @@ pub(crate) struct Listing {
     pub whole_extent: Option<f64>,
     /// Whether +z is up in the world. If not, up is estimated from the cameras.
     pub z_up: bool,
+    /// Why no frame has raw labels, where the usual folder for them is there.
+    pub no_label_file: Option<Error>,
     /// Sentences on what is left out or assumed.
     pub notices: Vec<String>,
 }
@@ -225,17 +227,9 @@ impl Listing {
 }
 
 /// The raw labels of the frames that have some.
-fn raw_files(frames: &[Frame]) -> Vec<RawFile<'_>> {
-    let labelled = frames
-        .iter()
-        .filter_map(|frame| Some((frame, frame.raw.as_deref()?)));
-    let files = labelled.map(|(frame, path)| RawFile {
-        name: &frame.name,
-        photo: &frame.image,
-        path,
-        is_labelme: frame.drawn.is_some(),
-    });
-    files.collect()
+fn raw_files<'a>(frames: &'a [Frame]) -> Vec<RawFile<'a>> {
+    let file = |frame: &'a Frame| Some(frame.raw_file(frame.raw.as_deref()?));
+    frames.iter().filter_map(file).collect()
 }
 
 /// `classes.json` of a scene folder. Only scenes without labels may lack it; for others, `labelled` is added to the help.

@@ -24,3 +24,4 @@ pub(crate) mod scannet;
 pub(crate) mod sequence;
 pub(crate) mod side_folders;
 pub mod transforms;
+mod unread_labels;

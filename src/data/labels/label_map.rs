@@ -3,7 +3,7 @@
 use crate::data::Classes;
 use crate::data::photos::image_file::ImageFile;
 use crate::error::{Error, Result, bail, invalid};
-use crate::files::{self, atomic, check_limit};
+use crate::files::{atomic, check_limit, file_name};
 use image::{DynamicImage, GrayImage, ImageBuffer, Luma, codecs::png::PngEncoder};
 use std::collections::BTreeSet;
 use std::io::{self, Write};
@@ -256,9 +256,21 @@ impl AsRef<[u16]> for LabelMap {
     }
 }
 
-/// Refuses a label map that is not there.
-pub(crate) fn expect_file(path: &Path) -> Result<()> {
-    files::expect_file(path, "put the label map there, or do not name it")
+/// Refuses a label map of `photo` that is not there.
+pub(crate) fn expect_file(path: &Path, photo: &Path) -> Result<()> {
+    if path.is_file() {
+        return Ok(());
+    }
+    let jpegs = ["jpg", "jpeg", "JPG", "JPEG"].map(|extension| path.with_extension(extension));
+    let jpeg = jpegs.iter().find(|jpeg| jpeg.is_file() && *jpeg != photo);
+    let help = match jpeg.and_then(|jpeg| file_name(jpeg)) {
+        // Faults that differ in brackets alone are of one kind.
+        Some(jpeg) => {
+            format!("save it as PNG, as JPEG changes the ids ({jpeg} is there), or do not name it")
+        }
+        None => "put the label map there, or do not name it".to_owned(),
+    };
+    Err(Error::missing("file", path, help))
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use crate::support::plates::scene;
 use crate::support::program::{fails, read_json, succeeds, utf8, warnings};
 use crate::support::short_runs::short_run;
+use crate::support::transforms_json::edit;
 use std::path::Path;
 
 #[test]
@@ -145,6 +146,71 @@ fn photos_of_another_place_are_noticed_when_a_run_is_scored_on_them() {
         [&own, &other].map(|data| warnings(&[&suggest[..], &[utf8(data)]].concat()));
     assert!(another.contains("misplaced"), "{another}");
     assert!(!moved.contains("misplaced"), "{moved}");
+}
+
+/// What `coseg train` says of stage two on the Gaussians of the scene in `dir`, which it leaves out.
+#[track_caller]
+fn without_stage_two(dir: &Path) -> String {
+    let run = dir.with_extension("run");
+    let [data, ply, out] = [dir, &dir.join("plates.ply"), &run].map(|path| utf8(path).to_owned());
+    let train = ["train", "--data", &data, "--scene", &ply, "--out", &out];
+    let rows = [
+        "--set",
+        "segmentation.rows=vote,per_gaussian",
+        "--set",
+        "segmentation.iterations=4",
+    ];
+    let said = warnings(&[&train[..], &rows].concat());
+    assert!(said.contains("only the Gaussians are built"), "{said}");
+    assert!(!run.join("identities.safetensors").exists(), "{said}");
+    let metrics = read_json(&run.join("metrics.json"));
+    assert_eq!(
+        metrics["test"]["labels"],
+        serde_json::json!({}),
+        "{metrics}"
+    );
+    said
+}
+
+#[test]
+fn labels_that_say_nothing_are_as_no_labels() {
+    let folder = tempfile::tempdir().unwrap();
+    let [void, jpeg] = ["void", "jpeg"].map(|name| folder.path().join(name));
+    scene(&void);
+    for i in 0..6 {
+        let map = void.join(format!("raw/v{i}.png"));
+        image::GrayImage::new(80, 64).save(map).unwrap();
+    }
+    let said = without_stage_two(&void);
+    let parts = [
+        "4 of 4 training frames are unlabelled in every pixel",
+        "look at the ids",
+        "classes.json",
+    ];
+    parts
+        .iter()
+        .for_each(|part| assert!(said.contains(part), "{part}: {said}"));
+    // Nor are JPEG label maps.
+    scene(&jpeg);
+    edit(&jpeg, |scene| {
+        for frame in scene["frames"].as_array_mut().unwrap() {
+            _ = frame.as_object_mut().unwrap().remove("raw_label_path");
+        }
+    });
+    std::fs::create_dir(jpeg.join("labels_raw")).unwrap();
+    for i in 0..6 {
+        let map = jpeg.join(format!("labels_raw/v{i}.jpg"));
+        image::GrayImage::new(80, 64).save(map).unwrap();
+    }
+    let said = without_stage_two(&jpeg);
+    let parts = [
+        "labels_raw: raw labels: found 6 files",
+        "none of which is a PNG",
+        "no training view has raw labels",
+    ];
+    parts
+        .iter()
+        .for_each(|part| assert!(said.contains(part), "{part}: {said}"));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Class tables, their colours, label maps on disk, atomic files.
 
-use coseg::data::{Classes, LabelMap};
+use crate::support::raw_labels::folder;
+use coseg::data::{Classes, LabelMap, LoadOptions, check};
 use coseg::files::atomic;
 use std::fs;
 use std::io::Write;
@@ -124,4 +125,24 @@ fn a_failed_write_leaves_the_old_file() {
     atomic::write_bytes(&path, b"new").expect("write");
     assert_eq!(fs::read(&path).expect("read"), b"new");
     assert!(atomic::write_bytes(dir.path().join(".."), b"").is_err());
+}
+
+#[test]
+fn a_name_of_two_ids_is_told() {
+    let folder = folder();
+    let table = folder.path().join("classes.json");
+    let told = || {
+        let checked = check(folder.path(), &LoadOptions::default());
+        assert!(checked.problems.is_empty(), "{checked:?}");
+        checked.notices
+    };
+    assert_eq!(told(), [""; 0]);
+    let names = [(1, "wall"), (2, "green"), (3, "blue"), (4, "Wall")];
+    Classes::from_names(0, names).write(&table).expect("write");
+    let notices = told();
+    let parts = ["classes.json", "wall (1, 4)", "a name of its own"];
+    assert!(
+        notices.len() == 1 && parts.iter().all(|part| notices[0].contains(part)),
+        "{notices:?}"
+    );
 }

@@ -13,7 +13,7 @@ mod shape_file;
 mod shape_labels;
 
 use self::drawing::Drawing;
-pub(crate) use self::shape_file::ShapeFile;
+pub(crate) use self::shape_file::{OTHER_FILES, ShapeFile};
 use super::label_map::expect_file;
 use crate::config::{Association, RawFormat};
 use crate::data::labels::scores::ScoreIds;
@@ -252,20 +252,22 @@ impl RawLabels {
         }
     }
 
-    /// Reads the map at `path` of a photo of the size `photo` and the name `name`; `check_size` refuses files of the wrong size.
+    /// Reads `raw`, whose photo has the size `photo`; `check_size` refuses files of the wrong size.
     pub fn read(
         &self,
-        (name, path): (&str, &Path),
+        raw: RawFile,
         photo: (usize, usize),
         classes: &Classes,
         check_size: &dyn Fn(&ImageFile) -> Result<()>,
     ) -> Result<RawMap> {
+        let path = raw.path;
         if let Source::Masks = self.source {
             return masks::read(path, photo, check_size).map(RawMap::from);
         }
-        expect_file(path)?;
+        expect_file(path, raw.photo)?;
         let in_classes = |raw| self.in_classes(raw, classes);
-        if let Some(drawing) = self.drawings().and_then(|drawings| drawings.get(name)) {
+        let drawings = self.drawings();
+        if let Some(drawing) = drawings.and_then(|drawings| drawings.get(raw.name)) {
             return drawing.paint(photo).map(in_classes);
         }
         let file = ImageFile::open(path)?;

@@ -13,7 +13,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 /// JSON files in a folder of labels that are something else.
-const OTHER_FILES: [&str; 3] = [Classes::FILE, "label.json", MapGeometry::FILE];
+pub(crate) const OTHER_FILES: [&str; 3] = [Classes::FILE, "label.json", MapGeometry::FILE];
 /// The file of CVAT's own export.
 const CVAT_FILE: &str = "annotations.xml";
 /// The folder of the file of COCO in exports.
