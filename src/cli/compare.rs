@@ -96,7 +96,7 @@ impl CompareArgs {
             "{}: {cells} cells ({})",
             plan.title, options.device
         ));
-        interrupt::watch();
+        interrupt::watch(interrupt::CHECKPOINT);
         let finished = run(&plan, &options, &device, &mut Bars::default())?;
         let tables = Tables::new(&plan, &finished.cells, &options.command);
         for file in tables.write(&out)? {

@@ -68,7 +68,7 @@ impl FromPhotosArgs {
         if self.segmenter.is_none() {
             self.labelling.expect_none()?;
         }
-        interrupt::watch();
+        interrupt::watch(interrupt::SAME_COMMAND);
         locked(&self.out, || self.make())
     }
 

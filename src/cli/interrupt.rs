@@ -20,15 +20,23 @@ pub fn stopped(how: &str) -> ExitCode {
     ExitCode::from(EXIT)
 }
 
-/// Takes Ctrl-C, and except on Windows SIGTERM and SIGHUP, as a request to stop. Call it once.
-pub fn watch() {
-    let on_signal = || {
+/// What training does on Ctrl-C.
+pub const CHECKPOINT: &str = "after this step or view, with a checkpoint to resume from";
+/// What training after labelling does.
+pub const PHOTO_OR_STEP: &str = "after this photo, step or view; how to go on is printed then";
+/// What commands without checkpoints do: they keep each part that is done.
+pub const SAME_COMMAND: &str = "after this part; the same command goes on from there";
+
+/// Takes Ctrl-C, and except on Windows SIGTERM and SIGHUP, as a request to stop; `how` says when the command stops and what goes on.
+/// Call it once.
+pub fn watch(how: &'static str) {
+    let on_signal = move || {
         if STOP_REQUESTED.swap(true, Ordering::Relaxed) {
             std::process::exit(EXIT.into());
         }
-        terminal::note(
-            "stopping after this step or view, with a checkpoint to resume from; press Ctrl-C again to stop at once",
-        );
+        terminal::note(&format!(
+            "stopping {how}; press Ctrl-C again to stop at once"
+        ));
     };
     keeping_nohup(|| {
         if let Err(error) = ctrlc::set_handler(on_signal) {

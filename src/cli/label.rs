@@ -115,7 +115,7 @@ impl LabelArgs {
     pub fn run(self) -> Result<()> {
         let config = self.settings.load(Some(&self.data))?;
         let options = LoadOptions::from(&config);
-        interrupt::watch();
+        interrupt::watch(interrupt::SAME_COMMAND);
         let scene = (self.data.as_path(), &options);
         let best = usize::from(self.best);
         let done = self.segmenter.label(scene, &self.model, best, &self.out)?;

@@ -128,7 +128,7 @@ impl TrainArgs {
     /// Trains as a rank other than the first, which reads the options, writes the files and prints.
     fn follow(self) -> Result<ExitCode> {
         let device = self.backend.open()?;
-        interrupt::watch();
+        interrupt::watch(interrupt::CHECKPOINT);
         match follow(&device, &mut Following) {
             // `mpirun` ends all ranks once one fails, and the first has yet to say how to continue the run.
             Ok(()) | Err(Error::Stopped) => Ok(ExitCode::SUCCESS),
@@ -148,7 +148,10 @@ impl TrainArgs {
             scene_name(&config),
             run.path().display()
         ));
-        interrupt::watch();
+        interrupt::watch(match self.segmenter {
+            Some(_) => interrupt::PHOTO_OR_STEP,
+            None => interrupt::CHECKPOINT,
+        });
         self.label(run, &mut config)?;
         if let Some(edits) = &self.corrections {
             let count = correct(run, edits, &config)?;

@@ -63,6 +63,7 @@ pub fn load(dir: &Path, options: &LoadOptions) -> Result<Scene> {
         tracing::warn!("{fault}");
     }
     let (scene, turned) = listing.load(dir, options)?;
+    listing.raw.unmatched_classes().iter().for_each(warn);
     notices::turned(listing.frames.iter().zip(turned))
         .iter()
         .for_each(warn);

@@ -12,7 +12,7 @@ use crate::data::formats::layout;
 use crate::data::formats::listing::Listing;
 use crate::data::labels::scores;
 use crate::data::photos::image_file::ImageFile;
-use crate::data::{LoadOptions, MapGeometry, check_outputs};
+use crate::data::{Classes, LoadOptions, MapGeometry, check_outputs};
 use crate::error::Result;
 use crate::progress::{Progress, Viewing};
 use rayon::prelude::*;
@@ -115,7 +115,7 @@ pub fn label_scene(job: &Job<'_>, progress: &mut dyn Progress) -> Result<Labelle
         classes.entries.retain(|class| ids.contains(&class.id));
     }
     let table = classes.text_with_unseen(&unseen).into_bytes();
-    index.write(&[("classes.json".to_owned(), table)])?;
+    index.write(&[(Classes::FILE.to_owned(), table)])?;
     Ok(Labelled {
         photos: listing.frames.len(),
         cached,

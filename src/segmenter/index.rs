@@ -1,14 +1,13 @@
 //! `label.json` in a folder of labels: which files `coseg label` wrote there, and what from.
 
+use crate::data::Classes;
+use crate::data::labels::raw::INDEX_FILE as FILE;
 use crate::error::{Result, bail};
 use crate::files::{self, atomic, own};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-
-/// The name of the file.
-pub(super) const FILE: &str = "label.json";
 
 /// What a folder of labels holds.
 #[derive(Debug)]
@@ -155,9 +154,16 @@ impl Index {
         ids: BTreeSet<u16>,
         files: &[(String, Vec<u8>)],
     ) -> Result<()> {
+        self.remove_table()?;
         let entry = Entry { key, classes, ids };
         self.content.photos.insert(view.to_owned(), entry);
         self.write(files)
+    }
+
+    /// Removes the class table, which is not of all labels again before the last photo is labelled: a folder without one is unfinished.
+    fn remove_table(&self) -> Result<()> {
+        self.check_own(Classes::FILE)?;
+        atomic::remove(self.folder.join(Classes::FILE))
     }
 
     /// The ids that occur in the label maps.

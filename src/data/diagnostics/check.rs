@@ -68,6 +68,7 @@ fn check_listing(listing: &Listing, options: &LoadOptions, problems: &mut Proble
         void.as_ref()
             .filter(|void| !void.are_all)
             .map(|void| void.notice()),
+        listing.raw.unmatched_classes(),
     ];
     let mut notices: Vec<String> = notices.into_iter().flatten().collect();
     let nothing = void.filter(|void| void.are_all);

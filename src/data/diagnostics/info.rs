@@ -120,7 +120,8 @@ pub fn info(dir: &Path, options: &LoadOptions) -> Result<Info> {
     let read = |frame| FrameInfo::new(&listing, frame, options);
     let frames = in_order(listing.frames.par_iter().map(read))?;
     let no_file = listing.no_label_file.as_ref().map(ToString::to_string);
-    listing.notices.extend(no_file);
+    let notices = no_file.into_iter().chain(listing.raw.unmatched_classes());
+    listing.notices.extend(notices);
     let mut sizes = BTreeMap::new();
     for frame in &frames {
         *sizes.entry(frame.size).or_insert(0) += 1;

@@ -1,7 +1,8 @@
 //! Class tables, their colours, label maps on disk, atomic files.
 
-use crate::support::raw_labels::folder;
-use coseg::data::{Classes, LabelMap, LoadOptions, check};
+use crate::support::plates::{HEIGHT, WIDTH};
+use crate::support::raw_labels::{folder, options};
+use coseg::data::{Classes, LabelMap, LoadOptions, check, info};
 use coseg::files::atomic;
 use std::fs;
 use std::io::Write;
@@ -125,6 +126,59 @@ fn a_failed_write_leaves_the_old_file() {
     atomic::write_bytes(&path, b"new").expect("write");
     assert_eq!(fs::read(&path).expect("read"), b"new");
     assert!(atomic::write_bytes(dir.path().join(".."), b"").is_err());
+}
+
+#[test]
+fn classes_that_the_scene_lacks_are_told_with_their_shares() {
+    let folder = folder();
+    let dir = folder.path();
+    let maps = dir.join("own");
+    let names = [
+        (1, "green"),
+        (2, "lamp"),
+        (3, "rug"),
+        (4, "bed"),
+        (5, "sink"),
+        (6, "wall"),
+    ];
+    let table = Classes::from_names(0, names);
+    table.write(&maps.join("classes.json")).expect("write");
+    // Of four parts of a map one is rug; lamp has a tenth, bed a twentieth of all pixels.
+    let id = |i: usize| match i % 20 {
+        0..5 => 3,
+        5..7 => 2,
+        7 => 4,
+        _ => 1,
+    };
+    let map = LabelMap {
+        width: WIDTH,
+        height: HEIGHT,
+        ids: (0..WIDTH * HEIGHT).map(id).collect(),
+    };
+    for i in 0..6 {
+        map.write(&maps.join(format!("v{i}.png"))).expect("write");
+    }
+    let shares = "2 of the 6 classes of";
+    let listed = "pixels of the others (40.0 % of all) are unlabelled: rug 25.0 %, lamp 10.0 %, bed 5.0 % and 1 more; ";
+    let one = |notices: &[String], help: &str| {
+        let told = notices
+            .iter()
+            .filter(|n| n.contains(shares) && n.contains(listed));
+        let told: Vec<_> = told.collect();
+        assert!(told.len() == 1 && told[0].ends_with(help), "{notices:?}");
+    };
+    for (index, help) in [
+        (false, "add them to classes.json"),
+        (true, "with --classes FILE.toml (`coseg label`)"),
+    ] {
+        if index {
+            fs::write(maps.join("label.json"), r#"{"made_from": {}}"#).expect("write");
+        }
+        let checked = check(dir, &options("own"));
+        assert!(checked.problems.is_empty(), "{checked:?}");
+        one(&checked.notices, help);
+        one(&info(dir, &options("own")).expect("info").notices, help);
+    }
 }
 
 #[test]

@@ -1,7 +1,7 @@
-//! Ctrl-C and other signals while `coseg train` runs.
+//! Ctrl-C and other signals while `coseg train` or `coseg label` runs.
 
 use crate::support::plates::scene;
-use crate::support::program::{succeeds, utf8};
+use crate::support::program::{fails, succeeds, utf8};
 use std::ffi::OsStr;
 #[cfg(target_os = "linux")]
 use std::fs::File;
@@ -100,7 +100,7 @@ fn long(data: &Path, run: &Path) -> Vec<String> {
 }
 
 #[test]
-fn a_run_that_is_interrupted_while_photos_are_labelled_is_no_error() {
+fn labelling_that_is_interrupted_is_no_error_and_its_labels_are_not_read() {
     let Some(shared) = crate::support::shared_dir() else {
         return;
     };
@@ -108,25 +108,46 @@ fn a_run_that_is_interrupted_while_photos_are_labelled_is_no_error() {
     let run = folder.path().join("run");
     let data = shared.join("data/house_kitchen");
     let model = shared.join("weights/deeplab_ade20k/deeplab_mnv2_ade20k.onnx");
-    let arguments = ["train", "--data", utf8(&data), "--segmenter", utf8(&model)];
-    let mut running = Running::coseg(&[&arguments[..], &["--out", utf8(&run)]].concat());
+    let labels = folder.path().join("labels");
+    let [data, model] = [utf8(&data), utf8(&model)];
+    let train = ["train", "--data", data, "--segmenter", model, "--out"];
+    let label = ["label", "--data", data, "--model", model, "--out"];
     let is_map = |path: &Path| path.extension().is_some_and(|e| e == "png");
-    let labelled = || {
-        let files = std::fs::read_dir(run.join("labels")).into_iter().flatten();
-        files.flatten().any(|file| is_map(&file.path()))
-    };
-    let clock = std::time::Instant::now();
-    while !labelled() {
-        assert!(clock.elapsed() < std::time::Duration::from_secs(120));
-        std::thread::sleep(std::time::Duration::from_millis(50));
+    for (command, out, labels, goes_on) in [
+        (train, &run, run.join("labels"), "how to go on is printed"),
+        (label, &labels, labels.clone(), "the same command goes on"),
+    ] {
+        let mut running = Running::coseg(&[&command[..], &[utf8(out)]].concat());
+        let labelled = || {
+            let files = std::fs::read_dir(&labels).into_iter().flatten();
+            files.flatten().any(|file| is_map(&file.path()))
+        };
+        let clock = std::time::Instant::now();
+        while !labelled() {
+            assert!(clock.elapsed() < std::time::Duration::from_secs(120));
+            std::thread::sleep(std::time::Duration::from_millis(50));
+        }
+        running.send("-INT");
+        let (code, said) = running.end();
+        assert_eq!(code, Some(130), "{said}");
+        assert!(
+            said.ends_with("stopped; the same command continues"),
+            "{said}"
+        );
+        assert!(
+            said.contains(goes_on) && !said.contains("checkpoint"),
+            "{said}"
+        );
+        let set = format!("data.raw_labels={}", utf8(&labels));
+        let message = fails(&["data", "check", data, "--set", &set], 1);
+        for part in [
+            "labelling was stopped",
+            "same `coseg label` command again",
+            "1 problem",
+        ] {
+            assert!(message.contains(part), "{part}: {message}");
+        }
     }
-    running.send("-INT");
-    let (code, said) = running.end();
-    assert_eq!(code, Some(130), "{said}");
-    assert!(
-        said.ends_with("stopped; the same command continues"),
-        "{said}"
-    );
 }
 
 #[test]

@@ -1,7 +1,9 @@
-//! What no command writes into: folders of photos, and labels that others made.
+//! What no command writes into: folders of photos, and labels that others made. What is not read: labels that are not finished.
 
+use super::label::arguments;
 use crate::support::onnx::plates;
-use crate::support::program::{fails, utf8};
+use crate::support::program::{fails, succeeds, utf8};
+use crate::support::raw_labels::{options, refused};
 use crate::support::snapshot::snapshot;
 
 #[test]
@@ -79,4 +81,50 @@ fn no_command_writes_into_a_scene() {
         1,
     );
     assert!(message.contains("did not write"), "{message}");
+}
+
+#[test]
+fn labels_that_are_not_finished_are_not_read() {
+    let (folder, dir, model) = plates();
+    let out = folder.path().join("labels");
+    let options = options(utf8(&out));
+    let mine = folder.path().join("mine.toml");
+    let label = [
+        &arguments(&dir, &model, &out)[..],
+        &["--classes", utf8(&mine)],
+    ]
+    .concat();
+    let classes = "[classes]\nred = [\"crimson\"]\n";
+    std::fs::write(&mine, format!("{classes}green = [\"lime\"]\n")).expect("write");
+    succeeds(&label);
+    let table = out.join("classes.json");
+    let parts = ["label.json", "labelling was stopped", "command again"];
+    // The ids of the maps are then those of the scene's table, or of none.
+    for scene_table in [true, false] {
+        if !scene_table {
+            std::fs::remove_file(dir.join("classes.json")).expect("removed");
+            let file = dir.join("transforms.json");
+            let text = std::fs::read_to_string(&file).expect("read");
+            let text = text.replace("label_path", "other_path");
+            std::fs::write(&file, text).expect("write");
+        }
+        let hidden = folder.path().join("hidden.json");
+        std::fs::rename(&table, &hidden).expect("rename");
+        refused(&dir, &options, &parts);
+        std::fs::rename(&hidden, &table).expect("rename");
+        coseg::data::load(&dir, &options).expect("a scene");
+    }
+    // Labelling in other classes, of which a photo cannot be read.
+    std::fs::write(&mine, classes).expect("write");
+    let photo = dir.join("images/v5.png");
+    let bytes = std::fs::read(&photo).expect("read");
+    std::fs::write(&photo, &bytes[..bytes.len() / 2]).expect("write");
+    // As many photos are labelled side by side as there are processors.
+    for _ in 0..2 {
+        fails(&label, 1);
+    }
+    assert!(!table.exists(), "maps of both classes");
+    std::fs::write(&photo, &bytes).expect("write");
+    succeeds(&label);
+    coseg::data::load(&dir, &options).expect("a scene");
 }

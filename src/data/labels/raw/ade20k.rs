@@ -1,7 +1,7 @@
 //! PNG in the colours of ADE20K, RGB or indexed, as demonstrations of mmsegmentation and Mask2Former draw them. Class ids
 //! are ADE20K's own, 1 to 150; black is unlabelled.
 
-use super::{RawMap, Vocabulary};
+use super::{RawMap, Unmatched, Vocabulary};
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap, Segment};
 use crate::error::{Result, bail};
@@ -44,11 +44,13 @@ pub(super) fn vocabulary(file: &Path, classes: &Classes) -> Result<Vocabulary> {
 }
 
 /// The map in class ids of the scene, which are `class_ids` by class index. All its segments are stuff: it tells no things apart.
+/// Its pixels are counted in `unmatched`.
 pub(super) fn decode(
     path: &Path,
     file: &ImageFile,
     class_ids: &[Option<u16>],
     ignore: u16,
+    unmatched: Option<&Unmatched>,
 ) -> Result<RawMap> {
     if !matches!(file.png_color(), Some((_, 2 | 3 | 6))) {
         let found = file.png_color().map_or("JPEG", |_| "a grey PNG");
@@ -58,6 +60,7 @@ pub(super) fn decode(
     }
     let (width, height) = file.size;
     let mut ids = Vec::with_capacity(width * height);
+    let mut pixels = vec![0; class_ids.len()];
     for (i, pixel) in file.decode_rgb()?.pixels().enumerate() {
         let class = COLORS.get(&pixel.0);
         if class.is_none() && pixel.0 != BLACK {
@@ -65,7 +68,13 @@ pub(super) fn decode(
                 expected "one of the 150 colours of ADE20K, or black for unlabelled";
                 help "save the map without blending it over the photo, and as PNG");
         }
+        if let Some(&class) = class {
+            pixels[class] += 1;
+        }
         ids.push(class.and_then(|&class| class_ids[class]).unwrap_or(ignore));
+    }
+    if let Some(unmatched) = unmatched {
+        unmatched.count(&pixels, ids.len());
     }
     let map = LabelMap { width, height, ids };
     let stuff = |&id| Segment {

@@ -11,9 +11,11 @@ mod own_classes;
 mod runs;
 mod shape_file;
 mod shape_labels;
+mod vocabulary;
 
 use self::drawing::Drawing;
-pub(crate) use self::shape_file::{OTHER_FILES, ShapeFile};
+pub(crate) use self::shape_file::{INDEX_FILE, OTHER_FILES, ShapeFile};
+use self::vocabulary::{Unmatched, Vocabulary};
 use super::label_map::expect_file;
 use crate::config::{Association, RawFormat};
 use crate::data::labels::scores::ScoreIds;
@@ -24,6 +26,11 @@ use crate::files;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// Help for classes that the scene lacks: of labels that `coseg label` wrote, and of others.
+const MAP_CLASSES: &str =
+    "map them to classes of the scene with --classes FILE.toml (`coseg label`)";
+const ADD_CLASSES: &str = "correct the names, or add them to classes.json";
 
 /// Help for unknown ids that may be no classes.
 const SEGMENTS_HELP: &str = "; where ids mean something in their view alone (instance masks), \
@@ -37,6 +44,8 @@ pub(crate) struct RawLabels {
     pub are_segments: bool,
     /// The ids of scores that may lie beside the maps; `None` where maps of this kind have no scores.
     pub score_ids: Option<Arc<ScoreIds>>,
+    /// Classes that the scene lacks.
+    unmatched: Option<Arc<Unmatched>>,
 }
 
 #[derive(Default)]
@@ -74,60 +83,6 @@ pub(crate) struct RawMap {
     pub segments: Vec<Segment>,
 }
 
-/// How a segmenter's own classes become those of the scene.
-#[derive(Clone)]
-pub(crate) struct Vocabulary {
-    /// The class table of the scene.
-    pub classes: Classes,
-    /// Class id of each of the segmenter's classes, in its order.
-    ids: Vec<Option<u16>>,
-    /// What is left out.
-    pub notice: Option<String>,
-}
-
-impl Vocabulary {
-    /// Matches the segmenter's classes `names` to the table `classes` by name. An empty table is replaced by the segmenter's, with
-    /// the ids that come with the names.
-    ///
-    /// # Errors
-    /// No name is in the table.
-    fn new<'a>(
-        file: &Path,
-        classes: &Classes,
-        names: impl IntoIterator<Item = (u16, &'a str)>,
-    ) -> Result<Self> {
-        let names: Vec<(u16, &str)> = names.into_iter().collect();
-        if classes.is_empty() {
-            return Ok(Self {
-                ids: names.iter().map(|(id, _)| Some(*id)).collect(),
-                classes: Classes::from_names(0, names),
-                notice: None,
-            });
-        }
-        let ids: Vec<Option<u16>> = names.iter().map(|(_, name)| classes.id_of(name)).collect();
-        let found = ids.iter().flatten().count();
-        let all = names.len();
-        if found == 0 {
-            let listed: Vec<_> = names.iter().take(5).map(|(_, name)| *name).collect();
-            bail!(file, "categories"; found "{} ..", listed.join(", ");
-                expected "names of the class table, such as {}", classes.entries[0].name;
-                help "rename the classes of classes.json, or remove it if there are no true labels");
-        }
-        let others = names.iter().zip(&ids).filter(|(_, id)| id.is_none());
-        let others: Vec<&str> = others.map(|((_, name), _)| *name).collect();
-        let notice = format!(
-            "{found} of the {all} classes of {} are in the class table by name; pixels of the others are unlabelled: {}",
-            file.display(),
-            crate::data::first_names(&others)
-        );
-        Ok(Self {
-            classes: classes.clone(),
-            ids,
-            notice: (found < all).then_some(notice),
-        })
-    }
-}
-
 /// Whether the raw labels `files` require a class table: all but those that bring their own or have none. Returns the text to
 /// add to the help if the table is missing.
 pub(crate) fn requires_classes(
@@ -135,7 +90,10 @@ pub(crate) fn requires_classes(
     options: &LoadOptions,
     files: &[RawFile],
 ) -> Option<&'static str> {
-    let is_named = own_classes::table(dir, &folder(dir, options, files.first()?.path)).is_some();
+    let maps = folder(dir, options, files.first()?.path);
+    // Where labelling was stopped, that is what is reported.
+    let is_named =
+        own_classes::table(dir, &maps).is_some() || own_classes::unfinished_index(&maps).is_some();
     let is_grey = options.association == Association::None
         && format_of(dir, options, files) == RawFormat::Grey;
     (is_grey && !is_named).then_some(SEGMENTS_HELP)
@@ -207,13 +165,17 @@ impl RawLabels {
         let folder = || folder(dir, options, first);
         let drawn = |(drawings, vocabulary)| (Source::Drawn(drawings), Some(vocabulary));
         let (source, vocabulary) = match format_of(dir, options, files) {
-            RawFormat::Auto | RawFormat::Grey => match own_classes::table(dir, &folder()) {
-                Some(file) if !are_segments => {
-                    let (own, vocabulary) = own_classes::OwnClasses::read(&file, classes)?;
-                    (Source::Named(own), Some(vocabulary))
+            RawFormat::Auto | RawFormat::Grey if are_segments => (Source::Grey, None),
+            RawFormat::Auto | RawFormat::Grey => {
+                own_classes::expect_finished(&folder())?;
+                match own_classes::table(dir, &folder()) {
+                    Some(file) => {
+                        let (own, vocabulary) = own_classes::OwnClasses::read(&file, classes)?;
+                        (Source::Named(own), Some(vocabulary))
+                    }
+                    None => (Source::Grey, None),
                 }
-                _ => (Source::Grey, None),
-            },
+            }
             RawFormat::CocoPanoptic => {
                 let (panoptic, vocabulary) = coco_panoptic::Panoptic::read(&folder(), classes)?;
                 (Source::Coco(panoptic), Some(vocabulary))
@@ -240,6 +202,7 @@ impl RawLabels {
             source,
             are_segments,
             score_ids: score_ids.filter(|_| !are_segments).map(Arc::new),
+            unmatched: vocabulary.as_ref().and_then(|v| v.unmatched.clone()),
         };
         Ok((raw, vocabulary))
     }
@@ -250,6 +213,15 @@ impl RawLabels {
             Source::Drawn(drawings) => Some(drawings),
             _ => None,
         }
+    }
+
+    /// A notice on the classes that the scene lacks, with their shares of the maps that were read.
+    pub fn unmatched_classes(&self) -> Option<String> {
+        let help = match &self.source {
+            Source::Named(own) if own.is_by_label => MAP_CLASSES,
+            _ => ADD_CLASSES,
+        };
+        self.unmatched.as_ref().map(|classes| classes.notice(help))
     }
 
     /// Reads `raw`, whose photo has the size `photo`; `check_size` refuses files of the wrong size.
@@ -274,7 +246,10 @@ impl RawLabels {
         check_size(&file)?;
         match &self.source {
             Source::Coco(panoptic) => panoptic.decode(path, &file).map(in_classes),
-            Source::Ade20k(ids) => ade20k::decode(path, &file, ids, classes.ignore).map(in_classes),
+            Source::Ade20k(ids) => {
+                let unmatched = self.unmatched.as_deref();
+                ade20k::decode(path, &file, ids, classes.ignore, unmatched).map(in_classes)
+            }
             Source::Named(own) => own.decode(path, &file, classes.ignore).map(RawMap::from),
             Source::Grey | Source::Masks | Source::Drawn(_) => {
                 let mut map = LabelMap::decode(path, &file)?;

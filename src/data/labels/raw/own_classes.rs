@@ -1,12 +1,13 @@
 //! Grey maps whose ids are those of a class table beside them, as `coseg label` writes both.
 
-use super::Vocabulary;
+use super::{INDEX_FILE, Unmatched, Vocabulary};
 use crate::data::labels::scores::ScoreIds;
 use crate::data::photos::image_file::ImageFile;
 use crate::data::{Classes, LabelMap};
-use crate::error::{Result, ensure};
+use crate::error::{Result, bail, ensure};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// The class table of a folder of maps, where it has one of its own. The maps of the scene folder `dir` itself are in the
 /// scene's table.
@@ -16,6 +17,29 @@ pub(super) fn table(dir: &Path, maps: &Path) -> Option<PathBuf> {
     (file.is_file() && !is_scene()).then_some(file)
 }
 
+/// The index of a folder that `coseg label` began and did not finish: it writes the class table last.
+pub(super) fn unfinished_index(maps: &Path) -> Option<PathBuf> {
+    index(maps).filter(|_| !maps.join(Classes::FILE).is_file())
+}
+
+/// The index of a folder that `coseg label` wrote.
+fn index(maps: &Path) -> Option<PathBuf> {
+    let file = maps.join(INDEX_FILE);
+    let is_index = |text: String| text.contains("\"made_from\"");
+    let is_ours = file.is_file() && crate::files::text(&file).is_ok_and(is_index);
+    is_ours.then_some(file)
+}
+
+/// Refuses a folder that `coseg label` did not finish: its ids would be taken for those of the scene.
+pub(super) fn expect_finished(maps: &Path) -> Result<()> {
+    if let Some(index) = unfinished_index(maps) {
+        bail!(index, "{}", Classes::FILE; found "no such file beside it: labelling was stopped";
+            expected "the class table, which `coseg label` writes when all photos are labelled";
+            help "give the same `coseg label` command again: it goes on");
+    }
+    Ok(())
+}
+
 /// The table of the maps, next to the scene's.
 pub(super) struct OwnClasses {
     classes: Classes,
@@ -23,6 +47,10 @@ pub(super) struct OwnClasses {
     ids: HashMap<u16, u16>,
     /// Ids of classes that only scores name.
     unseen: Vec<u16>,
+    /// The classes that the scene does not have.
+    unmatched: Option<Arc<Unmatched>>,
+    /// Whether `coseg label` wrote the maps.
+    pub is_by_label: bool,
 }
 
 impl OwnClasses {
@@ -47,6 +75,8 @@ impl OwnClasses {
             classes: own,
             ids,
             unseen: Classes::read_unseen(file)?,
+            unmatched: vocabulary.unmatched.clone(),
+            is_by_label: file.parent().and_then(index).is_some(),
         };
         Ok((own, vocabulary))
     }
@@ -63,9 +93,22 @@ impl OwnClasses {
     pub fn decode(&self, path: &Path, file: &ImageFile, unlabelled: u16) -> Result<LabelMap> {
         let mut map = LabelMap::decode(path, file)?;
         map.check_ids(path, &self.classes, "")?;
+        self.count(&map);
         for id in &mut map.ids {
             *id = self.ids.get(id).copied().unwrap_or(unlabelled);
         }
         Ok(map)
+    }
+
+    /// Counts the pixels of each class, where some are not in the scene.
+    fn count(&self, map: &LabelMap) {
+        let Some(unmatched) = &self.unmatched else {
+            return;
+        };
+        let mut of_ids = vec![0; 1 << 16];
+        map.ids.iter().for_each(|&id| of_ids[usize::from(id)] += 1);
+        let classes = self.classes.entries.iter();
+        let pixels: Vec<u64> = classes.map(|class| of_ids[usize::from(class.id)]).collect();
+        unmatched.count(&pixels, map.ids.len());
     }
 }

@@ -12,8 +12,10 @@ use serde::de::IgnoredAny;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
+/// The index of a folder that `coseg label` writes.
+pub(crate) const INDEX_FILE: &str = "label.json";
 /// JSON files in a folder of labels that are something else.
-pub(crate) const OTHER_FILES: [&str; 3] = [Classes::FILE, "label.json", MapGeometry::FILE];
+pub(crate) const OTHER_FILES: [&str; 3] = [Classes::FILE, INDEX_FILE, MapGeometry::FILE];
 /// The file of CVAT's own export.
 const CVAT_FILE: &str = "annotations.xml";
 /// The folder of the file of COCO in exports.
@@ -103,7 +105,7 @@ fn has_instances(path: &Path) -> bool {
 }
 
 /// The drawings on those images in the file at `path` that are photos of `frames`, by the names of these. `drawn` has each with the
-/// file name of its image. The notice of `vocabulary` gets a sentence on other images.
+/// file name of its image. The notice of `vocabulary` becomes a sentence on other images.
 ///
 /// # Errors
 /// No image is a photo of the scene, or two are the same one.
@@ -132,11 +134,9 @@ pub(super) fn drawings<'a>(
         help "give images the file names of the photos");
     if count > 0 {
         let file = path.display();
-        let other =
-            format!("{count} labelled images of {file} are not photos of the scene: {first}");
-        let notice = vocabulary.notice.take();
-        vocabulary.notice =
-            Some(notice.map_or(other.clone(), |notice| format!("{notice}; {other}")));
+        vocabulary.notice = Some(format!(
+            "{count} labelled images of {file} are not photos of the scene: {first}"
+        ));
     }
     Ok(drawings)
 }
