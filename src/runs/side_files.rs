@@ -102,7 +102,7 @@ impl SideFiles<'_> {
     /// stay, but for used ones.
     ///
     /// # Errors
-    /// As [`write_classes`].
+    /// As [`Classes::read`]; [`crate::Error::Io`].
     pub fn write(&self) -> Result<()> {
         let Some((table, views)) = self.file(CLASSES).zip(self.file(CAMERAS)) else {
             return Ok(());
