@@ -134,13 +134,11 @@ impl Renderer {
         let (width, height) = (camera.width, camera.height);
         let labels = labels.map(|mut ids| {
             let least = self.options.min_coverage;
-            let is_uncovered = |alpha: f32| alpha < least || alpha == 0.0;
-            for (id, _) in ids
-                .iter_mut()
-                .zip(&alpha)
-                .filter(|(_, a)| is_uncovered(**a))
-            {
-                *id = self.options.unlabelled;
+            for (id, &alpha) in ids.iter_mut().zip(&alpha) {
+                // The rasterizer has no other label than 0 for pixels that nothing covers.
+                if alpha < least || alpha == 0.0 && *id == 0 {
+                    *id = self.options.unlabelled;
+                }
             }
             LabelMap { width, height, ids }
         });
