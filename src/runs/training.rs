@@ -72,7 +72,8 @@ impl RunOptions {
 
 /// Refuses `scene`, which comes without a scene folder, unless a run on the built-in room wrote it.
 fn expect_built_in(scene: &Path) -> Result<()> {
-    let config = Config::rendering_of(&scene_path(scene)?.with_file_name(CONFIG));
+    let file = scene_path(scene)?.with_file_name(CONFIG);
+    let config = Config::load(Some(&file), &[]);
     ensure!(config.is_ok_and(|config| config.data.dir.is_none()),
         argument "--scene"; found "Gaussians without a scene folder";
         expected "the photos that they show and their label maps"; help "add --data DIR");

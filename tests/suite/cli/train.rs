@@ -1,9 +1,11 @@
 //! `coseg train`: the run folder, and what is refused before anything is begun.
 
+use crate::support::assert_names;
 use crate::support::plates::scene;
 use crate::support::program::{fails, read_json, succeeds, utf8, warnings};
 use crate::support::short_runs::short_run;
 use crate::support::transforms_json::edit;
+use coseg::runs::RunOptions;
 use std::path::Path;
 
 #[test]
@@ -309,6 +311,21 @@ fn gaussians_without_photos_are_refused() {
         "{message}"
     );
     assert!(!out.exists());
+
+    // Those of a run are no better, unless that run was on the built-in room.
+    let config = scene.with_file_name("config.toml");
+    let open = |content: &str| {
+        std::fs::write(&config, content).unwrap();
+        let options = RunOptions {
+            scene: Some(scene.clone()),
+            out: Some(out.clone()),
+            ..RunOptions::default()
+        };
+        options.open().map(|(_, config)| config.data.dir)
+    };
+    let refused = open("seed = 3\n[data]\ndir = \"elsewhere\"\n").unwrap_err();
+    assert_names(&refused, &["--scene", "add --data DIR"]);
+    assert_eq!(open("seed = 3\n").unwrap(), None);
 }
 
 #[test]
