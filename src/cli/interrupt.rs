@@ -1,4 +1,4 @@
-//! Ctrl-C while a run trains: the first one asks for a checkpoint and the end of the run, the second one ends the program.
+//! Ctrl-C in long commands: the first one asks for an orderly end, the second one ends the program.
 
 use super::terminal;
 use std::process::ExitCode;
@@ -6,6 +6,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Exit code of a run that was stopped, the shells' code for SIGINT.
 const EXIT: u8 = 130;
+
+/// When training stops after Ctrl-C, and what continues it.
+pub const CHECKPOINT: &str = "after this step or view, with a checkpoint to resume from";
+/// The same for training that may still be labelling photos.
+pub const PHOTO_OR_STEP: &str = "after this photo, step or view; how to go on is printed then";
+/// The same for commands without checkpoints. They keep each part that is done.
+pub const SAME_COMMAND: &str = "after this part; the same command goes on from there";
 
 static STOP_REQUESTED: AtomicBool = AtomicBool::new(false);
 
@@ -20,15 +27,8 @@ pub fn stopped(how: &str) -> ExitCode {
     ExitCode::from(EXIT)
 }
 
-/// What training does on Ctrl-C.
-pub const CHECKPOINT: &str = "after this step or view, with a checkpoint to resume from";
-/// What training after labelling does.
-pub const PHOTO_OR_STEP: &str = "after this photo, step or view; how to go on is printed then";
-/// What commands without checkpoints do: they keep each part that is done.
-pub const SAME_COMMAND: &str = "after this part; the same command goes on from there";
-
-/// Takes Ctrl-C, and except on Windows SIGTERM and SIGHUP, as a request to stop; `how` says when the command stops and what goes on.
-/// Call it once.
+/// Takes Ctrl-C, and except on Windows SIGTERM and SIGHUP, as a request to stop. `how` says when the command stops and what continues
+/// it. Call this once.
 pub fn watch(how: &'static str) {
     let on_signal = move || {
         if STOP_REQUESTED.swap(true, Ordering::Relaxed) {

@@ -101,7 +101,7 @@ Examples:
 
 No command writes over files that it did not write, except `train --resume` in its run, and `edit`, `select`, `query`,
 `separate` and `export` with --force.
-Exit code: 0 success, 1 an error that says what to do, 2 an option or a value of --set that makes no sense, 130 stopped by Ctrl-C.";
+Exit code: 0 success, 1 an error that says what to do, 2 an invalid option or setting, 130 stopped by Ctrl-C.";
 
 /// The subcommands.
 #[derive(Debug, Subcommand)]
