@@ -223,8 +223,10 @@ fn held_out_drawn_labels(listing: &Listing) -> Option<String> {
 
 /// Training frames whose raw labels have no labelled pixel.
 pub(crate) struct VoidLabels {
-    /// How many of how many, and the first names.
-    which: String,
+    /// How many of how many training frames.
+    count: String,
+    /// The first names.
+    names: String,
     /// Whether these are all that have raw labels: stage two is left out.
     pub are_all: bool,
 }
@@ -233,32 +235,32 @@ pub(crate) struct VoidLabels {
 /// labels, and whether that is the case.
 pub(crate) fn void_raw<'a>(train: impl Iterator<Item = (&'a str, bool)>) -> Option<VoidLabels> {
     let (void, labelled): (Vec<_>, Vec<_>) = train.partition(|(_, void)| *void);
-    let (count, all) = (void.len(), void.len() + labelled.len());
-    let names: Vec<&str> = void.into_iter().map(|(name, _)| name).collect();
-    let which = format!("{count} of {all} training frames");
-    (count > 0).then(|| VoidLabels {
-        which: format!(
-            "{which} are unlabelled in every pixel: {}",
-            first_names(&names)
-        ),
+    let all = void.len() + labelled.len();
+    let names: Vec<&str> = void.iter().map(|(name, _)| *name).collect();
+    (!void.is_empty()).then(|| VoidLabels {
+        count: format!("{} of {all} training frames", void.len()),
+        names: first_names(&names),
         are_all: labelled.is_empty(),
     })
 }
 
 impl VoidLabels {
+    /// A sentence on them.
     pub fn notice(&self) -> String {
-        let which = &self.which;
+        let Self { count, names, .. } = self;
+        let found = format!("raw labels of {count} are unlabelled in every pixel: {names}");
         if self.are_all {
-            format!("raw labels of {which}; {NOTHING_TO_LEARN}: {LOOK_AT_IDS}")
+            format!("{found}; {NOTHING_TO_LEARN}: {LOOK_AT_IDS}")
         } else {
-            format!("raw labels of {which}")
+            found
         }
     }
 
     /// The fault of a scene in which they are all. `file` lists its frames.
     pub fn fault(&self, file: &Path) -> Error {
-        invalid!(file, "raw labels"; found "those of {}", self.which;
-            expected "labelled pixels, as {NOTHING_TO_LEARN}"; help "{LOOK_AT_IDS}")
+        let Self { count, names, .. } = self;
+        invalid!(file, "raw labels"; found "no labelled pixel in {count}: {names}";
+            expected "some labelled pixels: without them {NOTHING_TO_LEARN}"; help "{LOOK_AT_IDS}")
     }
 }
 
