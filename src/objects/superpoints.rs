@@ -5,6 +5,7 @@
 //! most Int(C) + k / |C| for both. Int(C) is the largest weight that merged C so far, and |C| is its size.
 
 use crate::error::Result;
+use crate::ops::SparseMatrix;
 use crate::segmentation::neighbours::{Neighbours, PointIndex};
 use crate::splat::Gaussians;
 use glam::DVec3;
@@ -77,6 +78,24 @@ impl SurfaceGraph {
         self.edges.iter().map(|edge| edge.ends)
     }
 
+    /// The affinity exp(-weight / `decay`) of the two Gaussians of each edge, `[N, N]`, symmetric.
+    pub(super) fn affinities(&self, decay: f32) -> SparseMatrix {
+        let mut rows = vec![Vec::new(); self.normals.len()];
+        for edge in &self.edges {
+            let [a, b] = edge.ends;
+            let affinity = (-edge.weight / decay).exp();
+            rows[a as usize].push((b, affinity));
+            rows[b as usize].push((a, affinity));
+        }
+        let ends = rows.iter().scan(0, |end, row| {
+            *end += row.len() as u32;
+            Some(*end)
+        });
+        let offsets = [0].into_iter().chain(ends).collect();
+        let (columns, values) = rows.iter().flatten().copied().unzip();
+        SparseMatrix::new(rows.len(), offsets, columns, values)
+    }
+
     /// Whether all neighbours of each Gaussian, and theirs, have its label.
     pub fn inside<T: PartialEq>(&self, labels: &[T]) -> Vec<bool> {
         let near = self.alike(labels);
@@ -108,11 +127,6 @@ impl SurfaceGraph {
     /// The fine superpoints alone.
     pub(super) fn fine(&self) -> Superpoints {
         self.superpoints(SCALES[0], LEAST)
-    }
-
-    /// The middle superpoints alone.
-    pub(super) fn middle(&self) -> Superpoints {
-        self.superpoints(SCALES[1], LEAST)
     }
 
     /// The superpoints at `scale`: k of the paper, in edge weight times Gaussians. A larger one gives larger superpoints. Those of
