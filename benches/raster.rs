@@ -1,12 +1,13 @@
 //! Milliseconds of a rendered view, forward and with the backward pass, on any trained scene:
 //! `cargo bench --bench raster -- RUN --gaussians 10000,100000 --json coseg.json --export subject`.
 //!
-//! `--export` writes the Gaussians and cameras for other renderers, see `scripts/bench_gsplat.py`.
+//! `--export` writes the Gaussians and cameras for other renderers, see `scripts/bench_gsplat.py`. `--errors` also compares f32 with f64,
+//! for scenes and pictures that are too large for a test: `--gaussians 2000000 --errors`, `--sizes 4000x3000 --errors`.
 
 #[path = "../src/cli/allocator.rs"]
 mod allocator;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{DType, Device, Tensor, TensorData};
 use clap::Parser;
 use coseg::backend::device;
 use coseg::backend::device::BackendName;
@@ -34,8 +35,9 @@ const CHANNELS: [(&str, bool, usize); 3] = [
     ("RGB + 20 classes", true, LABELS),
     ("64 channels", false, 64),
 ];
-const SIZES: [[usize; 2]; 2] = [[480, 360], [1920, 1080]];
 const VIEWS: usize = 6;
+/// Gradients whose errors are measured.
+const GRADIENTS: [&str; 5] = ["means", "log-scales", "rotations", "opacities", "SH"];
 /// A GPU that was idle needs time to reach its clock.
 const WARM_UP: Duration = Duration::from_secs(1);
 
@@ -46,6 +48,12 @@ struct Arguments {
     /// Numbers of Gaussians [default: that of the scene]
     #[arg(long, value_delimiter = ',')]
     gaussians: Vec<usize>,
+    /// Sizes of the pictures
+    #[arg(long, value_delimiter = ',', default_value = "480x360,1920x1080", value_parser = size)]
+    sizes: Vec<[usize; 2]>,
+    /// Print how far picture and gradients in f32 are from f64
+    #[arg(long)]
+    errors: bool,
     /// Measured passes behind each median
     #[arg(long, default_value_t = 5)]
     repeats: usize,
@@ -86,7 +94,7 @@ fn main() -> Result<()> {
     for &count in &arguments.gaussians {
         let gaussians = resampled(&scene.gaussians, count, 0);
         let mut figures = Figures::new("raster", count);
-        for [width, height] in SIZES {
+        for &[width, height] in &arguments.sizes {
             let cameras: Vec<Camera> = cameras
                 .iter()
                 .map(|camera| camera.with_size(width, height))
@@ -99,7 +107,11 @@ fn main() -> Result<()> {
                 cameras: &cameras,
                 repeats: arguments.repeats,
             };
-            view.measure(&format!("{width}x{height}"), &device, &mut figures)?;
+            let size = format!("{width}x{height}");
+            view.measure(&size, &device, &mut figures)?;
+            if arguments.errors {
+                view.errors(&size, &device, &mut figures)?;
+            }
         }
         println!("\n{}", figures.text());
         all.push(figures);
@@ -109,6 +121,15 @@ fn main() -> Result<()> {
         atomic::write_bytes(path, format!("{json:#}\n").as_bytes())?;
     }
     Ok(())
+}
+
+/// Width and height of `text`, such as `480x360`.
+fn size(text: &str) -> std::result::Result<[usize; 2], String> {
+    let sides = text.split_once('x').map(|(w, h)| (w.parse(), h.parse()));
+    match sides {
+        Some((Ok(width), Ok(height))) if width > 0 && height > 0 => Ok([width, height]),
+        _ => Err("expected WIDTHxHEIGHT".to_owned()),
+    }
 }
 
 /// Writes `gaussians_N.ply` and `cameras_WxH.json`.
@@ -141,7 +162,7 @@ struct View<'a> {
 impl View<'_> {
     fn measure(&self, size: &str, device: &Device, figures: &mut Figures) -> Result<()> {
         for (name, colour, channels) in CHANNELS {
-            let input = self.input(colour, channels, device);
+            let input = self.input(colour, channels, device, DType::F32);
             let forward = self.timed(&input, |output| {
                 Some(output.image.slice([0..1, 0..1, 0..1]))
             });
@@ -156,7 +177,7 @@ impl View<'_> {
                 forward => forward?,
             };
             figures.add(format!("{size}, {name}: forward"), "ms", &forward);
-            let input = self.input(colour, channels, &device.clone().autodiff());
+            let input = self.input(colour, channels, &device.clone().autodiff(), DType::F32);
             let both = self.timed(&input, |output| {
                 let gradient = input.means.grad(&output.image.backward())?;
                 Some(gradient.slice([0..1, 0..1]).unsqueeze())
@@ -215,21 +236,80 @@ impl View<'_> {
         })
     }
 
+    /// How far f32 on `device` is from f64 on the CPU with the same cut-offs, in the first view: the share of colours that differ by
+    /// more than a ten-thousandth of the largest one, and for each gradient of half the squared distance to grey the root mean square
+    /// of the difference over that of the gradient.
+    fn errors(&self, size: &str, device: &Device, figures: &mut Figures) -> Result<()> {
+        let [got, want] = [
+            (device.clone(), DType::F32),
+            (device::open_cpu()?, DType::F64),
+        ]
+        .map(|(device, dtype)| self.pass(&device.autodiff(), dtype));
+        let (got, want) = (got?, want?);
+        let largest = want[0].iter().fold(0.0_f64, |a, v| a.max(v.abs()));
+        let pairs = got[0].iter().zip(&want[0]);
+        let off = pairs.filter(|(a, b)| (*a - *b).abs() > 1e-4 * largest);
+        let share = off.count() as f64 / want[0].len() as f64;
+        figures.add(
+            format!("{size}: colours off by more than 1e-4"),
+            "",
+            &[share],
+        );
+        for (name, (got, want)) in GRADIENTS.iter().zip(got.iter().zip(&want).skip(1)) {
+            let squares = |v: &mut dyn Iterator<Item = f64>| v.map(|v| v * v).sum::<f64>();
+            let difference = squares(&mut got.iter().zip(want).map(|(a, b)| a - b));
+            let size_of = squares(&mut want.iter().copied());
+            let error = (difference / size_of.max(f64::MIN_POSITIVE)).sqrt();
+            figures.add(
+                format!("{size}: error of the gradient of {name}"),
+                "",
+                &[error],
+            );
+        }
+        Ok(())
+    }
+
+    /// The picture of the first camera, and its gradients in the order of [`GRADIENTS`].
+    fn pass(&self, device: &Device, dtype: DType) -> Result<Vec<Vec<f64>>> {
+        let input = self.input(true, 0, device, dtype);
+        let output = rasterize(
+            input.clone(),
+            &self.cameras[0],
+            &Settings::default(),
+            [0.0; 3],
+        )?;
+        let distance = output.image.clone() - 0.5;
+        let gradients = (distance.clone() * distance).sum().backward();
+        Ok(vec![
+            wide(output.image.inner()),
+            wide(input.means.grad(&gradients).expect("tracked")),
+            wide(input.log_scales.grad(&gradients).expect("tracked")),
+            wide(input.rotations.grad(&gradients).expect("tracked")),
+            wide(input.opacity_logits.grad(&gradients).expect("tracked")),
+            wide(
+                input
+                    .sh
+                    .and_then(|sh| sh.grad(&gradients))
+                    .expect("tracked"),
+            ),
+        ])
+    }
+
     /// The Gaussians as tensors, tracked where `device` is for autodiff.
-    fn input(&self, colour: bool, channels: usize, device: &Device) -> RasterInput {
+    fn input(&self, colour: bool, channels: usize, device: &Device, dtype: DType) -> RasterInput {
         let g = self.gaussians;
         let n = g.len();
         let features = (channels > 0).then(|| {
             let mut rng = ChaCha8Rng::seed_from_u64(0);
             let values: Vec<f32> = (0..n * channels).map(|_| rng.random()).collect();
-            leaf(values, [n, channels], device)
+            leaf(values, [n, channels], device, dtype)
         });
         RasterInput {
-            means: leaf(g.means.as_flattened().to_vec(), [n, 3], device),
-            log_scales: leaf(g.log_scales.as_flattened().to_vec(), [n, 3], device),
-            rotations: leaf(g.rotations.as_flattened().to_vec(), [n, 4], device),
-            opacity_logits: leaf(g.opacity_logits.clone(), [n], device),
-            sh: colour.then(|| leaf(g.sh.clone(), [n, g.sh_len(), 3], device)),
+            means: leaf(g.means.as_flattened().to_vec(), [n, 3], device, dtype),
+            log_scales: leaf(g.log_scales.as_flattened().to_vec(), [n, 3], device, dtype),
+            rotations: leaf(g.rotations.as_flattened().to_vec(), [n, 4], device, dtype),
+            opacity_logits: leaf(g.opacity_logits.clone(), [n], device, dtype),
+            sh: colour.then(|| leaf(g.sh.clone(), [n, g.sh_len(), 3], device, dtype)),
             active_sh_degree: g.sh_degree,
             features,
             screen: None,
@@ -263,8 +343,21 @@ impl View<'_> {
     }
 }
 
-fn leaf<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) -> Tensor<D> {
-    let tensor = Tensor::from_data(TensorData::new(values, shape), device);
+fn wide<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
+    tensor
+        .into_data()
+        .convert::<f64>()
+        .into_vec()
+        .expect("floats")
+}
+
+fn leaf<const D: usize>(
+    values: Vec<f32>,
+    shape: [usize; D],
+    device: &Device,
+    dtype: DType,
+) -> Tensor<D> {
+    let tensor = Tensor::from_data(TensorData::new(values, shape), (device, dtype));
     if device.is_autodiff() {
         tensor.require_grad()
     } else {

@@ -1,7 +1,8 @@
 //! f32 against f64 on every backend: pictures and all gradients, on random scenes and on hard cases.
 
-use crate::support::raster_precision::{Channels, RGB, SMOOTH, compare, plain};
+use crate::support::raster_precision::{Channels, RGB, SMOOTH, compare, plain, run};
 use crate::support::raster_reference::{Cloud, camera, cloud, cloud_far_from_cuts};
+use burn::tensor::DType;
 use coseg::raster::Settings;
 use coseg::splat::camera::Camera;
 
@@ -27,7 +28,7 @@ fn scenes_far_from_every_cut_off_agree_without_exception() {
                 features: 2,
             },
         ] {
-            compare("smooth", &scene, channels, &camera, &settings, 0.0);
+            compare("smooth", &scene, channels, &camera, &settings, 1.0);
         }
     }
 }
@@ -48,7 +49,7 @@ fn any_number_of_channels() {
             channels,
             &camera,
             &Settings::default(),
-            0.02,
+            0.98,
         );
     }
 }
@@ -69,7 +70,7 @@ fn images_of_any_size() {
             RGB,
             &camera,
             &Settings::default(),
-            0.02,
+            0.98,
         );
     }
 }
@@ -89,7 +90,18 @@ fn thousands_of_gaussians_in_a_tile() {
         },
         &camera,
         &Settings::default(),
-        0.6,
+        0.4,
+    );
+    // Opaque ones: each pixel ends within a few.
+    let mut opaque = cloud(3_000, 0.05, &camera, 8);
+    opaque.opacity_logits.iter_mut().for_each(|l| *l += 20.0);
+    compare(
+        "opaque",
+        &opaque.rounded(),
+        RGB,
+        &camera,
+        &Settings::default(),
+        0.4,
     );
     compare(
         "dense",
@@ -97,7 +109,7 @@ fn thousands_of_gaussians_in_a_tile() {
         RGB,
         &camera,
         &Settings::default(),
-        0.6,
+        0.4,
     );
 }
 
@@ -173,8 +185,47 @@ fn hard_cases_agree() {
             plain(3),
             &camera,
             &Settings::default(),
-            0.02,
+            0.98,
         );
+    }
+}
+
+#[test]
+fn a_gaussian_on_the_near_plane_is_not_seen() {
+    // Numbers that f32 holds, so that its depth is that of the plane on every backend.
+    let camera = Camera {
+        rotation: glam::DMat3::IDENTITY,
+        center: glam::DVec3::ZERO,
+        ..camera(24, 17)
+    };
+    let settings = Settings {
+        near: 0.015_625,
+        ..Settings::default()
+    };
+    let turn = [0.9, 0.1, -0.3, 0.2];
+    for (what, depth) in [("on the near plane", 0.015_625), ("before it", 0.0)] {
+        let mut scene = Cloud::default();
+        scene.push([0.0, 0.0, depth], [0.01; 3], turn, 1.0);
+        scene.push([0.0, 0.0, 1.0], [0.1, 0.2, 0.05], turn, 1.0);
+        compare(what, &scene.rounded(), plain(3), &camera, &settings, 0.98);
+    }
+}
+
+#[test]
+fn no_gaussians_have_no_gradients() {
+    let camera = camera(24, 17);
+    for (name, device) in crate::support::devices() {
+        for channels in [RGB, plain(5)] {
+            let none = Cloud::default();
+            let settings = Settings::default();
+            let (parts, _) = run(&none, channels, &camera, &settings, &device, DType::F32);
+            let [image, transmittance, gradients @ ..] = &parts[..] else {
+                panic!("{name}: {} parts", parts.len());
+            };
+            assert!(image.iter().all(|v| v.is_finite()), "{name}");
+            assert!(transmittance.iter().all(|&t| t == 1.0), "{name}");
+            assert!(gradients.iter().all(Vec::is_empty), "{name}");
+        }
     }
 }
 
@@ -197,7 +248,7 @@ fn equal_depths_blend_in_the_order_of_the_scene() {
         plain(4),
         &camera,
         &Settings::default(),
-        0.02,
+        0.98,
     );
 }
 
@@ -210,7 +261,7 @@ fn a_far_away_scene_keeps_its_digits() {
         ..near.clone()
     };
     let scene = cloud(60, 0.05, &far, 4).rounded();
-    compare("far", &scene, RGB, &far, &Settings::default(), 0.02);
+    compare("far", &scene, RGB, &far, &Settings::default(), 0.98);
 }
 
 #[test]
@@ -225,7 +276,7 @@ fn a_wide_image_keeps_its_digits() {
             plain(3),
             &camera,
             &Settings::default(),
-            0.02,
+            0.98,
         );
     }
 }

@@ -1,5 +1,6 @@
 //! The rasterizer's numerical contract: one operator in two directions, hard cases, thread counts.
 
+use crate::support::raster_precision::{NAMES, RGB, plain, run};
 use crate::support::raster_reference::{Cloud, all_pixels, camera, cloud, numbers};
 use burn::tensor::{DType, Tensor};
 use coseg::Error;
@@ -72,9 +73,8 @@ fn counts_are_pixel_centres_within_the_radius() {
     }
 }
 
-#[test]
-fn hard_cases_stay_finite() {
-    let camera = camera(47, 33);
+/// Gaussians with hard depths, scales, rotations and opacities in all combinations, and opaque layers at one depth.
+fn hard_cases(camera: &Camera) -> Cloud {
     let forward = camera.rotation.transpose() * glam::DVec3::Z;
     let at = |depth: f64| (camera.center + forward * depth).to_array();
     let turn = [0.9, 0.1, -0.3, 0.2];
@@ -89,9 +89,37 @@ fn hard_cases_stay_finite() {
         }
     }
     for _ in 0..3_000 {
-        c.push(at(2.0), [0.5; 3], turn, 20.0); // opaque layers, all at one depth
+        c.push(at(2.0), [0.5; 3], turn, 20.0);
     }
-    let c = c.rounded();
+    c.rounded()
+}
+
+#[test]
+fn hard_cases_have_finite_gradients() {
+    let camera = camera(47, 33);
+    let c = hard_cases(&camera);
+    for channels in [RGB, plain(64)] {
+        for (name, device) in crate::support::devices() {
+            let (parts, _) = run(
+                &c,
+                channels,
+                &camera,
+                &Settings::default(),
+                &device,
+                DType::F32,
+            );
+            for (part, values) in NAMES.iter().zip(&parts) {
+                assert!(values.iter().all(|v| v.is_finite()), "{name}: {part}");
+            }
+            assert!(parts[1].iter().all(|t| (0.0..=1.0).contains(t)), "{name}");
+        }
+    }
+}
+
+#[test]
+fn hard_cases_stay_finite() {
+    let camera = camera(47, 33);
+    let c = hard_cases(&camera);
     let floats = single(&c);
     let settings = Settings::default();
     let projected = Projected::new(&splats(&floats), &camera, &settings).expect("finite input");

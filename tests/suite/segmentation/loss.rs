@@ -3,7 +3,7 @@
 use crate::support::label_losses::{
     KINDS, example, gradient_error, matrix, plain_device, scalar, waves,
 };
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::{Device, Tensor, TensorData};
 use coseg::config::{self, SegmentationConfig};
 use coseg::segmentation::loss::{CoSegLoss, LabelLoss, NeighbourPairs, neighbour_divergence};
 use coseg::segmentation::neighbours::{PointIndex, without_self};
@@ -110,34 +110,58 @@ fn jensen_shannon_tends_to_cross_entropy_and_to_absolute_error() {
     }
 }
 
+/// Values and gradients of f32 logits `[rows, columns]`.
+fn in_f32(
+    kind: &LabelLoss,
+    logits: &[f32],
+    columns: usize,
+    labels: &[u16],
+    device: &Device,
+) -> Vec<f32> {
+    let data = TensorData::new(logits.to_vec(), [logits.len() / columns, columns]);
+    let x = Tensor::<2>::from_data(data, device).require_grad();
+    let loss = label_loss(x.clone(), labels, kind);
+    let gradients = loss.clone().backward();
+    let gradient = x.grad(&gradients).expect("tracked").into_data();
+    let mut numbers = vec![loss.into_scalar::<f32>()];
+    numbers.extend(gradient.into_vec::<f32>().expect("f32"));
+    numbers
+}
+
 #[test]
 fn hard_logits_stay_finite() {
-    let device = plain_device().autodiff();
-    for kind in KINDS {
-        for logits in [
-            vec![1e4f32, -1e4, 0.0, -1e4, 1e4, 0.0],
-            vec![1e4, 1e4, 1e4, -1e4, -1e4, -1e4],
-            vec![0.0; 6],
-        ] {
-            let x = Tensor::<2>::from_data(TensorData::new(logits.clone(), [2, 3]), &device)
-                .require_grad();
-            let loss = label_loss(x.clone(), &[1, 1], &kind);
-            let gradients = loss.clone().backward();
-            let value = loss.into_scalar::<f32>();
-            assert!(
-                value.is_finite() && value >= 0.0,
-                "{kind:?} {logits:?}: {value}"
-            );
-            let g: Vec<f32> = x
-                .grad(&gradients)
-                .expect("tracked")
-                .into_data()
-                .into_vec()
-                .expect("f32");
-            assert!(
-                g.iter().all(|g| g.is_finite()),
-                "{kind:?} {logits:?}: {g:?}"
-            );
+    let hard = [
+        [1e4f32, -1e4, 0.0, -1e4, 1e4, 0.0],
+        [1e4, 1e4, 1e4, -1e4, -1e4, -1e4],
+        [0.0; 6],
+    ];
+    for (name, device) in crate::support::devices() {
+        let device = device.autodiff();
+        for kind in KINDS {
+            for logits in hard {
+                // The third class is never seen.
+                let numbers = in_f32(&kind, &logits, 3, &[1, 1], &device);
+                let finite = numbers.iter().all(|v| v.is_finite());
+                assert!(
+                    finite && numbers[0] >= 0.0,
+                    "{name}, {kind:?}, {logits:?}: {numbers:?}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn nothing_labelled_costs_nothing_on_any_backend() {
+    for (name, device) in crate::support::devices() {
+        let device = device.autodiff();
+        let logits: Vec<f32> = (0..12).map(|i| (i as f32).sin() * 3.0).collect();
+        for kind in KINDS {
+            for (columns, labels) in [(3, vec![NO_CLASS; 4]), (1, vec![0; 12])] {
+                let numbers = in_f32(&kind, &logits, columns, &labels, &device);
+                let none = numbers.iter().all(|v| v.abs() < 1e-6);
+                assert!(none, "{name}, {kind:?}, {columns} classes: {numbers:?}");
+            }
         }
     }
 }

@@ -111,21 +111,45 @@ pub struct Reference {
     pub transmittance: Vec<f64>,
     /// `(pixel, Gaussian, weight)`, pixel by pixel, front to back.
     pub weights: Vec<(usize, usize, f64)>,
-    /// Smallest relative distance of a pair of each pixel from a cut-off (alpha_min, alpha_max, t_min).
-    pub margins: Vec<f64>,
-    /// Smallest relative distance between the depths of two Gaussians that a pixel blends one after the other, equal ones left
-    /// out.
-    pub depth_gaps: Vec<f64>,
+    /// Decisions of each pixel that rounding may turn.
+    pub doubts: Vec<Vec<Doubt>>,
     /// `3 sqrt(lambda_max)` of each Gaussian in pixels, before it is rounded up; 0 behind the near plane.
     pub reaches: Vec<f64>,
 }
 
 impl Reference {
-    /// The smallest margin.
+    /// The smallest distance of a pair from a cut-off.
     pub fn margin(&self) -> f64 {
-        self.margins.iter().copied().fold(f64::INFINITY, f64::min)
+        let doubts = self.doubts.iter().flatten();
+        let cuts = doubts.filter(|doubt| doubt.kind != Kind::Order);
+        cuts.map(|doubt| doubt.distance)
+            .fold(f64::INFINITY, f64::min)
     }
 }
+
+/// What is decided.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Whether alpha' is below `alpha_min`, or the transmittance at or below `t_min`.
+    Cut,
+    /// Whether alpha' is capped. The picture does not jump there, only its gradient does.
+    Cap,
+    /// Which of two Gaussians that a pixel blends one after the other, at unequal depths, comes first.
+    Order,
+}
+
+/// A decision that a pixel takes while it blends.
+#[derive(Clone, Copy, Debug)]
+pub struct Doubt {
+    pub kind: Kind,
+    /// Relative distance from the other decision.
+    pub distance: f64,
+    /// How much of a colour the pixel gains or loses by it at most.
+    pub jump: f64,
+}
+
+/// Decisions farther than this from the other one are not kept.
+const DOUBTFUL: f64 = 0.02;
 
 /// Renders `values` `[N, channels]`.
 pub fn render(
@@ -219,8 +243,7 @@ pub fn render_shifted(
         image: vec![0.0; pixels * channels],
         transmittance: vec![1.0; pixels],
         weights: Vec::new(),
-        margins: vec![f64::INFINITY; pixels],
-        depth_gaps: vec![f64::INFINITY; pixels],
+        doubts: vec![Vec::new(); pixels],
         reaches,
     };
     for pixel in 0..pixels {
@@ -229,30 +252,36 @@ pub fn render_shifted(
             (pixel / camera.width) as f64 + 0.5,
         );
         let mut t = 1.0;
-        let mut depth = 0.0;
+        // Depth and weight of the Gaussian that was blended last.
+        let mut last: Option<(f64, f64)> = None;
         for g in &flat {
             let (dx, dy) = (px - g.mean[0], py - g.mean[1]);
             let power = -0.5
                 * (g.inverse[0] * dx * dx + 2.0 * g.inverse[1] * dx * dy + g.inverse[2] * dy * dy);
             let raw = g.opacity * power.exp();
             let alpha = raw.min(s.alpha_max);
-            let margin = &mut out.margins[pixel];
-            let mut near = |x: f64, cut: f64| {
-                if cut > 0.0 {
-                    *margin = margin.min((x - cut).abs() / cut);
+            let mut decide = |kind: Kind, x: f64, cut: f64, jump: f64| {
+                let distance = (x - cut).abs() / cut;
+                if cut > 0.0 && distance < DOUBTFUL {
+                    out.doubts[pixel].push(Doubt {
+                        kind,
+                        distance,
+                        jump,
+                    });
                 }
             };
-            near(raw, s.alpha_min);
+            decide(Kind::Cut, raw, s.alpha_min, alpha * t);
             if alpha < s.alpha_min {
                 continue;
             }
-            near(raw, s.alpha_max);
-            near(t * (1.0 - alpha), s.t_min);
-            if depth > 0.0 && g.z > depth {
-                let gap = &mut out.depth_gaps[pixel];
-                *gap = gap.min((g.z - depth) / depth);
+            decide(Kind::Cap, raw, s.alpha_max, 0.0);
+            decide(Kind::Cut, t * (1.0 - alpha), s.t_min, t);
+            if let Some((depth, before)) = last
+                && g.z > depth
+            {
+                decide(Kind::Order, g.z, depth, before * alpha);
             }
-            depth = g.z;
+            last = Some((g.z, alpha * t));
             if t * (1.0 - alpha) <= s.t_min {
                 break;
             }
