@@ -156,6 +156,39 @@ fn a_scene_a_million_units_from_the_origin_trains_as_well() {
 }
 
 #[test]
+fn photos_of_one_pixel_and_thin_strips_train() {
+    for (width, height) in [(1, 1), (3, 10_000)] {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut capture = Capture::room(folder.path(), 6);
+        for (path, camera) in &mut capture.shots {
+            let photo = image::open(&*path).expect("a photo");
+            let filter = image::imageops::FilterType::Triangle;
+            let photo = photo.resize_exact(width, height, filter);
+            photo.save(&*path).expect("a folder to write to");
+            *camera = camera.with_size(width as usize, height as usize);
+        }
+        capture.moved(folder.path(), DVec3::ZERO);
+        let scene = load(folder.path(), &LoadOptions::default()).expect("a scene");
+        let building = BuildingConfig {
+            iterations: 12,
+            densify_every: 4,
+            ..BuildingConfig::default()
+        };
+        let config = Config {
+            building,
+            ..config()
+        };
+        let mut stage = Trainer::new(&scene, &config, &device()).expect("a stage");
+        stage.run(&mut Silent).expect("a run");
+        let psnr = stage.evaluate().expect("scores").held_out.psnr;
+        assert!(
+            psnr.is_some_and(f64::is_finite),
+            "{width}x{height}: {psnr:?}"
+        );
+    }
+}
+
+#[test]
 fn black_surfaces_become_opaque_before_a_changing_background() {
     let mut scene = scene();
     let black = image::RgbImage::new(WIDTH as u32, HEIGHT as u32);
