@@ -2,7 +2,7 @@
 //! `cargo bench --bench raster -- RUN --gaussians 10000,100000 --json coseg.json --export subject`.
 //!
 //! `--export` writes the Gaussians and cameras for other renderers, see `scripts/bench_gsplat.py`. `--errors` also compares f32 with f64,
-//! for scenes and pictures that are too large for a test: `--gaussians 2000000 --errors`, `--sizes 4000x3000 --errors`.
+//! for scenes and pictures that are too large for a test: `--gaussians 2000000 --errors`, `--sizes 4000x3000 --rgb --errors`.
 
 #[path = "../src/cli/allocator.rs"]
 mod allocator;
@@ -51,6 +51,9 @@ struct Arguments {
     /// Sizes of the pictures
     #[arg(long, value_delimiter = ',', default_value = "480x360,1920x1080", value_parser = size)]
     sizes: Vec<[usize; 2]>,
+    /// Colour alone, without channels beside it
+    #[arg(long)]
+    rgb: bool,
     /// Print how far picture and gradients in f32 are from f64
     #[arg(long)]
     errors: bool,
@@ -106,6 +109,11 @@ fn main() -> Result<()> {
                 gaussians: &gaussians,
                 cameras: &cameras,
                 repeats: arguments.repeats,
+                channels: if arguments.rgb {
+                    &CHANNELS[..1]
+                } else {
+                    &CHANNELS
+                },
             };
             let size = format!("{width}x{height}");
             view.measure(&size, &device, &mut figures)?;
@@ -157,11 +165,12 @@ struct View<'a> {
     gaussians: &'a Gaussians,
     cameras: &'a [Camera],
     repeats: usize,
+    channels: &'a [(&'static str, bool, usize)],
 }
 
 impl View<'_> {
     fn measure(&self, size: &str, device: &Device, figures: &mut Figures) -> Result<()> {
-        for (name, colour, channels) in CHANNELS {
+        for &(name, colour, channels) in self.channels {
             let input = self.input(colour, channels, device, DType::F32);
             let forward = self.timed(&input, |output| {
                 Some(output.image.slice([0..1, 0..1, 0..1]))

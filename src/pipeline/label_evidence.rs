@@ -45,8 +45,8 @@ impl<'a> LabelEvidence<'a> {
         })
     }
 
-    /// Whether Gaussians that few labelled pixels show take the scores of their superpoint after training. Pooled votes have that in
-    /// them, and two objects of association may share a superpoint.
+    /// Whether scores are smoothed over surfaces after training. Pooled votes have that in them, and two objects of association may lie on
+    /// one surface.
     pub fn wants_smoothing(&self) -> bool {
         self.prior_kind() == Prior::Votes && !self.has_objects()
     }

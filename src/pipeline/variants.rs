@@ -265,7 +265,7 @@ impl<'a> StageTwo<'a> {
         }
     }
 
-    /// `outcome` after smoothing over superpoints.
+    /// `outcome` after smoothing over surfaces.
     fn smoothed(&self, mut outcome: VariantOutcome) -> Result<VariantOutcome> {
         let Some(decoded) = outcome.identities.take() else {
             return Ok(outcome);

@@ -28,7 +28,14 @@ fn scenes_far_from_every_cut_off_agree_without_exception() {
                 features: 2,
             },
         ] {
-            compare("smooth", &scene, channels, &camera, &settings, 1.0);
+            compare(
+                "far from every cut-off",
+                &scene,
+                channels,
+                &camera,
+                &settings,
+                1.0,
+            );
         }
     }
 }
@@ -44,7 +51,7 @@ fn any_number_of_channels() {
     });
     for channels in channels.into_iter().chain(mixed) {
         compare(
-            &format!("{} channels", channels.count()),
+            "1 to 512 channels",
             &scene,
             channels,
             &camera,
@@ -82,7 +89,7 @@ fn thousands_of_gaussians_in_a_tile() {
     // Faint ones, so that the lists are read to their end. Many pixels have one that is close to the cut-off.
     scene.opacity_logits.iter_mut().for_each(|l| *l -= 4.0);
     compare(
-        "deep",
+        "3,000 faint Gaussians in a tile",
         &scene.rounded(),
         Channels {
             sh: Some((0, 0)),
@@ -96,7 +103,7 @@ fn thousands_of_gaussians_in_a_tile() {
     let mut opaque = cloud(3_000, 0.05, &camera, 8);
     opaque.opacity_logits.iter_mut().for_each(|l| *l += 20.0);
     compare(
-        "opaque",
+        "3,000 opaque Gaussians in a tile",
         &opaque.rounded(),
         RGB,
         &camera,
@@ -104,7 +111,7 @@ fn thousands_of_gaussians_in_a_tile() {
         0.4,
     );
     compare(
-        "dense",
+        "3,000 Gaussians in a tile",
         &cloud(3_000, 0.05, &camera, 7).rounded(),
         RGB,
         &camera,
@@ -203,7 +210,10 @@ fn a_gaussian_on_the_near_plane_is_not_seen() {
         ..Settings::default()
     };
     let turn = [0.9, 0.1, -0.3, 0.2];
-    for (what, depth) in [("on the near plane", 0.015_625), ("before it", 0.0)] {
+    for (what, depth) in [
+        ("on the near plane", 0.015_625),
+        ("before the near plane", 0.0),
+    ] {
         let mut scene = Cloud::default();
         scene.push([0.0, 0.0, depth], [0.01; 3], turn, 1.0);
         scene.push([0.0, 0.0, 1.0], [0.1, 0.2, 0.05], turn, 1.0);
@@ -243,7 +253,7 @@ fn equal_depths_blend_in_the_order_of_the_scene() {
         );
     }
     compare(
-        "ties",
+        "40 Gaussians at one depth",
         &scene.rounded(),
         plain(4),
         &camera,
@@ -261,7 +271,14 @@ fn a_far_away_scene_keeps_its_digits() {
         ..near.clone()
     };
     let scene = cloud(60, 0.05, &far, 4).rounded();
-    compare("far", &scene, RGB, &far, &Settings::default(), 0.98);
+    compare(
+        "a camera 1,260 units from the origin",
+        &scene,
+        RGB,
+        &far,
+        &Settings::default(),
+        0.98,
+    );
 }
 
 #[test]
@@ -271,7 +288,7 @@ fn a_wide_image_keeps_its_digits() {
     camera.cy = 20.0;
     for (n, scale, seed) in [(1500, 0.003, 1), (1500, 0.0003, 2)] {
         compare(
-            "wide",
+            "1,920 pixels wide, small Gaussians",
             &cloud(n, scale, &camera, seed).rounded(),
             plain(3),
             &camera,
