@@ -257,8 +257,9 @@ impl View<'_> {
         let (got, want) = (got?, want?);
         let largest = want[0].iter().fold(0.0_f64, |a, v| a.max(v.abs()));
         let pairs = got[0].iter().zip(&want[0]);
-        let off = pairs.filter(|(a, b)| (*a - *b).abs() > 1e-4 * largest);
-        let share = off.count() as f64 / want[0].len() as f64;
+        // A NaN is off, too.
+        let right = pairs.filter(|(a, b)| (*a - *b).abs() <= 1e-4 * largest);
+        let share = 1.0 - right.count() as f64 / want[0].len() as f64;
         figures.add(
             format!("{size}: colours off by more than 1e-4"),
             "",
@@ -267,8 +268,8 @@ impl View<'_> {
         for (name, (got, want)) in GRADIENTS.iter().zip(got.iter().zip(&want).skip(1)) {
             let squares = |v: &mut dyn Iterator<Item = f64>| v.map(|v| v * v).sum::<f64>();
             let difference = squares(&mut got.iter().zip(want).map(|(a, b)| a - b));
-            let size_of = squares(&mut want.iter().copied());
-            let error = (difference / size_of.max(f64::MIN_POSITIVE)).sqrt();
+            let squared_size = squares(&mut want.iter().copied());
+            let error = (difference / squared_size.max(f64::MIN_POSITIVE)).sqrt();
             figures.add(
                 format!("{size}: error of the gradient of {name}"),
                 "",
@@ -288,7 +289,10 @@ impl View<'_> {
             [0.0; 3],
         )?;
         let distance = output.image.clone() - 0.5;
-        let gradients = (distance.clone() * distance).sum().backward();
+        let gradients = (distance.clone() * distance)
+            .sum()
+            .mul_scalar(0.5)
+            .backward();
         Ok(vec![
             wide(output.image.inner()),
             wide(input.means.grad(&gradients).expect("tracked")),

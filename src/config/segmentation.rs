@@ -112,7 +112,7 @@ pub enum Prior {
     /// Nothing (the paper): the classes come from the features alone.
     None,
     /// The votes of each Gaussian's raw labels, the surer the more pixels vote: the decoder learns a correction. After training,
-    /// scores are smoothed over surfaces where votes are few; not so those of objects of association.
+    /// scores are smoothed over surfaces where votes are few. Objects of association are not smoothed.
     Votes,
     /// The votes, refined, pooled over superpoints and calibrated. The decoder learns from what they say about the labelled pixels,
     /// instead of from the raw labels. Objects that association found take [`Prior::Votes`] instead.

@@ -12,16 +12,16 @@ const OWN: f32 = 0.1;
 /// Steps of the iteration. Scores travel over as many edges at most.
 const STEPS: usize = 50;
 
-/// Identities x that are close to `identities` s, class probabilities, where many labelled pixels show a Gaussian, and alike on
-/// neighbours of one surface. They lead to the least
+/// `identities` s, class probabilities, after 50 steps of Jacobi's method, from x = s, towards the least
 ///
 /// ```text
-/// sum_i (0.1 + v_i) |x_i - s_i|^2 + sum_ij w_ij |x_i - x_j|^2
+/// sum over Gaussians i of (0.1 + v_i) |x_i - s_i|^2  +  sum over edges ij of w_ij |x_i - x_j|^2
 /// ```
 ///
-/// where `votes` has v_i pixels of Gaussian i, and w_ij = exp(-e_ij / 0.2) for the weight e_ij of an edge in the graph of
-/// [`SurfaceGraph`] (Zhu, Ghahramani and Lafferty, *Semi-Supervised Learning Using Gaussian Fields and Harmonic Functions*, ICML 2003,
-/// with every Gaussian held softly). 50 steps of Jacobi's method from s.
+/// `votes` has v_i pixels of Gaussian i. The edges are those of [`SurfaceGraph`], and w_ij = exp(-e_ij / 0.2) for the weight e_ij of an
+/// edge. So scores stay where many labelled pixels show a Gaussian, and elsewhere become those of neighbours on one surface, over 50
+/// edges at most. (Zhu, Ghahramani and Lafferty, *Semi-Supervised Learning Using Gaussian Fields and Harmonic Functions*, ICML 2003,
+/// where labelled points are held exactly and others not at all.)
 ///
 /// # Errors
 /// [`crate::Error::NonFinite`] when a centre is not finite.
@@ -44,16 +44,16 @@ pub fn smoothed(
         .rows()
         .map(|row| OWN + row.iter().sum::<f32>())
         .collect();
+    let near = |i: usize| affinities.row(i).1.iter().sum::<f32>();
+    let total: Vec<f32> = (0..).zip(&held).map(|(i, held)| held + near(i)).collect();
     let own = identities.scores.clone();
+    let width = classes.max(1);
     for _ in 0..STEPS {
         let mut next = affinities.apply(&identities.scores, classes);
-        let rows = next
-            .chunks_exact_mut(classes)
-            .zip(own.chunks_exact(classes));
+        let rows = next.chunks_exact_mut(width).zip(own.chunks_exact(width));
         for (i, (row, own)) in rows.enumerate() {
-            let total = held[i] + affinities.row(i).1.iter().sum::<f32>();
             for (x, s) in row.iter_mut().zip(own) {
-                *x = (*x + held[i] * s) / total;
+                *x = (*x + held[i] * s) / total[i];
             }
         }
         identities.scores = next;
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn the_sum_of_squares_is_least() {
+    fn many_votes_reach_the_least_sum() {
         let gaussians = patch(3);
         let own = identities(|i| if i % 3 == 0 { [0.9, 0.1] } else { [0.3, 0.7] });
         let count = |i: usize| 4.0 + (i % 5) as f32;

@@ -1,4 +1,4 @@
-//! The rasterizer's GPU kernels: repeatability, errors, hard cases.
+//! The rasterizer's GPU kernels: repeatability and errors.
 
 use crate::support::gpu;
 use crate::support::raster_precision::{Channels, RGB, input, plain, run, values};

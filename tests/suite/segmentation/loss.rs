@@ -110,7 +110,7 @@ fn jensen_shannon_tends_to_cross_entropy_and_to_absolute_error() {
     }
 }
 
-/// Values and gradients of f32 logits `[rows, columns]`.
+/// The loss of f32 logits `[rows, columns]`, then its gradient by each.
 fn in_f32(
     kind: &LabelLoss,
     logits: &[f32],
@@ -139,7 +139,7 @@ fn hard_logits_stay_finite() {
         let device = device.autodiff();
         for kind in KINDS {
             for logits in hard {
-                // The third class is never seen.
+                // Both rows have the second class, and no row the others.
                 let numbers = in_f32(&kind, &logits, 3, &[1, 1], &device);
                 let finite = numbers.iter().all(|v| v.is_finite());
                 assert!(
@@ -152,7 +152,7 @@ fn hard_logits_stay_finite() {
 }
 
 #[test]
-fn nothing_labelled_costs_nothing_on_any_backend() {
+fn nothing_labelled_and_one_class_cost_nothing_on_any_backend() {
     for (name, device) in crate::support::devices() {
         let device = device.autodiff();
         let logits: Vec<f32> = (0..12).map(|i| (i as f32).sin() * 3.0).collect();

@@ -1,7 +1,9 @@
 //! A view of random Gaussians rendered in f32 on every backend and in f64 on the CPU, with all gradients.
 
 use crate::support::on_device;
-use crate::support::raster_reference::{Cloud, Doubt, Kind, Reference, numbers, render};
+use crate::support::raster_reference::{
+    Cloud, DOUBTFUL, Decision, Doubt, Reference, numbers, render,
+};
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use coseg::raster::{RasterInput, Settings, rasterize};
 use coseg::splat::camera::Camera;
@@ -71,6 +73,9 @@ pub const NAMES: [&str; 10] = [
     "absolute screen",
 ];
 
+/// Behind all Gaussians.
+pub const BACKGROUND: [f32; 3] = [0.3, 0.9, -0.4];
+
 /// A view to render, and which of its pixels the loss reads.
 #[derive(Clone, Copy)]
 pub struct Compared<'a> {
@@ -102,6 +107,14 @@ pub fn run(
 }
 
 impl Compared<'_> {
+    /// Image and transmittance in f64.
+    fn picture(&self, device: &Device) -> Picture {
+        let device = device.clone().autodiff();
+        let input = input(self.cloud, self.channels, &device, DType::F64);
+        let out = rasterize(input, self.camera, self.settings, BACKGROUND).expect("valid");
+        [values(out.image.inner()), values(out.transmittance.inner())]
+    }
+
     /// As [`run`]; pixels that are not clear have no weight in the loss.
     fn run(&self, device: &Device, dtype: DType) -> (Vec<Vec<f64>>, Vec<u32>) {
         let &Self {
@@ -116,7 +129,7 @@ impl Compared<'_> {
         let w = camera.width;
         let h = camera.height;
         let c = channels.count();
-        let out = rasterize(input.clone(), camera, settings, [0.3, 0.9, -0.4]).expect("valid");
+        let out = rasterize(input.clone(), camera, settings, BACKGROUND).expect("valid");
         let radii = values(out.radii.clone())
             .into_iter()
             .map(|radius| radius as u32)
@@ -171,9 +184,10 @@ const POSITION_ROUNDING: f64 = 1.0 / (1_u64 << 23) as f64;
 const ALPHA_PER_POSITION: f64 = 6.0;
 /// Relative rounding of a radius before it is rounded up.
 const RADIUS_ROUNDING: f64 = 1e-5;
-/// The largest absolute value of a colour or feature that [`input`] makes: features lie in -1..1, and a colour sums SH terms.
-const LARGEST_FEATURE: f64 = 1.0;
-const LARGEST_COLOR: f64 = 8.0;
+/// How far a colour moves at most where the blending weights change by 1: features and their background lie in -1..1, and the SH
+/// coefficients of [`input`] give colours of up to 4.71 before a background of -0.4.
+const FEATURE_JUMP: f64 = 2.0;
+const COLOR_JUMP: f64 = 5.2;
 
 /// How far f32 may be from f64.
 struct Contract {
@@ -184,6 +198,7 @@ struct Contract {
 }
 
 impl Contract {
+    /// The CPU computes positions in f64, so only a GPU may round them.
     fn of(camera: &Camera, is_gpu: bool) -> Self {
         let width = camera.width.max(camera.height) as f64;
         let position = if is_gpu {
@@ -208,9 +223,9 @@ impl Contract {
 
     /// Whether f32 may decide otherwise.
     fn may_turn(&self, doubt: &Doubt) -> bool {
-        let rounding = match doubt.kind {
-            Kind::Cut | Kind::Cap => self.cut,
-            Kind::Order => DEPTH_ROUNDING,
+        let rounding = match doubt.decision {
+            Decision::Cut | Decision::Cap => self.cut,
+            Decision::Order => DEPTH_ROUNDING,
         };
         doubt.distance <= rounding
     }
@@ -250,106 +265,123 @@ fn gradient_error(got: &[f64], want: &[f64]) -> f64 {
     errors.fold(0.0, f64::max)
 }
 
-/// The largest difference between the picture `got` and the first of `sides`, relative to its largest value. A pixel with one decision
-/// in doubt may be that of any side. One with several, or with two Gaussians in another order, may be off by what these gain or lose.
-fn picture_error(
-    got: &[f64],
-    sides: &[Vec<f64>],
+/// Image and transmittance.
+type Picture = [Vec<f64>; 2];
+
+/// The largest differences between the picture `got` and the first of `sides`, relative to its largest values; the other sides have a
+/// cut-off moved. A pixel with one cut in doubt may be that of any side. One with several, or with two Gaussians in another order, may be
+/// off by what these change, where a colour moves by `jump` for a change of 1.
+fn picture_errors(
+    got: [&[f64]; 2],
+    sides: &[Picture],
     doubts: &[Vec<Doubt>],
     contract: &Contract,
-    largest_value: f64,
-) -> f64 {
-    let want = &sides[0];
-    let largest = want.iter().fold(0.0_f64, |a, v| a.max(v.abs()));
-    let channels = got.len() / doubts.len();
-    let mut worst = 0.0_f64;
+    jump: f64,
+) -> [f64; 2] {
+    let mut worst = [0.0_f64; 2];
     for (pixel, doubts) in doubts.iter().enumerate() {
-        let part = pixel * channels..(pixel + 1) * channels;
-        let off = |side: &Vec<f64>| {
-            let pairs = got[part.clone()].iter().zip(&side[part.clone()]);
-            pairs.map(|(g, w)| (g - w).abs()).fold(0.0, f64::max)
+        let off = |side: &Picture| {
+            [0, 1].map(|part| {
+                let channels = got[part].len() / got[1].len();
+                let of_pixel = pixel * channels..(pixel + 1) * channels;
+                let pairs = got[part][of_pixel.clone()]
+                    .iter()
+                    .zip(&side[part][of_pixel]);
+                pairs.map(|(g, w)| (g - w).abs()).fold(0.0, f64::max)
+            })
         };
-        let turning: Vec<_> = doubts.iter().filter(|d| contract.may_turn(d)).collect();
-        let jumps: f64 = turning.iter().map(|doubt| 2.0 * doubt.jump).sum();
+        let turning: Vec<_> = doubts
+            .iter()
+            .filter(|doubt| doubt.decision != Decision::Cap && contract.may_turn(doubt))
+            .collect();
         let difference = match &turning[..] {
-            [] => off(want),
-            [only] if only.kind != Kind::Order => {
-                sides.iter().map(off).fold(f64::INFINITY, f64::min)
+            [only] if only.decision == Decision::Cut => {
+                let nearest = sides.iter().map(off);
+                let nearest = nearest.min_by(|a, b| a[0].max(a[1]).total_cmp(&b[0].max(b[1])));
+                nearest.expect("one side or more")
             }
-            _ => (off(want) - jumps * largest_value).max(0.0),
+            turning => {
+                let sum = |of: &dyn Fn(&Doubt) -> bool| -> f64 {
+                    let jumps = turning.iter().filter(|doubt| of(doubt));
+                    jumps.map(|doubt| doubt.jump).sum()
+                };
+                let [image, transmittance] = off(&sides[0]);
+                [
+                    image - jump * sum(&|_| true),
+                    transmittance - sum(&|doubt| doubt.decision == Decision::Cut),
+                ]
+            }
         };
-        worst = worst.max(difference);
+        worst = [0, 1].map(|part| worst[part].max(difference[part]));
     }
-    if worst == 0.0 { 0.0 } else { worst / largest }
+    [0, 1].map(|part| {
+        let largest = sides[0][part].iter().fold(0.0_f64, |a, v| a.max(v.abs()));
+        if worst[part] == 0.0 {
+            0.0
+        } else {
+            worst[part] / largest
+        }
+    })
 }
 
 /// Checks f32 on every backend of this build against f64: all pixels, and the gradients of a loss over those without a decision in
-/// doubt, of which there have to be at least the share `clear`. Prints a row of a table for each backend: its name, pixels in doubt,
-/// and the relative errors in the order of [`NAMES`], then the bounds of pictures and gradients.
+/// doubt, of which there have to be at least the share `least_clear`. Prints a row of a table for each backend: its name, pixels in
+/// doubt, and the relative errors in the order of [`NAMES`], then the bounds of pictures and gradients.
 pub fn compare(
     what: &str,
     cloud: &Cloud,
     channels: Channels,
     camera: &Camera,
     settings: &Settings,
-    clear: f64,
+    least_clear: f64,
 ) {
     let reference = render(cloud, &vec![0.0; cloud.len()], 1, camera, settings);
     for (name, device) in crate::support::devices() {
         let is_gpu = !coseg::backend::device::in_host_memory(&device);
         let contract = Contract::of(camera, is_gpu);
+        assert!(contract.cut < DOUBTFUL, "all doubts are recorded");
         let doubts = reference.doubts.iter();
-        let pixels: Vec<bool> = doubts
+        let clear: Vec<bool> = doubts
             .map(|doubts| !doubts.iter().any(|doubt| contract.may_turn(doubt)))
             .collect();
-        let in_doubt = pixels.iter().filter(|&&clear| !clear).count();
+        let in_doubt = clear.iter().filter(|&&clear| !clear).count();
         assert!(
-            in_doubt as f64 <= (1.0 - clear) * pixels.len() as f64,
+            in_doubt as f64 <= (1.0 - least_clear) * clear.len() as f64,
             "{what}: {in_doubt} of {} pixels are in doubt",
-            pixels.len()
+            clear.len()
         );
         let scene = Compared {
             cloud,
             channels,
             camera,
             settings,
-            clear: &pixels,
+            clear: &clear,
         };
         let wide = crate::support::device();
         let (want, want_radii) = scene.run(&wide, DType::F64);
-        let sides = contract.sides(settings);
-        let sides = sides.iter().map(|settings| {
-            let side = Compared { settings, ..scene };
-            side.run(&wide, DType::F64).0
-        });
-        let sides: Vec<_> = [want.clone()].into_iter().chain(sides).collect();
         let (got, got_radii) =
             on_device(is_gpu.then_some(&device), || scene.run(&device, DType::F32));
-        let largest_value = match channels.sh {
-            Some(_) => LARGEST_COLOR,
-            None => LARGEST_FEATURE,
+        let moved = contract.sides(settings);
+        let moved = moved.iter().map(|settings| {
+            let side = Compared { settings, ..scene };
+            side.picture(&wide)
+        });
+        let base = [want[0].clone(), want[1].clone()];
+        let sides: Vec<Picture> = [base].into_iter().chain(moved).collect();
+        for values in got.iter().chain(&want).chain(sides.iter().flatten()) {
+            assert!(values.iter().all(|v| v.is_finite()), "{what} on {name}");
+        }
+        let jump = match channels.sh {
+            Some(_) => COLOR_JUMP,
+            None => FEATURE_JUMP,
         };
-        let error = |part: usize| {
+        let picture = [&got[0][..], &got[1][..]];
+        let mut errors =
+            picture_errors(picture, &sides, &reference.doubts, &contract, jump).to_vec();
+        for part in 2..NAMES.len() {
             assert_eq!(got[part].len(), want[part].len(), "{}", NAMES[part]);
-            assert!(
-                got[part].iter().chain(&want[part]).all(|v| v.is_finite()),
-                "{} is finite",
-                NAMES[part]
-            );
-            if part < 2 {
-                let sides: Vec<_> = sides.iter().map(|side| side[part].clone()).collect();
-                picture_error(
-                    &got[part],
-                    &sides,
-                    &reference.doubts,
-                    &contract,
-                    largest_value,
-                )
-            } else {
-                gradient_error(&got[part], &want[part])
-            }
-        };
-        let errors: Vec<f64> = (0..NAMES.len()).map(error).collect();
+            errors.push(gradient_error(&got[part], &want[part]));
+        }
         let cells: Vec<String> = errors.iter().map(|error| format!("{error:.1e}")).collect();
         println!(
             "| {what} | {name} | {in_doubt} | {} | {:.1e} | {:.1e} |",

@@ -121,15 +121,15 @@ impl Reference {
     /// The smallest distance of a pair from a cut-off.
     pub fn margin(&self) -> f64 {
         let doubts = self.doubts.iter().flatten();
-        let cuts = doubts.filter(|doubt| doubt.kind != Kind::Order);
+        let cuts = doubts.filter(|doubt| doubt.decision != Decision::Order);
         cuts.map(|doubt| doubt.distance)
             .fold(f64::INFINITY, f64::min)
     }
 }
 
-/// What is decided.
+/// A decision of the blending loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum Decision {
     /// Whether alpha' is below `alpha_min`, or the transmittance at or below `t_min`.
     Cut,
     /// Whether alpha' is capped. The picture does not jump there, only its gradient does.
@@ -138,18 +138,18 @@ pub enum Kind {
     Order,
 }
 
-/// A decision that a pixel takes while it blends.
+/// A decision that rounding may turn.
 #[derive(Clone, Copy, Debug)]
 pub struct Doubt {
-    pub kind: Kind,
-    /// Relative distance from the other decision.
+    pub decision: Decision,
+    /// Distance of the number that is compared from its threshold, relative to the threshold.
     pub distance: f64,
-    /// How much of a colour the pixel gains or loses by it at most.
+    /// Largest change of the blending weights if the decision turns.
     pub jump: f64,
 }
 
-/// Decisions farther than this from the other one are not kept.
-const DOUBTFUL: f64 = 0.02;
+/// A decision farther than this from its threshold is not recorded; nor is one that a pixel would take only if another had turned.
+pub const DOUBTFUL: f64 = 0.02;
 
 /// Renders `values` `[N, channels]`.
 pub fn render(
@@ -260,26 +260,26 @@ pub fn render_shifted(
                 * (g.inverse[0] * dx * dx + 2.0 * g.inverse[1] * dx * dy + g.inverse[2] * dy * dy);
             let raw = g.opacity * power.exp();
             let alpha = raw.min(s.alpha_max);
-            let mut decide = |kind: Kind, x: f64, cut: f64, jump: f64| {
+            let mut decide = |decision: Decision, x: f64, cut: f64, jump: f64| {
                 let distance = (x - cut).abs() / cut;
                 if cut > 0.0 && distance < DOUBTFUL {
                     out.doubts[pixel].push(Doubt {
-                        kind,
+                        decision,
                         distance,
                         jump,
                     });
                 }
             };
-            decide(Kind::Cut, raw, s.alpha_min, alpha * t);
+            decide(Decision::Cut, raw, s.alpha_min, alpha * t);
             if alpha < s.alpha_min {
                 continue;
             }
-            decide(Kind::Cap, raw, s.alpha_max, 0.0);
-            decide(Kind::Cut, t * (1.0 - alpha), s.t_min, t);
+            decide(Decision::Cap, raw, s.alpha_max, 0.0);
+            decide(Decision::Cut, t * (1.0 - alpha), s.t_min, t);
             if let Some((depth, before)) = last
                 && g.z > depth
             {
-                decide(Kind::Order, g.z, depth, before * alpha);
+                decide(Decision::Order, g.z, depth, before * alpha);
             }
             last = Some((g.z, alpha * t));
             if t * (1.0 - alpha) <= s.t_min {
