@@ -3,6 +3,7 @@
 pub mod absgrad;
 pub mod blending;
 pub mod gsplat;
+pub mod hard_cases;
 pub mod operation_gradients;
 pub mod precision;
 pub mod raster_contract;

@@ -2,6 +2,7 @@
 
 pub mod capacity;
 pub mod densify;
+pub mod hard_scenes;
 pub mod initial_points;
 pub mod masked_training;
 pub mod settings;

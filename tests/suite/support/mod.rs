@@ -44,6 +44,7 @@ pub mod pretraining;
 pub mod program;
 #[cfg(unix)]
 pub mod programs;
+pub mod raster_errors;
 pub mod raster_precision;
 pub mod raster_reference;
 pub mod raw_labels;
